@@ -118,8 +118,8 @@ static size_t pause_of(const struct burst_search *search, const double *energy, 
     return last;
 }
 
-bool burst_find(const struct burst_search *search, const double *volts, size_t size, double variance,
-                struct burst_found *found, double *scratch)
+bool burst_find(const struct burst_search *search, const double *volts, size_t size, double least_power,
+                double variance, struct burst_found *found, double *scratch)
 {
     size_t count = size / search->half, group = search->group, begin = 0, end = 0;
     struct view view = {count, count / group, scratch, scratch + count};
@@ -141,14 +141,14 @@ bool burst_find(const struct burst_search *search, const double *volts, size_t s
     variance = most_of(variance, 1e-8 * peak);
     double power = peak - variance, half_power = variance + 0.5 * power;
     if (!(power >= most_of(search->no_power,
-                           most_of(search->snr_floor * variance, search->least_power))))
+                           most_of(search->snr_floor * variance, least_power))))
         return false;
     view.gain[0] = 0;
     for (size_t cell = 0; cell < view.cells; cell++)
         view.gain[cell + 1] = view.gain[cell] + (view.gain[cell + 1] - half_power);
     cut_frame(search, &view, low, &begin, &end);
     /* Loud half chips are sharper than that, and reach beyond where chips are small. Hum stays below. */
-    double node_power = most_of(search->least_power, power / (16 * (double)search->nodes));
+    double node_power = most_of(least_power, power / (16 * (double)search->nodes));
     double limit = most_of(search->loud * search->loud * variance, node_power);
     size_t first = begin * group, last = end * group, reach = search->bit * group;
     size_t from = first > reach ? first - reach : 0, i = from, until = last + reach;

@@ -15,8 +15,8 @@
  * wherever they begin. gap_size: samples of a gap; side: half chips of it that must be quiet. */
 struct burst_search {
     size_t half, window, group, low, high, bit, width, gap_size, side, nodes;
-    double chip, least_power, snr_floor;
-    double loud, no_power, bias, newest, calmer, drifting, median, beside_level, beside;
+    double chip, snr_floor, loud, no_power, bias, newest, calmer, drifting, median, beside_level,
+        beside;
 };
 
 /* As Gap. */
@@ -43,9 +43,9 @@ size_t burst_scratch(const struct burst_search *search, size_t size);
 bool burst_gap(const struct burst_search *search, const double *volts, size_t size,
                const struct burst_gap *known, struct burst_gap *gap, double *scratch);
 
-/* Whether there is a burst. volts: the gap's level removed. */
-bool burst_find(const struct burst_search *search, const double *volts, size_t size, double variance,
-                struct burst_found *found, double *scratch);
+/* Whether there is a burst. volts: the gap's level removed. least_power: of a node, V². */
+bool burst_find(const struct burst_search *search, const double *volts, size_t size, double least_power,
+                double variance, struct burst_found *found, double *scratch);
 
 /* The gaps before sample `first` and from sample `end` on. variance, power: of the burst between. */
 struct burst_beside burst_beside(const struct burst_search *search, const double *volts, size_t size,

@@ -6,10 +6,9 @@
 #include <string.h>
 
 struct place {
-    size_t whole;
+    ptrdiff_t whole; /* signed: what converts such to a double is one instruction */
     double share;
 };
-
 
 /* The sample that an instant lies in, and the share of it that has passed. */
 static inline struct place place_of(const struct fit_line *line, double time)
@@ -18,8 +17,8 @@ static inline struct place place_of(const struct fit_line *line, double time)
 
     shifted = shifted > 0 ? shifted : 0;
     shifted = shifted < size ? shifted : size;
-    size_t whole = (size_t)shifted;
-    whole = whole < line->size ? whole : line->size - 1;
+    ptrdiff_t whole = (ptrdiff_t)shifted, last = (ptrdiff_t)line->size - 1;
+    whole = whole < last ? whole : last;
     return (struct place){whole, shifted - (double)whole};
 }
 
@@ -33,9 +32,8 @@ void fit_levels(const struct fit_line *line, const struct fit *fit, double blur,
 {
     double before = 0, number_before = 0;
 
-    for (size_t i = 0; i <= count; i++) {
-        double chips = (double)i - (double)lead;
-        struct place place = place_of(line, fit->start + fit->chip * chips);
+    for (ptrdiff_t i = 0; i <= (ptrdiff_t)count; i++) {
+        struct place place = place_of(line, fit->start + fit->chip * (double)(i - (ptrdiff_t)lead));
         double share = (place.share - 0.5) / blur + 0.5;
         place.share = share < 0 ? 0 : share > 1 ? 1 : share;
         double sum = sum_before(line, place), number = (double)place.whole + place.share;
@@ -52,28 +50,31 @@ void fit_rows(const struct fit_code *code, const float *levels, float *rows)
 {
     size_t size = code->frame.bits * code->frame.order;
 
-    for (size_t i = 0; i < size; i++)
+    if (code->span == size)
+        memcpy(rows, levels, size * sizeof *rows);
+    for (size_t i = 0; code->span != size && i < size; i++)
         rows[i] = levels[code->places[i]];
     for (size_t i = 0; code->flips && i < size; i++)
         rows[i] *= code->flips[i];
     transform_multiply(code->correlate, rows, rows, code->frame.bits);
 }
 
-void fit_model(const struct fit_code *code, size_t bit, const float *rows, const float *amplitude,
-               float pedestal, float *chips)
+void fit_model(const struct fit_code *code, const float *rows, const float *amplitude, float pedestal,
+               float *chips)
 {
     const struct words_frame *frame = &code->frame;
-    const float *levels = rows + frame->first;
+    size_t size = frame->bits * frame->order;
 
-    memset(chips, 0, frame->order * sizeof *chips);
-    for (size_t i = 0; i < frame->nodes; i++) {
-        float sign = (float)((levels[i] > 0) - (levels[i] < 0));
-        chips[frame->first + i] = sign * amplitude[i];
-    }
-    transform_multiply(code->spread, chips, chips, 1);
-    for (size_t i = 0; code->flips && i < frame->order; i++)
-        chips[i] *= code->flips[bit * frame->order + i];
-    for (size_t i = 0; frame->unipolar && i < frame->order; i++)
+    memset(chips, 0, size * sizeof *chips);
+    for (size_t at = frame->first; at < size; at += frame->order)
+        for (size_t i = 0; i < frame->nodes; i++) {
+            float level = amplitude[i];
+            chips[at + i] = rows[at + i] > 0 ? level : rows[at + i] < 0 ? -level : 0;
+        }
+    transform_multiply(code->spread, chips, chips, frame->bits);
+    for (size_t i = 0; code->flips && i < size; i++)
+        chips[i] *= code->flips[i];
+    for (size_t i = 0; frame->unipolar && i < size; i++)
         chips[i] += pedestal;
 }
 
@@ -84,7 +85,7 @@ static struct fit moved(const struct fit_line *line, struct fit fit, double reac
 {
     double w0 = 0, w1 = 0, w2 = 0, m0 = 0, m1 = 0, most = (double)line->size - 0.5;
 
-    for (size_t i = 0; i < count; i++) {
+    for (ptrdiff_t i = 0; i < (ptrdiff_t)count; i++) {
         double number = (double)i, edge = fit.start + fit.chip * number;
         double before = (double)levels[i], after = (double)levels[i + 1], step = before - after;
         if (step == 0 || edge < reach - 0.5 || edge + reach > most)
@@ -107,9 +108,16 @@ static struct fit moved(const struct fit_line *line, struct fit fit, double reac
     return (struct fit){start, fit.chip + longer};
 }
 
+size_t fit_scratch(const struct fit_code *code)
+{
+    const struct words_frame *frame = &code->frame;
+
+    return 2 * frame->bits * frame->order + 2 + code->span + 2 * frame->nodes;
+}
+
 struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
-                      const struct fit_search *search, struct fit fit, double earliest, double latest,
-                      float *scratch)
+                      const struct fit_refining *refining, struct fit fit, double earliest,
+                      double latest, float *scratch)
 {
     const struct words_frame *frame = &code->frame;
     size_t chips = frame->bits * frame->order;
@@ -117,18 +125,16 @@ struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
     float *amplitude = levels + code->span, *uneven = amplitude + frame->nodes;
     float pedestal, power, spread, misfit;
 
-    for (size_t turn = 0; turn < sizeof search->reaches / sizeof *search->reaches; turn++) {
-        fit_levels(line, &fit, search->blur, 0, code->span, levels);
+    for (size_t turn = 0; turn < refining->turns; turn++) {
+        fit_levels(line, &fit, refining->blur, 0, code->span, levels);
         fit_rows(code, levels, rows);
         words_fit(frame, rows, amplitude, uneven, &pedestal, &power, &spread, &misfit);
         model[0] = model[chips + 1] = 0; /* the gap on either side */
-        for (size_t bit = 0; bit < frame->bits; bit++)
-            fit_model(code, bit, rows + bit * frame->order, amplitude, pedestal,
-                      model + 1 + bit * frame->order);
-        struct fit next = moved(line, fit, search->reaches[turn] * fit.chip, chips + 1, model, earliest,
-                                latest);
+        fit_model(code, rows, amplitude, pedestal, model + 1);
+        struct fit next = moved(line, fit, refining->reaches[turn] * fit.chip, chips + 1, model,
+                                earliest, latest);
         double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)chips;
-        bool settled = change < search->settled_chips * next.chip;
+        bool settled = change < refining->settled_chips * next.chip;
         fit = next;
         if (settled)
             break;

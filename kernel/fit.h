@@ -34,13 +34,12 @@ struct fit {
     double start, chip;
 };
 
-/* What `Limits` and fit.py name so; reach: of a chip on either side of an edge, in each turn. */
-struct fit_search {
-    double blur, settled_chips, reaches[4];
+/* How a fit is refined; see refine in fit.py. reaches: of a chip on either side of an edge, in each turn. */
+struct fit_refining {
+    double blur, settled_chips;
+    size_t turns;
+    const double *reaches;
 };
-
-/* Of so many samples before the first one and a share of the next: the sums; empty lines are at rest. */
-void fit_sums(const double *volts, size_t size, double *sums);
 
 /* Mean level, V, of `count` chips on end, of which number `lead` is the first of the fit. */
 void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
@@ -49,14 +48,15 @@ void fit_levels(const struct fit_line *line, const struct fit *fit, double blur,
 /* Correlations of all rows with the chips at `places` of these levels: (k, N). */
 void fit_rows(const struct fit_code *code, const float *levels, float *rows);
 
-/* The chips (N) of one bit that words of these amplitudes make, from the bit's rows; V. */
-void fit_model(const struct fit_code *code, size_t bit, const float *rows, const float *amplitude,
-               float pedestal, float *chips);
+/* The chips (k, N) that words of these amplitudes make, from their rows; V. */
+void fit_model(const struct fit_code *code, const float *rows, const float *amplitude, float pedestal,
+               float *chips);
 
-/* As refine in fit.py. scratch: 2·k·N + span + 2·n + 2 values. */
+size_t fit_scratch(const struct fit_code *code);
+/* As refine in fit.py. scratch: so many values. */
 struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
-                      const struct fit_search *search, struct fit fit, double earliest, double latest,
-                      float *scratch);
+                      const struct fit_refining *refining, struct fit fit, double earliest,
+                      double latest, float *scratch);
 
 /* The value of this rank, from 0; changes their order. Hoare's selection. */
 float fit_ranked(float *values, ptrdiff_t size, ptrdiff_t rank);

@@ -3,9 +3,9 @@
 #include "judge.h"
 
 #include <math.h>
-#include <stdbool.h>
+#include <string.h>
 
-#define LANES 8 /* sums that are kept apart, so that they can be added at once */
+#define LANES 16 /* sums that are kept apart, so that they can be added at once */
 #define SAME 1e-9 /* chips: starts that are as close to whole chips apart are on one lattice */
 
 /* One candidate in the view: `lead` chips before its frame, `count` in all. */
@@ -82,9 +82,15 @@ static double left_in_rows(const struct fit_code *code, const float *rows, const
         const float *levels = rows + frame->first;
         size_t after = frame->first + frame->nodes;
         float partial[LANES] = {0};
-        for (size_t i = 0; i < frame->nodes; i++) {
-            float off = fabsf(levels[i]) - amplitude[i];
-            partial[i % LANES] += off * off;
+        size_t node = 0;
+        for (; node + LANES <= frame->nodes; node += LANES)
+            for (size_t lane = 0; lane < LANES; lane++) {
+                float off = fabsf(levels[node + lane]) - amplitude[node + lane];
+                partial[lane] += off * off;
+            }
+        for (; node < frame->nodes; node++) {
+            float off = fabsf(levels[node]) - amplitude[node];
+            partial[0] += off * off;
         }
         for (size_t lane = 0; lane < LANES; lane++)
             left += (double)partial[lane];
@@ -115,7 +121,8 @@ static size_t copy_silent(const struct fit_code *code, const struct seen *seen, 
     return count;
 }
 
-static double votes_of(const float *off, size_t size, const struct judge_votes *votes, double most)
+/* Sum of the chips' votes, which replace what is off in them. */
+static double votes_of(float *off, size_t size, const struct judge_votes *votes, double most)
 {
     const float distortion = (float)votes->distortion, scale = (float)(0.5 / votes->variance);
     const float limit = (float)most;
@@ -123,41 +130,36 @@ static double votes_of(const float *off, size_t size, const struct judge_votes *
     double sum = 0;
     size_t i = 0;
 
-    for (; i + LANES <= size; i += LANES)
-        for (size_t lane = 0; lane < LANES; lane++) {
-            float beyond = fabsf(off[i + lane]) - distortion;
-            beyond = beyond > 0 ? beyond : 0;
-            float vote = beyond * beyond * scale;
-            partial[lane] += vote < limit ? vote : limit;
-        }
-    for (; i < size; i++) {
-        float beyond = fabsf(off[i]) - distortion;
+    for (size_t chip = 0; chip < size; chip++) {
+        float beyond = fabsf(off[chip]) - distortion;
         beyond = beyond > 0 ? beyond : 0;
-        float vote = beyond * beyond * scale;
-        partial[0] += vote < limit ? vote : limit;
+        beyond = beyond * beyond * scale;
+        off[chip] = beyond < limit ? beyond : limit;
     }
+    for (; i + LANES <= size; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++)
+            partial[lane] += off[i + lane];
+    for (; i < size; i++)
+        partial[0] += off[i];
     for (size_t lane = 0; lane < LANES; lane++)
         sum += (double)partial[lane];
     return sum;
 }
 
-/* The cost of a candidate, or of its first bits where that is beyond `most` already. */
-static double cost_of(const struct fit_code *code, const struct judge_limits *limits,
-                      const struct seen *seen, const float *levels, const float *rows,
-                      const float *amplitude, float pedestal, const struct judge_votes *votes,
-                      double most, float *off)
+/* What a candidate's words leave of each chip of its view. model: (k, N) for scratch. */
+static void find_off(const struct fit_code *code, const struct seen *seen, const float *levels,
+                     const float *rows, const float *amplitude, float pedestal, float *off,
+                     float *model)
 {
-    size_t order = code->frame.order, silent = copy_silent(code, seen, levels, off);
-    double cost = seen->weight * votes_of(off, silent, votes, limits->vote);
+    size_t size = code->frame.bits * code->frame.order;
 
-    for (size_t bit = 0; bit < code->frame.bits && cost <= most; bit++) {
-        const int32_t *places = code->places + bit * order;
-        fit_model(code, bit, rows + bit * order, amplitude, pedestal, off);
-        for (size_t i = 0; i < order; i++)
-            off[i] = levels[seen->lead + (size_t)places[i]] - off[i];
-        cost += seen->weight * votes_of(off, order, votes, limits->vote);
-    }
-    return cost;
+    memcpy(off, levels, seen->count * sizeof *off);
+    fit_model(code, rows, amplitude, pedestal, model);
+    off += seen->lead;
+    for (size_t i = 0; code->span == size && i < size; i++)
+        off[i] -= model[i];
+    for (size_t i = 0; code->span != size && i < size; i++)
+        off[code->places[i]] -= model[i];
 }
 
 /* Those of a line on which even the best candidate leaves `off` over; see _Votes.of in judge.py. */
@@ -180,8 +182,10 @@ static struct judge_votes votes_by(const struct judge_limits *limits, const floa
     variance = variance > 1e-30 ? variance : 1e-30;
     float most = (float)(limits->most_deviations * sqrt(variance));
     for (size_t i = 0; i < count; i++)
-        within += off[i] <= most;
+        within += fabsf(off[i]) <= most;
     if (within <= rank) {
+        for (size_t i = 0; i < count; i++)
+            off[i] = fabsf(off[i]);
         double left = (double)fit_ranked(off, (ptrdiff_t)count, (ptrdiff_t)rank) / limits->most_deviations;
         variance = left * left > variance ? left * left : variance;
     }
@@ -190,50 +194,34 @@ static struct judge_votes votes_by(const struct judge_limits *limits, const floa
 
 void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                  const struct judge_limits *limits, const struct judge_candidates *all, double noise,
-                 double margin, const struct judge_found *found, struct judge_votes *votes,
-                 float *scratch)
+                 const struct judge_found *found, struct judge_votes *votes, float *scratch)
 {
     const struct words_frame *frame = &code->frame;
-    size_t size = frame->bits * frame->order, best = 0, chips = judge_chips(code, all);
+    size_t size = frame->bits * frame->order, nodes = frame->nodes, chips = judge_chips(code, all);
+    size_t best = 0;
     float *levels = scratch, *off = levels + chips, *model = off + chips;
     struct seen there = {.count = 0};
 
     for (size_t c = 0; c < all->count; c++) {
         struct seen seen = seen_of(code, all, c);
-        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * frame->nodes;
+        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * nodes;
         find_levels(line, limits->blur, &seen, &there, levels);
         fit_rows(code, levels + seen.lead, rows);
-        words_fit(frame, rows, amplitude, found->uneven + c * frame->nodes, &found->pedestal[c],
+        words_fit(frame, rows, amplitude, found->uneven + c * nodes, &found->pedestal[c],
                   &found->power[c], &found->spread[c], &found->misfit[c]);
         double left = (double)frame->order * left_in_rows(code, rows, amplitude, found->pedestal[c]);
         left += square_sum(off, copy_silent(code, &seen, levels, off));
         found->cost[c] = seen.weight * left;
         best = found->cost[c] < found->cost[best] ? c : best;
     }
-    struct seen seen = seen_of(code, all, best);
-    const float *rows = found->rows + best * size;
-    find_levels(line, limits->blur, &seen, &there, levels);
-    if (!(votes->variance > 0)) {
-        for (size_t i = 0; i < seen.count; i++)
-            off[i] = fabsf(levels[i]);
-        for (size_t bit = 0; bit < frame->bits; bit++) {
-            fit_model(code, bit, rows + bit * frame->order, found->amplitude + best * frame->nodes,
-                      found->pedestal[best], model);
-            for (size_t i = 0; i < frame->order; i++) {
-                size_t place = seen.lead + (size_t)code->places[bit * frame->order + i];
-                off[place] = fabsf(levels[place] - model[i]);
-            }
-        }
-        *votes = votes_by(limits, levels, off, seen.count, noise);
-    }
-    double most = INFINITY;
     for (size_t turn = 0; turn < all->count; turn++) { /* the best one first */
         size_t c = turn == 0 ? best : turn == best ? 0 : turn;
-        seen = seen_of(code, all, c);
+        struct seen seen = seen_of(code, all, c);
         find_levels(line, limits->blur, &seen, &there, levels);
-        found->cost[c] = cost_of(code, limits, &seen, levels, found->rows + c * size,
-                                 found->amplitude + c * frame->nodes, found->pedestal[c], votes, most,
-                                 off);
-        most = turn == 0 ? found->cost[best] + margin : most;
+        find_off(code, &seen, levels, found->rows + c * size, found->amplitude + c * nodes,
+                 found->pedestal[c], off, model);
+        if (!(votes->variance > 0))
+            *votes = votes_by(limits, levels, off, seen.count, noise);
+        found->cost[c] = seen.weight * votes_of(off, seen.count, votes, limits->vote);
     }
 }

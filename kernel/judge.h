@@ -2,14 +2,14 @@
 
 /* Weighs candidate frames against each other: the chips' bounded votes of framing/judge.py. In C because
  * every frame has some nine candidates, of which each takes two transforms and ten passes over its chips:
- * numpy would take longer than all the rest of a frame. What makes that cheap: candidates a whole chip
- * apart share their chips' levels, and one that is ruled out after some bits is left there. */
+ * numpy would take longer for that than for all the rest. Candidates a whole chip apart share their chips'
+ * levels. */
 #ifndef TACTILE_JUDGE_H
 #define TACTILE_JUDGE_H
 
 #include "fit.h"
 
-/* As `Limits` in limits.py. close: log-likelihood below the best one's beyond which a frame is ruled out. */
+/* As `Limits` in limits.py; blur: see fit.py. */
 struct judge_limits {
     double distortion, most, most_deviations, vote, blur;
 };
@@ -22,7 +22,7 @@ struct judge_candidates {
 };
 
 /* What is found out of each candidate: rows (c, k, N); amplitude, uneven (c, n); the others (c,), as in
- * WordFit. cost: negative log-likelihood, or a lower bound of it beyond the best one's and `margin`. */
+ * WordFit. cost: negative log-likelihood. */
 struct judge_found {
     float *rows, *amplitude, *uneven, *pedestal, *power, *spread, *misfit;
     double *cost;
@@ -37,10 +37,10 @@ struct judge_votes {
 size_t judge_chips(const struct fit_code *code, const struct judge_candidates *candidates);
 
 /* Fills in what is found. votes: found out, too, where their variance is 0; noise: of a chip's level in the
- * gap, V². scratch: 2 · judge_chips + 2 · N values. */
+ * gap, V². scratch: 2 · judge_chips + k · N values. */
 void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                  const struct judge_limits *limits, const struct judge_candidates *candidates,
-                 double noise, double margin, const struct judge_found *found,
-                 struct judge_votes *votes, float *scratch);
+                 double noise, const struct judge_found *found, struct judge_votes *votes,
+                 float *scratch);
 
 #endif
