@@ -9,7 +9,7 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -196,7 +196,15 @@ class WordFit:
     def of(self, candidate: int) -> WordFit:
         """Those of a single candidate."""
         one = slice(candidate, candidate + 1)
-        return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
+        return WordFit(
+            self.rows[one],
+            self.amplitude[one],
+            self.pedestal[one],
+            self.uneven[one],
+            self.power[one],
+            self.spread[one],
+            self.misfit[one],
+        )
 
     def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.

@@ -388,6 +388,8 @@ class GapTiming(Timing):
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
+        if self._next > until:
+            return
         level, noise = 0.0, math.nan
         if self._gap:  # whose variance is that of half chips
             level, noise = self._gap.level, math.sqrt(self._gap.variance / 2)

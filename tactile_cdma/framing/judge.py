@@ -204,23 +204,20 @@ class Judge:
             words = read_words(integrate(line, start, chip, self._spec), self._spec)
             return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
         view = float(start.min()), float((start + self._spec.span_chips * chip).max())
-        before = unlikely if expected is None else unlikely - expected.log_prior(start)
         seen = weigh(line, start, chip, view, self._spec, noise)
-        cost = self._refined_close(line, start, chip, view, seen)
-        unaided = doubt = _probability(cost + unlikely)
-        if expected is not None:
-            doubt = _probability(cost + before)
-        chosen, limit = int(np.argmax(doubt)), LIMITS.doubt
-        understood = bool((cost + unlikely)[chosen] < seen.votes.most(seen.chips))
-        decided = understood and bool(1 - doubt[chosen] < limit)
+        cost = self._refined_close(line, start, chip, view, seen) + unlikely
+        aided = cost if expected is None else cost - expected.log_prior(start)
+        chosen, limit = int(aided.argmin()), LIMITS.doubt
+        understood = bool(cost[chosen] < seen.votes.most(seen.chips))
+        decided = understood and _other(aided, chosen) < limit
+        sure = understood and _other(cost, chosen) < limit
+        best = Fit(float(start[chosen]), float(chip[chosen]))
         doubtful = None
         if not decided:
             level, spoken = seen.words.amplitude, spoken_of(seen.words, self._spec)
             unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
             unlike |= (spoken != spoken[chosen]).any(axis=1)
-            doubtful = (doubt @ unlike >= limit) | (not understood)
-        sure = understood and bool(1 - unaided[chosen] < limit)
-        best = Fit(float(start[chosen]), float(chip[chosen]))
+            doubtful = (_probability(aided) @ unlike >= limit) | (not understood)
         return Judgement(best, seen.words.of(chosen), doubtful, decided, sure)
 
     def _refined_close(
@@ -231,8 +228,8 @@ class Judge:
         The chips' edges were fitted to one frame's words; behind a low-pass others suit others.
         """
         cost = seen.cost
-        above = cost - cost.min()
-        for number in np.flatnonzero((above > 0) & (above < LIMITS.close)):
+        least = cost.min()
+        for number in np.flatnonzero((cost > least) & (cost < least + LIMITS.close)):
             there = Fit(float(start[number]), float(chip[number]))
             own = refine(line, there, self._spec)
             end_moved = abs(own.end(self._spec) - there.end(self._spec))
@@ -245,6 +242,11 @@ class Judge:
 
 def _probability(cost: Floats) -> Floats:
     """Probability of each frame, (c,)."""
-    odds = np.exp(np.maximum(cost.min() - cost, -700.0))
+    odds = np.exp(cost.min() - cost)
     probability: Floats = odds / odds.sum()
     return probability
+
+
+def _other(cost: Floats, chosen: int) -> float:
+    """Probability that it is another frame than the chosen one."""
+    return 1 - float(_probability(cost)[chosen])
