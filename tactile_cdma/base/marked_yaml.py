@@ -8,7 +8,6 @@ contents by aliases.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Collection, Iterator
@@ -20,6 +19,7 @@ import yaml
 
 from .errors import TactileError
 from .named_file import read_named
+from .suggest import suggestion
 
 MOST_BYTES = 1 << 24
 """Bytes of a file; chosen."""
@@ -141,9 +141,8 @@ class Keys:
         """Refuse a key that is not known."""
         for name, value in self.entries.items():
             if name not in known:
-                close = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-                raise value.refuse(f"unknown key {name!r} in {self.what}; {hint}")
+                hint = suggestion(name, known, f"known: {', '.join(known)}")
+                raise value.refuse(f"unknown key {name!r} in {self.what}{hint}")
 
     def check_schema(self, schema: str, version: int) -> None:
         """Refuse a file of another kind or version, by its keys schema and version."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
+from ..base.listing import listed
 from ..readings.stages import Status
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
@@ -194,22 +195,18 @@ class Completeness:
             return []
         return np.flatnonzero(self._wanted & ~self._read).tolist()
 
+    @property
+    def unread(self) -> str:
+        """The missing taxels, for people: the first ones of many; "any taxel" before a frame."""
+        return listed(self.missing, "taxel", MOST_SHOWN) if self.missing else "any taxel"
+
     def check(self, path: Path, patch: str) -> None:
         """Raises CaptureError, naming the taxels, where some never had a valid reading."""
         if not self.is_complete:
             raise CaptureError(
                 f"{path}: patch {patch} is never complete: no valid reading of "
-                f"{shown_taxels(self.missing)}; mask them, or drop --from-first-complete"
+                f"{self.unread}; mask them, or drop --from-first-complete"
             )
-
-
-def shown_taxels(taxels: list[int]) -> str:
-    """Numbers of taxels for people, the first ones of many."""
-    if not taxels:
-        return "any taxel"
-    more = f" and {len(taxels) - MOST_SHOWN} more" if len(taxels) > MOST_SHOWN else ""
-    word = "taxel" if len(taxels) == 1 else "taxels"
-    return f"{word} {', '.join(map(str, taxels[:MOST_SHOWN]))}{more}"
 
 
 def check_patches(first: SampleSource, other: SampleSource) -> None:

@@ -24,14 +24,14 @@ from ..words.health import NodeHealth, NodeState
 from ..words.stages import DOUBLE_SHARE, LOW_RHO
 from .report import Check, ok, problem, warning
 
-SLOW = 0.95
+FULL_RATE = 0.95
 """Share of the expected frame rate below which frames are missed. Chosen: in 3 s of 78 frames per
 second the rate is known to 1 in 234."""
 OTHER_AMPLITUDE = 0.2
 """Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
 MANY_BEYOND, FEW_BEYOND = 0.25, 0.02
-"""Shares of all words, chosen: with more beyond the sensors' range and fewer of their opposites
-beyond it, the line is inverted."""
+"""Shares of all words. The line is taken to be inverted if more than MANY_BEYOND of them are beyond
+the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
@@ -195,7 +195,7 @@ def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     if refused.total > REJECTED_SHARE * (refused.total + len(frames)):
         text = f"{text}; {refused.total} refused, mostly {REJECTED_FOR[refused.leading]}"
         yield warning("frames", text)
-    elif lost or rate_hz < SLOW * expected_hz:
+    elif lost or rate_hz < FULL_RATE * expected_hz:
         yield warning("frames", f"{text}: is the link, or this computer, too slow for the samples?")
     else:
         yield ok("frames", text)
@@ -207,7 +207,7 @@ def _range(clipped: float) -> Iterator[Check]:
         yield what(
             "range",
             f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
-            "(tactile-cdma amplifier), or row signs (sign_seed)",
+            "(make amplifier), or row signs (sign_seed)",
         )
 
 

@@ -118,7 +118,7 @@ def describe(path: Path) -> Description:
             for _ in read_chunks(path, parser, end.position):
                 pass
     if parser.description is None:
-        raise CaptureError(f"{path}: no recording of tactile-cdma, or its beginning is damaged")
+        raise CaptureError(f"{path}: not a recording of tactile-cdma, or its beginning is damaged")
     return parser.description
 
 

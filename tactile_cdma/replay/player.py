@@ -32,7 +32,7 @@ class Player:
         path = options.path
         if not is_recording(path):
             raise CaptureError(
-                f"{path} is no recording; tactile-cdma record makes one (bytes alone have no "
+                f"{path} is not a recording; tactile-cdma record makes one (bytes alone have no "
                 "times: tactile-cdma decode reads these)"
             )
         describe(path)

@@ -94,7 +94,7 @@ def _raw_terminal() -> Iterator[tuple[int, Path]]:
 @contextmanager
 def _symlink(link: Path, target: Path) -> Iterator[None]:
     if link.exists() and not link.is_symlink():
-        raise PortError(f"{link} exists and is no symbolic link; it is left alone")
+        raise PortError(f"{link} exists and is not a symbolic link; it is left alone")
     try:
         link.unlink(missing_ok=True)
         link.symlink_to(target)

@@ -31,7 +31,6 @@ from ..samples import (
     check_taxels,
     differences,
     patches_of,
-    shown_taxels,
 )
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
@@ -254,8 +253,8 @@ def _export(
         name = source.streams[key].feature
         if plan.from_first_complete:
             one.completeness.check(source.path, name)
-        elif missing := one.completeness.missing:
-            taxels = shown_taxels(missing)
+        elif one.completeness.missing:
+            taxels = one.completeness.unread
             outcome.notes.append(f"{source.path}: {name}: no valid reading of {taxels} at any time")
     for topic, rows in repeated.items():
         outcome.notes.append(

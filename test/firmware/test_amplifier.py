@@ -17,15 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code.codes import code_book, row_signs
-from tactile_cdma.code.encode import word_bits
-from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.transform import correlate, spread
-from tactile_cdma.commands.amplifier import describe, gaussian_clipping, loads, resolution
-from tactile_cdma.commands.cli import main
-from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.amplifier import (
+from amplifier import (
     CREST,
     E12,
     E24,
@@ -41,12 +33,19 @@ from tactile_cdma.hardware.amplifier import (
     rest_deviation_v,
     step_left,
 )
-from tactile_cdma.hardware.tolerance import MOST_DRAWN, SKINS, scatter
+from design_amplifier import describe, gaussian_clipping, loads, main, resolution
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code.codes import code_book, row_signs
+from tactile_cdma.code.encode import word_bits
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.transform import correlate, spread
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.nodes import NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
+from tolerance import MOST_DRAWN, SKINS, scatter
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 README, WIRED_64 = ROOT / "firmware" / "README.md", ROOT / "config" / "wired_64.yaml"
 PERIOD_S = 100.0
 fronts = st.builds(
@@ -394,7 +393,7 @@ def test_the_command_prints_parts_and_parameters(
 ) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("skin:\n  ros__parameters: {nodes: 64, frame_period_ms: 40.0}\n")
-    assert main(["amplifier", "--params", str(params), "--json"]) == 0
+    assert main(["--params", str(params), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     _, front = skin(64)
     assert found["parts"]["nodes_stage"]["feedback_ohm"] == front.nodes_stage.feedback_ohm
@@ -406,14 +405,14 @@ def test_the_command_prints_parts_and_parameters(
     assert spec.polarity == -1
     assert spec.amplitude_v == pytest.approx(front.amplitude_v, rel=1e-3)
 
-    assert main(["amplifier", "--nodes", "64"]) == 0
+    assert main(["--nodes", "64"]) == 0
     text = capsys.readouterr().out
     assert "Rb 12 kΩ to supply and 12 kΩ to ground" in text
     assert "Rin 33 kΩ" in text and "Rf 3.9 kΩ" in text
     [stated_mv] = re.findall(r"amplitude_mv: ([\d.]+)", WIRED_64.read_text())
     assert f"polarity: -1\namplitude_mv: {stated_mv}\nframe_period_ms: 35\n" in text
 
-    assert main(["amplifier", "--nodes", "64", "--adc-volts", "1.1"]) == 1
+    assert main(["--nodes", "64", "--adc-volts", "1.1"]) == 1
     assert "use a lower supply_v" in capsys.readouterr().err
 
 
