@@ -18,7 +18,6 @@ from ..base.errors import TactileError
 from ..doctor import command as doctor
 from . import (
     calibrate,
-    completion,
     decode,
     export,
     info,
@@ -40,7 +39,6 @@ SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "doctor": (doctor, "check this installation or a port, and report problems"),
     "layout": (layout, "check a layout file and draw it with node numbers"),
     "calibrate": (calibrate, "fit the nodes' curves to known loads"),
-    "completion": (completion, "print the completion of this command for bash"),
 }
 """Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which
 returns the exit code."""
@@ -52,8 +50,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of another alphabet, odd file names
         sys.stdout.reconfigure(errors="backslashreplace")
+    parser = make_parser()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks, which its user told to
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     try:
-        arguments = make_parser().parse_args(argv)
+        arguments = parser.parse_args(argv)
         if arguments.verbose:
             logging.basicConfig(format="%(name)s: %(message)s")
             logging.getLogger("tactile_cdma").setLevel(logging.DEBUG)
