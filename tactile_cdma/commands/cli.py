@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import logging
 import os
 import signal
 import sys
@@ -56,6 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         argcomplete.autocomplete(parser)
     try:
         arguments = parser.parse_args(argv)
+        if arguments.verbose:
+            logging.basicConfig(format="%(name)s: %(message)s")
+            logging.getLogger("tactile_cdma").setLevel(logging.DEBUG)
         code: int = arguments.run(arguments)
         sys.stdout.flush()
         return code
@@ -83,6 +87,9 @@ def make_parser() -> argparse.ArgumentParser:
     """The parser of all subcommands; what it parses has run(arguments), and parser for errors."""
     parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", help="log what is read and found on stderr"
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, (module, text) in SUBCOMMANDS.items():
         subcommand = commands.add_parser(name, help=text)
