@@ -16,7 +16,7 @@ from ..base.listing import listed
 from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
 from ..wire.messages import Status
 from ..words.health import NodeState
-from ..words.stages import LOW_RHO
+from ..words.limits import LOW_RHO
 from .digitizer import SourceWatch
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame

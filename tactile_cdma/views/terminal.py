@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..readings.stages import Status
+from ..readings.status import Status
 from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
