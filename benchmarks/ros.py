@@ -53,7 +53,7 @@ from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
 from tactile_cdma.wire.port import READ_SIZE
 
-from .report import QUICK, ROOT, Report
+from .report import QUICK, ROOT, Report, be_alone
 from .scale import streaming
 
 CASES: dict[int, dict[str, Value]] = {
@@ -75,8 +75,6 @@ SECONDS = 2.5 if QUICK else 30.0
 WARM_UP_S = 1.0
 START_S = 30.0
 """Longest time until the first message arrives."""
-DOMAIN = 20 + os.getpid() % 80
-"""Of its own, so that two runs on one machine do not hear each other."""
 CHUNK = 65_536
 MOST_FRAMES = 8192
 FLOOR, DRIVER = "floor", "driver"
@@ -116,8 +114,7 @@ Results = dict[tuple[str, int], Result]
 
 def main() -> None:
     report = Report("ros", "Last byte of a frame in → subscriber's callback in another process")
-    os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    be_alone()
     found = {(who, nodes): measure(who, nodes) for nodes in SIZES for who in (FLOOR, DRIVER)}
     report.table(
         ["nodes", "", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max", "CPU %"],
