@@ -224,7 +224,7 @@ class Taxels:
         found = readout.read(levels, self.baseline, t_device, self.stale_after_s)
         if found is None:
             return None
-        words, pressure_pa, voltage_v, status, self._stale_from_s = found
+        words, pressure_pa, voltage_v, status = found
         health.counted()
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         self.chain.look(readout.voltage_v, readout.pressure_pa, readout.valid, t_device)
