@@ -39,6 +39,7 @@ from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.views.cloud import BODY_POINT
 from test.support import skin_client
+from test.support.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
@@ -171,7 +172,7 @@ class Body:
             node.destroy_node()
         for process in self.processes:
             process.send_signal(signal.SIGINT)
-        codes = [process.wait(20) for process in self.processes]
+        codes = [process.wait(PATIENCE_S) for process in self.processes]
         assert codes == [0] * len(codes)
 
 
@@ -308,7 +309,7 @@ def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
