@@ -353,10 +353,11 @@ def subscribe(stop: EventType, receiving: EventType, arrivals: multiprocessing.Q
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from rclpy.signals import SignalHandlerOptions
 
     from tactile_cdma.msg import TactileArray
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("subscriber")
     received: list[tuple[int, float]] = []
     node.create_subscription(

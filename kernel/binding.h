@@ -165,6 +165,7 @@ PyObject *counts_dict(const struct scanner_counts *seen);
 PyObject *file_error(int failure);
 
 /* The types of the module, each in a file of its own or in module.c. */
-extern PyType_Spec steady_spec;
+extern PyType_Spec steady_spec, code_spec;
+extern PyMethodDef burst_functions[];
 
 #endif

@@ -6,7 +6,9 @@
 #include <errno.h>
 #include <math.h>
 
+#include "burst.h"
 #include "contacts.h"
+#include "judge.h"
 #include "reader.h"
 #include "readings.h"
 #include "samples.h"
@@ -14,7 +16,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 9 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 10 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -57,8 +59,25 @@ static const struct field limits_fields[] = {
     FIELD(readings_limits, suspected_frames),
 };
 
+static const struct field votes_fields[] = {
+    FIELD(judge_limits, distortion), FIELD(judge_limits, most), FIELD(judge_limits, most_deviations),
+    FIELD(judge_limits, vote),       FIELD(judge_limits, blur),
+};
+
+static const struct field burst_fields[] = {
+    FIELD(burst_search, half),      FIELD(burst_search, window),       FIELD(burst_search, group),
+    FIELD(burst_search, low),       FIELD(burst_search, high),         FIELD(burst_search, bit),
+    FIELD(burst_search, width),     FIELD(burst_search, gap_size),     FIELD(burst_search, side),
+    FIELD(burst_search, nodes),     FIELD(burst_search, chip),         FIELD(burst_search, snr_floor),
+    FIELD(burst_search, loud),      FIELD(burst_search, no_power),     FIELD(burst_search, bias),
+    FIELD(burst_search, newest),    FIELD(burst_search, calmer),       FIELD(burst_search, drifting),
+    FIELD(burst_search, median),    FIELD(burst_search, beside_level), FIELD(burst_search, beside),
+};
+
 static const struct layout layouts[] = {
     LAYOUT(words_frame, frame_fields),
+    LAYOUT(judge_limits, votes_fields),
+    LAYOUT(burst_search, burst_fields),
     LAYOUT(words_reading, reading_fields),
     LAYOUT(words_lateness, lateness_fields),
     LAYOUT(readings_bits, bits_fields),
@@ -486,7 +505,8 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
-        add_type(module, &steady_spec))
+        add_type(module, &steady_spec) || add_type(module, &code_spec) ||
+        PyModule_AddFunctions(module, burst_functions))
         return -1;
     PyObject *structs = layouts_dict(layouts, sizeof layouts / sizeof *layouts);
     int failed = PyModule_AddObjectRef(module, "STRUCTS", structs);

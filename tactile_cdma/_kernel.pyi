@@ -254,3 +254,99 @@ class Steady:
 
     def counts(self) -> dict[str, int]:
         """As Scanner.counts, as of the last event: for any thread."""
+
+@final
+class Code:
+    """How frames of one specification are spread and correlated; see kernel/fit.h, judge.h."""
+
+    def __new__(
+        cls,
+        frame: NDArray[np.void],
+        correlate: Transform,
+        spread: Transform,
+        flips: NDArray[np.float32],
+        places: NDArray[np.int32],
+        span: int,
+        /,
+    ) -> Code:
+        """flips: (k·N) of the scrambler, or none. places: (k·N) of coded chips among `span`."""
+
+    def refine(
+        self,
+        volts: NDArray[np.float64],
+        sums: NDArray[np.float64],
+        blur: float,
+        settled_chips: float,
+        reaches: NDArray[np.float64],
+        start: float,
+        chip: float,
+        earliest: float,
+        latest: float,
+        scratch: NDArray[np.float32],
+        /,
+    ) -> tuple[float, float]:
+        """Start and chip duration as numpy_refine in framing/fit.py finds them.
+
+        sums: (m + 1,) of the first 0 to m volts. scratch: of any size, if that is enough.
+        """
+
+    def weigh(
+        self,
+        limits: NDArray[np.void],
+        volts: NDArray[np.float64],
+        sums: NDArray[np.float64],
+        start: NDArray[np.float64],
+        chip: NDArray[np.float64],
+        begin: float,
+        end: float,
+        noise: float,
+        distortion: float,
+        variance: float,
+        rows: NDArray[np.float32],
+        amplitude: NDArray[np.float32],
+        uneven: NDArray[np.float32],
+        pedestal: NDArray[np.float32],
+        power: NDArray[np.float32],
+        spread: NDArray[np.float32],
+        misfit: NDArray[np.float32],
+        cost: NDArray[np.float64],
+        scratch: NDArray[np.float32],
+        /,
+    ) -> tuple[float, float, int]:
+        """As numpy_weigh in framing/judge.py, into the arrays from rows on.
+
+        distortion, variance: by which to vote; 0 for what the line gives. Returns these, and the
+        chips of the longest view.
+        """
+
+def find_gap(
+    search: NDArray[np.void],
+    volts: NDArray[np.float64],
+    level: float,
+    variance: float,
+    scratch: NDArray[np.float64],
+    /,
+) -> tuple[float, float, int] | None:
+    """The fields of a Gap, as numpy_find_gap in framing/burst.py finds it."""
+
+def find_burst(
+    search: NDArray[np.void],
+    volts: NDArray[np.float64],
+    least_power: float,
+    variance: float,
+    scratch: NDArray[np.float64],
+    /,
+) -> tuple[float, float, float, float, float, float] | None:
+    """The fields of a Burst, as numpy_find_burst finds it."""
+
+def look_beside(
+    search: NDArray[np.void],
+    volts: NDArray[np.float64],
+    first: int,
+    end: int,
+    variance: float,
+    power: float,
+    scratch: NDArray[np.float64],
+    /,
+) -> tuple[float, float, bool]:
+    """The fields of Beside, as numpy_look_beside finds them."""

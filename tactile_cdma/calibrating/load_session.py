@@ -107,7 +107,7 @@ class LoadSession:
             with suppress(ValueError):
                 if 0 <= (value := float(answer.replace(",", "."))) < np.inf:
                     return value
-            print(f"{answer!r} is no pressure in kPa", flush=True)
+            print(f"{answer!r} is not a pressure in kPa", flush=True)
 
     def _collect(self, seconds: float) -> Floats32:
         """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.

@@ -73,7 +73,7 @@ def packages() -> Iterator[Check]:
         try:
             needed = Requirement(text)
         except InvalidRequirement:
-            yield warning("packages", f"{text!r} in requirements.txt is no requirement")
+            yield warning("packages", f"{text!r} in requirements.txt is not a requirement")
             continue
         try:
             present = metadata.version(needed.name)

@@ -156,7 +156,7 @@ def _pieces(
         time_s, volts = time_s[good], volts[good]
     steps = np.diff(time_s)
     if len(steps) < _LEAST_SAMPLES or time_s[-1] <= time_s[0]:
-        raise CaptureError(f"{path}: the first column is no rising time in s")
+        raise CaptureError(f"{path}: the first column is not a rising time in s")
     # Scopes print time with few digits: steps wobble by the last digit, or are 0 in between.
     step = float(np.median(steps)) or float(steps.mean())
     digit = 0.0 if np.median(steps) else float(steps[steps > 0].min())

@@ -44,8 +44,9 @@ HEAD_BYTES = _HEAD.size + _CRC.size
 _MOST = 2**63 - 1
 """Largest time, ns, and largest position, bytes: those of an int64."""
 _LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
-"""Bytes examined that looked like records but were none: in any file, and per byte of the file.
-Chosen: without a limit, a file of heads that all claim a megabyte would take hours."""
+"""Budget for false heads of records: so many bytes may be examined in vain in any file, and so many
+more per byte of the file. Chosen: a hostile file, full of heads that each claim a megabyte, would
+otherwise take hours."""
 POSITION = struct.Struct("<Q")
 """The last bytes of a recording: where the record that ends it begins."""
 

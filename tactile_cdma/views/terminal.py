@@ -30,8 +30,8 @@ _NO_READING = "/"
 """Shade of a taxel without a reading, which none of the others is."""
 _BARS = "▁▂▃▄▅▆▇█"
 TOUCH_PA = 1e3
-"""Pressure that is shown rather than that a taxel beside it has no reading, Pa; the default of
-contact_kpa."""
+"""Where several taxels share a character, a pressure above this is shown even if one of them has no
+reading; below it the missing reading is shown. Pa; the default of contact_kpa."""
 _LABEL = 7
 """Characters of a taxel's value with two marks, as 140.0?w."""
 _STATUS_LINES = 3
