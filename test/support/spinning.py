@@ -37,6 +37,6 @@ def spinning(*groups: Sequence[Node]) -> Iterator[None]:
     finally:
         ended.set()
         for executor, thread in zip(executors, threads, strict=True):
-            executor.wake()
+            executor.create_task(lambda: None)  # rclpy's wait ends only with something to do
             thread.join()
             executor.shutdown()
