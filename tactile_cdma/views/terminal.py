@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..readings.stages import Status
+from ..readings.status import Status
 from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
@@ -145,7 +145,7 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
 def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
     """(≤ lines, ≤ columns) the raster, or the most pressed taxel of each block of its cells.
 
-    One in service without a reading stands for a block in which no other reads more than TOUCH_PA.
+    Unless a taxel of a block reads more than TOUCH_PA, one without a reading stands for the block.
     """
     height, width = reading.raster.shape
     down, right = -(-height // max(1, lines)), -(-width // max(1, columns))
