@@ -407,17 +407,15 @@ FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usua
                                   rest,
                                   rest + nodes,
                                   v[15].data};
-    double stale_from_s = NAN;
 
     if (!are_of(call, &settings->frame))
         return NULL;
     if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
         return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,
                       settings->taxels, nodes, axis(call, 't'));
-    enum readout_look look =
-        readout_read(reader->readout, v[0].data, (float)v[1].number, (float)v[2].number, v[3].size,
-                     v[4].number, v[5].number, v[6].data, v[7].data, &frame, &stale_from_s);
-    return Py_BuildValue("(id)", look, stale_from_s);
+    return PyLong_FromLong(readout_read(reader->readout, v[0].data, (float)v[1].number,
+                                        (float)v[2].number, v[3].size, v[4].number, v[5].number,
+                                        v[6].data, v[7].data, &frame));
 }
 
 static PyMethodDef readout_methods[] = {ENTRY(read), {0}};

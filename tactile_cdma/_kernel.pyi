@@ -84,8 +84,8 @@ class Readout:
         tare_pa: NDArray[np.float32],
         /,
         *out: NDArray[np.generic],
-    ) -> tuple[int, float]:
-        """Enum readout_look; device time when the next node goes stale, s.
+    ) -> int:
+        """Enum readout_look.
 
         out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
         pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
