@@ -90,18 +90,19 @@ FUNCTION(refine, ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"), NUMBER("blur
 
 FUNCTION(weigh, SETTINGS(judge_limits), ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"),
          ARRAY("start", 'd', "c"), ARRAY("chip", 'd', "c"), NUMBER("begin"), NUMBER("end"),
-         NUMBER("noise"), NUMBER("distortion"), NUMBER("variance"),
+         NUMBER("noise"), SIZE("likely"), NUMBER("margin"), NUMBER("distortion"), NUMBER("variance"),
          OUT("rows", 'f', "ckN"), OUT("amplitude", 'f', "cn"), OUT("uneven", 'f', "cn"),
          OUT("pedestal", 'f', "c"), OUT("power", 'f', "c"), OUT("spread", 'f', "c"),
          OUT("misfit", 'f', "c"), OUT("cost", 'd', "c"), OUT("scratch", 'f', "f"))
 {
     const struct fit_code *code = &((struct code *)held_by(call->self))->code;
-    struct judge_candidates candidates = {axis(call, 'c'), call->value[3].data, call->value[4].data,
-                                          call->value[5].number, call->value[6].number};
-    struct judge_found found = {call->value[10].data, call->value[11].data, call->value[12].data,
-                                call->value[13].data, call->value[14].data, call->value[15].data,
-                                call->value[16].data, call->value[17].data};
-    struct judge_votes votes = {call->value[8].number, call->value[9].number};
+    const union value *value = call->value;
+    struct judge_candidates candidates = {axis(call, 'c'),  value[8].size,   value[3].data,
+                                          value[4].data,    value[5].number, value[6].number,
+                                          value[9].number};
+    struct judge_found found = {value[12].data, value[13].data, value[14].data, value[15].data,
+                                value[16].data, value[17].data, value[18].data, value[19].data};
+    struct judge_votes votes = {value[10].number, value[11].number};
     struct fit_line line;
 
     if (!is_line(call, 1, &line))
@@ -113,10 +114,10 @@ FUNCTION(weigh, SETTINGS(judge_limits), ARRAY("volts", 'd', "m"), ARRAY("sums", 
     size_t chips = judge_chips(code, &candidates);
     if (!chips)
         return refuse(call, "start: a candidate is not within the view");
-    if (axis(call, 'f') < 2 * chips + code->frame.bits * code->frame.order)
-        return refuse(call, "scratch: %zu values expected", 2 * chips + code->frame.bits * code->frame.order);
-    judge_weigh(code, &line, call->value[0].data, &candidates, call->value[7].number, &found, &votes,
-                call->value[18].data);
+    if (axis(call, 'f') < judge_scratch(code, &candidates))
+        return refuse(call, "scratch: %zu values expected", judge_scratch(code, &candidates));
+    judge_weigh(code, &line, value[0].data, &candidates, value[7].number, &found, &votes,
+                value[20].data);
     return Py_BuildValue("(ddn)", votes.distortion, votes.variance, (Py_ssize_t)chips);
 }
 

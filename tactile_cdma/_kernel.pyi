@@ -300,6 +300,8 @@ class Code:
         begin: float,
         end: float,
         noise: float,
+        likely: int,
+        margin: float,
         distortion: float,
         variance: float,
         rows: NDArray[np.float32],
@@ -313,7 +315,7 @@ class Code:
         scratch: NDArray[np.float32],
         /,
     ) -> tuple[float, float, int]:
-        """As numpy_weigh in framing/judge.py, into the arrays from rows on.
+        """As weigh in framing/judge.py, into the arrays from rows on; likely: c for none.
 
         distortion, variance: by which to vote; 0 for what the line gives. Returns these, and the
         chips of the longest view.

@@ -227,17 +227,22 @@ class WordFit:
 
     def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""
-        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
-        limit = LIMITS.spread / stricter
-        uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
+        power, misfit, spread = (
+            max(self.power.item(), 1e-30),
+            self.misfit.item(),
+            self.spread.item(),
+        )
+        limit, active = LIMITS.spread / stricter, int(np.count_nonzero(self.amplitude))
+        even_power = power - self.pedestal.item() ** 2
         if odd:
+            uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
             order = np.argsort(uneven)
             misfit -= float(uneven[order[-odd:]].sum()) / power
             uneven, word_power = uneven[order[:-odd]], word_power[order[:-odd]]
-        active, even_power = int(np.count_nonzero(word_power)), float(word_power.sum())
-        if not even_power > 0:
+            active, even_power = int(np.count_nonzero(word_power)), float(word_power.sum())
+            spread = float(uneven.sum()) / max(even_power, 1e-30)
+        if not (active and even_power > 0):
             return False
-        spread = float(uneven.sum()) / even_power
         if noise:
             left = LIMITS.left * noise / power
             expected = noise * active / spec.order / even_power

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +35,6 @@ from .fit import CHIPS_AT_ONCE, Fit, Line, read_words, refine
 from .judge import Judge, Judgement
 from .limits import LIMITS
 from .raster import Expected
-
-F = TypeVar("F", float, Floats)
 
 _MOST_SHIFTS = 64
 """Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""
@@ -136,7 +133,7 @@ class GapSearch(BurstSearch):
             chip = np.full(start.size, fit.chip)
             # Two nodes that cancel at the start of every bit are possible, but not likely.
             unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
-            found = self._judge.choose(line, start, chip, noise, unlikely, expected)
+            found = self._judge.choose(line, start, chip, noise, unlikely, expected, -earliest)
             shift = round((found.fit.start - fit.start) / fit.chip)
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:
@@ -223,7 +220,7 @@ class GapSearch(BurstSearch):
         than a bit's silent chips at either end.
         """
         spec = self.spec
-        low, high = self._range(burst, chip)
+        low, high = np.array([self._range(burst, each) for each in chip.tolist()]).T
         low = edge + np.ceil((low - edge) / chip) * chip
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
@@ -236,12 +233,11 @@ class GapSearch(BurstSearch):
         power = np.concatenate(powers)[possible]
         return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
 
-    def _range(self, burst: Burst, chip: F) -> tuple[F, F]:
+    def _range(self, burst: Burst, chip: float) -> tuple[float, float]:
         """Earliest and latest start with which a frame of such chips covers the burst."""
         length, bit = self.spec.span_chips * chip, self.spec.order * chip
-        low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
-        high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
-        return np.maximum(low, burst.first - burst.slack - _MOST_SHIFTS * chip), high
+        low = max(burst.last - length, burst.first - bit, burst.first - _MOST_SHIFTS * chip)
+        return low - burst.slack, min(burst.first, burst.last + bit - length) + burst.slack
 
     def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> Floats32:
         """Power of the words for `count` starts, a chip apart, of each clock, (q, count)."""

@@ -238,7 +238,8 @@ class GapTiming(Timing):
             if burst is None:
                 continue
             seen.append(burst)
-            line, expected = Line(shifted), self._expected(burst)
+            line = Line(shifted)
+            expected = self._raster.expect(self._cursor + burst.first, self._cursor)
             complete = min(burst.first + self._reach, burst.last + self._search.bit)
             incomplete = volts.size < complete and volts.size <= self._most_held
             if not final and incomplete:
@@ -338,11 +339,6 @@ class GapTiming(Timing):
         if clipped > LIMITS.deafened:
             found = replace(found, doubtful=np.ones(spec.nodes, bool))
         return self._emit(found, words, beside.level, clipped)
-
-    def _expected(self, burst: Burst) -> Expected | None:
-        """Where frames near the burst are likely, relative to the cursor."""
-        expected = self._raster.expect(self._cursor + burst.first)
-        return expected and replace(expected, start=expected.start - self._cursor)
 
     def _emit(
         self, found: Judgement, words: WordFit, left_v: float, clipped: float

@@ -86,6 +86,25 @@ def test_candidates_whole_chips_apart(
     same(judge.weigh(*given), judge.numpy_weigh(*given))
 
 
+@settings(max_examples=150, deadline=None)
+@given(LINES, st.integers(1, 5), st.sampled_from([5.0, 40.0, 1e9]))
+def test_candidates_that_are_ruled_out_early_are_ruled_out(
+    line: dict, reach: int, margin: float
+) -> None:
+    wire, volts = line_of(line)
+    start = wire.sent[0].start + np.arange(-reach, reach + 1) * wire.sent[0].chip
+    chip = np.full(start.size, wire.sent[0].chip)
+    view = float(start.min()), float((start + wire.spec.span_chips * chip).max())
+    given = Line(volts, 0.1), start, chip, view, wire.spec, 1e-4
+    found = judge.weigh(*given, likely=reach, margin=margin)
+    expected = judge.numpy_weigh(*given)
+    assert astuple(found.votes) == pytest.approx(astuple(expected.votes), rel=1e-4)
+    left = found.cost > found.cost[reach] + margin
+    assert (expected.cost[left] > expected.cost[reach] + 0.5 * margin).all()
+    assert found.cost[~left] == pytest.approx(expected.cost[~left], rel=1e-3, abs=1e-2)
+    assert found.words.rows[~left] == pytest.approx(expected.words.rows[~left], rel=1e-4, abs=2e-6)
+
+
 @settings(max_examples=100, deadline=None)
 @given(LINES, st.lists(st.tuples(st.floats(-2, 2), st.floats(-0.02, 0.1)), min_size=1, max_size=4))
 def test_candidates_of_other_chips(line: dict, others: list[tuple[float, float]]) -> None:
