@@ -166,6 +166,5 @@ PyObject *file_error(int failure);
 
 /* The types of the module, each in a file of its own or in module.c. */
 extern PyType_Spec steady_spec, code_spec;
-extern PyMethodDef burst_functions[];
 
 #endif

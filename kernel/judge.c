@@ -351,3 +351,13 @@ void judge_weigh(const struct fit_code *code, const struct fit_line *line,
     *votes = given;
     weigh_all(&w);
 }
+
+double judge_most(const struct judge_limits *limits, double disturbed, const struct judge_votes *votes,
+                  size_t chips)
+{
+    double d = votes->distortion / sqrt(votes->variance), count = (double)chips;
+    double density = exp(-0.5 * d * d) / sqrt(2 * 3.14159265358979323846);
+    double usual = count * ((1 + d * d) * 0.5 * erfc(d / sqrt(2)) - d * density);
+
+    return usual + 5 * sqrt(usual) + disturbed * count * limits->vote;
+}

@@ -49,4 +49,8 @@ void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                  double noise, const struct judge_found *found, struct judge_votes *votes,
                  float *scratch);
 
+/* As Votes.most in judge.py; disturbed: share of the chips that may be. */
+double judge_most(const struct judge_limits *limits, double disturbed, const struct judge_votes *votes,
+                  size_t chips);
+
 #endif

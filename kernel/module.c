@@ -6,9 +6,8 @@
 #include <errno.h>
 #include <math.h>
 
-#include "burst.h"
 #include "contacts.h"
-#include "judge.h"
+#include "gap.h"
 #include "reader.h"
 #include "readings.h"
 #include "samples.h"
@@ -74,10 +73,18 @@ static const struct field burst_fields[] = {
     FIELD(burst_search, median),    FIELD(burst_search, beside_level), FIELD(burst_search, beside),
 };
 
+static const struct field rules_fields[] = {
+    FIELD(gap_rules, shortest),      FIELD(gap_rules, longest),       FIELD(gap_rules, bit),
+    FIELD(gap_rules, period),        FIELD(gap_rules, beyond),        FIELD(gap_rules, carried_noise),
+    FIELD(gap_rules, carried_misfit), FIELD(gap_rules, doubt),        FIELD(gap_rules, disturbed),
+    FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
+};
+
 static const struct layout layouts[] = {
     LAYOUT(words_frame, frame_fields),
     LAYOUT(judge_limits, votes_fields),
     LAYOUT(burst_search, burst_fields),
+    LAYOUT(gap_rules, rules_fields),
     LAYOUT(words_reading, reading_fields),
     LAYOUT(words_lateness, lateness_fields),
     LAYOUT(readings_bits, bits_fields),
@@ -505,8 +512,7 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
-        add_type(module, &steady_spec) || add_type(module, &code_spec) ||
-        PyModule_AddFunctions(module, burst_functions))
+        add_type(module, &steady_spec) || add_type(module, &code_spec))
         return -1;
     PyObject *structs = layouts_dict(layouts, sizeof layouts / sizeof *layouts);
     int failed = PyModule_AddObjectRef(module, "STRUCTS", structs);

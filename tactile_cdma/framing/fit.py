@@ -33,7 +33,7 @@ ideal position, at a cost of 1.1 dB of noise."""
 MORE_EVEN = 0.6
 """Spread of the middles over that of whole chips below which the middles are taken. Noise alone
 gives 1/MIDDLE = 1.3, so that chance hardly gets there. Chosen."""
-REACHES = (0.5, 0.5, 0.25, 0.12)
+REACHES = np.array([0.5, 0.5, 0.25, 0.12])
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
 as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
 a chip off ideal allow. Chosen."""
@@ -383,12 +383,9 @@ def refine(
     start, chip, bounds = fit.start, fit.chip, (earliest, latest)
     return Fit(
         *code.refine(
-            line.volts, line.sums, BLUR, SETTLED_CHIPS, _REACHES, start, chip, *bounds, scratch
+            line.volts, line.sums, BLUR, SETTLED_CHIPS, REACHES, start, chip, *bounds, scratch
         )
     )
-
-
-_REACHES = np.array(REACHES)
 
 
 def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest: float) -> Fit:

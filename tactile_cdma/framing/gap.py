@@ -23,18 +23,30 @@ does not accumulate).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import kernel
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
-from .burst import Burst, BurstSearch
-from .fit import CHIPS_AT_ONCE, Fit, Line, read_words, refine
-from .judge import Judge, Judgement
+from .burst import Beside, Burst, BurstSearch, Gap
+from .fit import (
+    CHIPS_AT_ONCE,
+    REACHES,
+    SETTLED_CHIPS,
+    Fit,
+    Line,
+    WordFit,
+    compiled_code,
+    read_words,
+    refine,
+)
+from .judge import RULED_OUT, VOTE_SETTINGS, Judge, Judgement
 from .limits import LIMITS
-from .raster import Expected
+from .raster import WIDE, Expected
 
 _MOST_SHIFTS = 64
 """Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""
@@ -45,6 +57,29 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
+_MOST_CARRIED = 16
+"""Candidates that the kernel weighs: GAP_MOST in kernel/gap.h."""
+_SILENT, _BURST, _FRAME = 0, 2, 3
+"""What the kernel finds: enum gap_look there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the kernel sees in a stretch of samples.
+
+    gap: its level, as `gaps` finds it.
+    burst: as `burst` finds it, where there is one, and certainly no other before it.
+    is_silent: whether there is none.
+    proven: see GapSearch.proven; 0 where no frame is carried.
+    found: a carried frame that is beyond doubt. beside: what lies beside that.
+    """
+
+    gap: Gap
+    burst: Burst | None
+    is_silent: bool
+    proven: float
+    found: Judgement | None
+    beside: Beside | None
 
 
 class GapSearch(BurstSearch):
@@ -54,6 +89,69 @@ class GapSearch(BurstSearch):
         """See BurstSearch."""
         super().__init__(spec, rate_hz)
         self._judge = Judge(spec)
+        self._code = compiled_code(spec)
+        self._values, self._scratch = np.empty(0), np.empty(0, np.float32)
+
+    def look(self, volts: Floats, known: Gap, expected: Expected | None) -> Look | None:
+        """What is in a stretch of samples, all in one call of the kernel; None where it cannot.
+
+        volts: (m,) float64, V. expected: the next frame, relative to the stretch. Gives what the
+        other methods would, as far as that is beyond doubt.
+        """
+        code, spec = self._code, self.spec
+        if code is None:
+            return None
+        size = 2 * volts.size + 1 + 3 * (volts.size // self.half + 1)
+        if self._values.size < size:
+            self._values = np.empty(2 * size)
+            candidate = spec.chips + 2 * spec.nodes + 4 + (spec.line_bits // 2 + 1) * spec.order
+            beside = 4 * (self.gap_size // self.half + 1)
+            others = 3 * (spec.chips + spec.span_chips + spec.nodes + _MOST_CARRIED)
+            self._scratch = np.empty(_MOST_CARRIED * candidate + others + beside, np.float32)
+        place = (0.0, 0.0, 0.0, 0.0)
+        if expected is not None and self.is_sure(expected):
+            place = expected.start, expected.scatter, expected.chip, expected.slips
+        rows = np.empty((1, spec.line_bits, spec.order), np.float32)
+        amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
+        four = np.empty((4, 1), np.float32)
+        seen = code.look(
+            self.settings, VOTE_SETTINGS, self._rules, REACHES, volts, self.least_power,
+            known.level, known.variance, *place, rows, amplitude, uneven, *four, self._values,
+            self._scratch,
+        )  # fmt: skip
+        if seen is None:
+            return None
+        look, gap, burst, proven, fit, unaided, beside = seen
+        found = None
+        if look == _FRAME:
+            words = WordFit(rows, amplitude, four[0], uneven, *four[1:])
+            found = Judgement(Fit(*fit), words, None, True, unaided)
+        return Look(
+            Gap(*gap),
+            Burst(*burst) if look >= _BURST else None,
+            look == _SILENT,
+            proven,
+            found,
+            None if found is None else Beside(*beside),
+        )
+
+    @cached_property
+    def _rules(self) -> NDArray[np.void]:
+        return kernel.settings(
+            "gap_rules",
+            shortest=self.shortest,
+            longest=self.longest,
+            bit=self.bit,
+            period=self.period,
+            beyond=_BEYOND,
+            carried_noise=LIMITS.carried_noise,
+            carried_misfit=LIMITS.carried_misfit,
+            doubt=LIMITS.doubt,
+            disturbed=LIMITS.disturbed,
+            wide=WIDE,
+            ruled_out=RULED_OUT,
+            settled_chips=SETTLED_CHIPS,
+        )
 
     def frame(self, line: Line, burst: Burst, expected: Expected | None) -> Judgement | None:
         """The most likely frame around a burst; None where it has no frame's length.

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
@@ -154,7 +155,7 @@ def weigh(
     scratch = np.empty(2 * most + spec.chips + part, np.float32)
     given = votes or Votes(0.0, 0.0)
     distortion, variance, chips = code.weigh(
-        _LIMITS, line.volts, line.sums, start, chip, *view, noise,
+        VOTE_SETTINGS, line.volts, line.sums, start, chip, *view, noise,
         count if likely is None else likely, margin, given.distortion, given.variance,
         rows, amplitude, uneven, pedestal, power, spread, misfit, cost, scratch,
     )  # fmt: skip
@@ -162,8 +163,10 @@ def weigh(
     return Weighed(words, cost, Votes(distortion, variance), chips)
 
 
-if kernel.compiled is not None:
-    _LIMITS = kernel.settings(
+def _vote_settings() -> NDArray[np.void] | None:
+    if kernel.compiled is None:
+        return None
+    return kernel.settings(
         "judge_limits",
         distortion=LIMITS.distortion,
         most=LIMITS.most,
@@ -171,6 +174,10 @@ if kernel.compiled is not None:
         vote=LIMITS.vote,
         blur=BLUR,
     )
+
+
+VOTE_SETTINGS = _vote_settings()
+"""How chips vote, for the kernel."""
 
 
 def spoken_of(words: WordFit, spec: FrameSpec) -> Floats32:
