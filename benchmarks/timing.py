@@ -14,10 +14,10 @@ as guessed: half of their bits are wrong.
 - decorrelated: least squares with clocks estimated from one simulated roll call.
 - scrambled: the same, where all nodes flip their chips by one common pseudo-random sequence.
 
-Times are those of one thread. "Age" is that of frames in stream time: from the end of the last chip on
-the wire to the frame out of the pipeline, whose bytes come as a USB digitizer sends them; computing
-counts with the CPU time it takes. With gap timing, packets of 3 ms are part of it, and "proof": the
-silence that proves the end of a frame, counted in chips when samples come chip by chip.
+Times are those of one thread. "Age" is that of frames in stream time: from the end of the last chip
+on the wire to the frame out of the pipeline, whose bytes come as a USB digitizer sends them;
+computing counts with the CPU time it takes. With gap timing, packets of 3 ms are part of it, and
+"proof": the silence that proves the end of a frame, counted when samples come chip by chip.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from contextlib import nullcontext as threadpool_limits
+from threadpoolctl import threadpool_limits
 
 from benchmarks.report import QUICK, ROOT, Report, medians_s
 from benchmarks.scale import replay

@@ -175,7 +175,7 @@ def test_most_frames_of_a_sound_stream_are_seen_at_once(monkeypatch: pytest.Monk
             GapSearch, name, lambda *given, call=original: closely.append(1) or call(*given)
         )
     frames = run(GapTiming(DEFAULT, wire.rate_hz), volts)
-    assert len(closely) < 80  # two for each of the first 32
+    assert len(closely) < 110  # two for each of the first 32, and for some others
     monkeypatch.setattr(GapSearch, "look", lambda *_: None)
     others = run(GapTiming(DEFAULT, wire.rate_hz), volts)
     assert [words_of(f, DEFAULT) for f in frames] == [words_of(f, DEFAULT) for f in others]
