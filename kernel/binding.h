@@ -95,16 +95,17 @@ PyObject *make(const char *name, const struct argument *takes, size_t count, bod
 
 #define FUNCTION(function, ...)                                                                     \
     static body run_##function;                                                                     \
-    static PyObject *function(PyObject *self, PyObject *const *given, Py_ssize_t number)            \
+    static PyObject *call_##function(PyObject *self, PyObject *const *given, Py_ssize_t number)     \
     {                                                                                               \
         static const struct argument takes[] = {__VA_ARGS__};                                       \
+        _Static_assert(sizeof takes / sizeof *takes <= BINDING_MOST, "more arguments");             \
         return run(#function, takes, sizeof takes / sizeof *takes, run_##function, self, given,     \
                    number);                                                                         \
     }                                                                                               \
     static PyObject *run_##function(struct call *call)
 
 /* Its entry in a table of methods. */
-#define ENTRY(function) {#function, (PyCFunction)(void (*)(void))function, METH_FASTCALL, NULL}
+#define ENTRY(function) {#function, (PyCFunction)(void (*)(void))call_##function, METH_FASTCALL, NULL}
 
 /* Makes an object of a class; call->self is the type. */
 #define CONSTRUCTOR(function, ...)                                                                  \
@@ -112,6 +113,7 @@ PyObject *make(const char *name, const struct argument *takes, size_t count, bod
     static PyObject *function(PyTypeObject *type, PyObject *given, PyObject *keywords)              \
     {                                                                                               \
         static const struct argument takes[] = {__VA_ARGS__};                                       \
+        _Static_assert(sizeof takes / sizeof *takes <= BINDING_MOST, "more arguments");             \
         return make(#function, takes, sizeof takes / sizeof *takes, run_##function, type, given,    \
                     keywords);                                                                      \
     }                                                                                               \

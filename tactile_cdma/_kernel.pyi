@@ -44,20 +44,6 @@ class Transform:
     def multiply(self, source: NDArray[np.float32], out: NDArray[np.float32], /) -> None:
         """Vectors (…, N) times the transposed matrix, into out of the same size, or in place."""
 
-def late(
-    frame: NDArray[np.void],
-    lateness: NDArray[np.void],
-    rows: NDArray[np.float32],
-    meant: NDArray[np.float32],
-    edges: NDArray[np.float32],
-    found: NDArray[np.bool_],
-    /,
-) -> None:
-    """As numpy_late in words/lateness.py, into found, (n,).
-
-    meant: (N,) V, amplitude of the words on all rows, 0 where none was spoken. edges: (4, N).
-    """
-
 def fit_words(
     frame: NDArray[np.void],
     rows: NDArray[np.float32],
@@ -76,57 +62,34 @@ def word_noise(
 ) -> float:
     """As numpy_noise_of in code/separate.py."""
 
-def read_words(
-    frame: NDArray[np.void],
-    reading: NDArray[np.void],
-    per_noise: float,
-    least_usual: float,
-    rows: NDArray[np.float32],
-    sign_mask: NDArray[np.int32],
-    expected: NDArray[np.float32],
-    floats: NDArray[np.float32],
-    ints: NDArray[np.int32],
-    flags: NDArray[np.bool_],
-    /,
-) -> int:
-    """As `read` in words/stages.py; returns NEED_STAGES, LEAVE_ENERGY or 2.
+@final
+class Readout:
+    """Words and readings of plain frames at once; see kernel/readout.h and readings/readout.py."""
 
-    least_usual: NaN if `expected` is given. floats: (6, n): amplitude, rho, margin, scratch. ints:
-    (3, n): codes, scratch. flags: (5, n): active, doubtful, doubled, odd, scratch.
-    """
+    def __new__(cls, settings: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> Readout:
+        """arrays: as struct readout_skin; source: int32 (t,), or empty where taxels are nodes.
 
-def hear(
-    bits: NDArray[np.void], now_s: float, stale_after_s: float, /, *arrays: NDArray[np.generic]
-) -> float:
-    """As numpy_hear in readings/stages.py; returns stale_from_s.
+        It keeps them, and writes to those that are kept.
+        """
 
-    arrays: table; active, doubtful, codes, Trust; Kept
-    and the arrays of Heard, written to. Raises ValueError for a code beyond the table.
-    """
+    def read(
+        self,
+        rows: NDArray[np.float32],
+        per_noise: float,
+        least_usual: float,
+        in_place: bool,
+        now_s: float,
+        stale_after_s: float,
+        drift_v: NDArray[np.float32],
+        tare_pa: NDArray[np.float32],
+        /,
+        *out: NDArray[np.generic],
+    ) -> int:
+        """Enum readout_look.
 
-def convert(
-    pieces: NDArray[np.float32],
-    voltage_v: NDArray[np.float32],
-    drift_v: NDArray[np.float32],
-    end_v: NDArray[np.float32],
-    pressure_pa: NDArray[np.float32],
-    beyond: NDArray[np.bool_],
-    /,
-) -> None:
-    """As numpy_convert there, into the last two."""
-
-def finish(bits: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> None:
-    """As numpy_finish there.
-
-    arrays: saturated, valid, uncalibrated, masked; status, reading_pa, voltage_v, written to.
-    """
-
-def count_words(limits: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> bool:
-    """As numpy_count in words/health.py.
-
-    arrays: active, amplitude_v, rho, margin, doubtful, doubled, odd, astray; sums and suspected,
-    written to.
-    """
+        out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
+        pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
+        """
 
 def gather_contacts(
     contact_pa: float,

@@ -26,15 +26,15 @@ from .plateaus import LEAST_FRAMES, steady_voltage
 PATIENCE_S = 5.0
 """Wait for a frame before a step is given up, s; chosen: ports open in one or two."""
 MOVED = 2.0
-"""Change by which a node has moved, LSB: a code that flickers between two changes by one."""
+"""A node has moved if its reading changes by more, LSB: a flickering code changes by one."""
 
 
 @dataclass(frozen=True)
 class LoadSession:
     """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    frames: what the driver puts there. nodes: numbers of those that are loaded. seconds: for which
-    each load is measured.
+    frames: filled by the driver. nodes: numbers of the nodes that are loaded.
+    seconds: how long each load is measured.
     """
 
     driver: Driver

@@ -21,8 +21,8 @@ from .samples import ACTION, NANO, Sample, SkinFrame, Stream, Value
 from .touch import Touch, TouchStream
 
 WAIT_S = 2.0
-"""A stream from which nothing was recorded for so long is not waited for, s; chosen: far above the
-time that messages need to the recorder, and little to hold."""
+"""Rows wait for a stream until it has been silent for so long, s; chosen: far longer than messages
+take to the recorder, and little to hold."""
 STALE_S = 0.5
 """Least age of a stream's last sample, s, at which the stream counts as stopped. Chosen: five
 frames of a driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an

@@ -39,12 +39,11 @@ _DAMAGE = (
     *(LookupError, ArithmeticError, ValueError, TypeError, AttributeError, EOFError, MemoryError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
-"""What json, numpy and zipfile raise for a damaged file, or for one of another content, and what
-computing with its numbers raises."""
+"""Errors of json, numpy and zipfile, and of arithmetic, for a damaged or foreign file."""
 
 
 def contents(path: Path, progress: Progress) -> Lines:
-    """Of anything but recordings. Raises CaptureError for what is none of these."""
+    """The contents of anything but a recording. Raises CaptureError for an unknown kind of file."""
     if (path / INFO).is_file():
         return _lerobot(path)
     if is_bag(path):

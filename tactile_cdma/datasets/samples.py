@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
 from ..base.listing import listed
-from ..readings.stages import Status
+from ..readings.status import is_in_service
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
 """Elements of a sample of contacts; x, y, z: centre of pressure in the patch's frame."""
@@ -74,12 +74,6 @@ class SkinFrame:
     pressure_pa: Floats32
     voltage_v: Floats32
     status: NDArray[np.uint8]
-
-    @property
-    def in_service(self) -> Bools:
-        """(t,) taxels with a node that the layout does not mask."""
-        in_service: Bools = self.status & np.uint8(Status.MASKED) == 0
-        return in_service
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +179,7 @@ class Completeness:
             return
         known = np.isfinite(frame.pressure_pa)
         self._read = known if self._read is None else self._read | known
-        self._wanted = frame.in_service
+        self._wanted = is_in_service(frame.status)
         self.is_complete = not self.missing
 
     @property

@@ -26,7 +26,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...config.arguments import positive
 from ...places.layout import Layout
-from ...readings.stages import Status
+from ...readings.status import Status, is_in_service
 from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
@@ -123,7 +123,7 @@ class Viewer(Node):
         status = np.array(message.status, dtype=np.uint8)
         if self.silent_s(now_s):
             pressure_pa[:] = np.nan
-            status[status & Status.MASKED == 0] = Status.STALE | Status.SILENT
+            status[is_in_service(status)] = Status.STALE | Status.SILENT
         taxels = np.arange(len(pressure_pa), dtype=np.int32)
         raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
         if self.layout is not None and len(self.layout) == len(taxels):
@@ -247,7 +247,7 @@ def in_use(message: TactileArray) -> NDArray[np.float32]:
     """Pressures of the taxels that are not out of service."""
     status = np.array(message.status, dtype=np.uint8)
     pressure = np.array(message.pressure, dtype=np.float32)
-    return np.asarray(pressure[status & TactileArray.STATUS_MASKED == 0])
+    return np.asarray(pressure[is_in_service(status)])
 
 
 def main() -> int:

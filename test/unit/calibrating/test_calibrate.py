@@ -21,7 +21,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions

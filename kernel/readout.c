@@ -1,0 +1,275 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "readout.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "vectors.h"
+
+#define BLOCK 256 /* nodes that go through all steps together: they stay in the nearest cache */
+
+struct readout {
+    struct readout_settings settings;
+    struct readout_skin skin;
+    float *floats; /* scratch: (4, n), (3, N) */
+    int32_t *ints; /* (2, n) */
+    uint8_t *late; /* n */
+};
+
+struct readout *readout_new(const struct readout_settings *settings, const struct readout_skin *skin)
+{
+    struct readout *readout = calloc(1, sizeof *readout);
+    size_t nodes = settings->frame.nodes, order = settings->frame.order;
+
+    if (!readout)
+        return NULL;
+    readout->settings = *settings;
+    readout->skin = *skin;
+    readout->floats = malloc((4 * nodes + 3 * order) * sizeof(float));
+    readout->ints = malloc(2 * nodes * sizeof(int32_t));
+    readout->late = malloc(nodes);
+    if (readout->floats && readout->ints && readout->late)
+        return readout;
+    readout_free(readout);
+    return NULL;
+}
+
+void readout_free(struct readout *readout)
+{
+    free(readout->floats);
+    free(readout->ints);
+    free(readout->late);
+    free(readout);
+}
+
+const struct readout_settings *readout_settings(const struct readout *readout)
+{
+    return &readout->settings;
+}
+
+/* ---- words ------------------------------------------------------------------------------------- */
+
+/* Whether the energy that words leave over is a word on another's row, of a node that is late or not
+ * known: `displaced` in lateness.py, but for scrambled frames and the few words whose delays it compares,
+ * of which Python is asked. */
+static enum readout_look find_displaced(struct readout *readout, const float *rows, const struct readout_frame *out)
+{
+    const struct readout_settings *settings = &readout->settings;
+    const struct words_frame *frame = &settings->frame;
+    float *meant = readout->floats + 4 * frame->nodes, *spare = meant + frame->order;
+    float least = INFINITY;
+    size_t spoken = 0;
+
+    memset(meant, 0, frame->order * sizeof *meant);
+    for (size_t i = 0; i < frame->nodes; i++) {
+        spoken += out->active[i];
+        meant[frame->first + i] = out->active[i] ? out->amplitude[i] : 0.0f;
+        least = out->active[i] && out->amplitude[i] < least ? out->amplitude[i] : least;
+    }
+    if (settings->scrambled || spoken <= settings->reading.few)
+        return READOUT_LEFT;
+    words_late(frame, rows, meant, readout->skin.edges, &settings->lateness, readout->late);
+    if (memchr(readout->late, 1, frame->nodes))
+        return READOUT_ODD;
+    memset(spare, 0, settings->spare_count * sizeof *spare);
+    for (size_t bit = 0; bit < frame->bits; bit++)
+        for (size_t i = 0; i < settings->spare_count; i++)
+            spare[i] += fabsf(rows[bit * frame->order + settings->spare + i]);
+    for (size_t i = 0; i < settings->spare_count; i++)
+        if (spare[i] / (float)frame->bits > settings->lateness.late_share * least)
+            return READOUT_ODD;
+    return READOUT_PLAIN;
+}
+
+/* Whether a doubtful word says that something is on the line: Words.disturbed in decode.py. */
+static bool is_disturbed(const struct readout *readout, const struct readout_frame *out)
+{
+    int disturbed = 0;
+
+    if (!memchr(out->doubtful, 1, readout->settings.frame.nodes))
+        return false;
+    for (size_t i = 0; i < readout->settings.frame.nodes; i++)
+        disturbed |= out->doubtful[i] & (out->rho[i] > readout->settings.reading.limits.clear_rho) &
+                     !readout->skin.invalid[i];
+    return disturbed;
+}
+
+/* Adds the words to each node's sums: numpy_count in health.py, of nodes that are not suspect. */
+VECTORS static void count(size_t nodes, const struct readout_frame *out,
+                          const struct readout_settings *settings, float *restrict sums)
+{
+    const uint8_t *restrict active = out->active, *restrict doubtful = out->doubtful;
+    const uint8_t *restrict doubled = out->doubled, *restrict odd = out->odd;
+    const float *restrict amplitude = out->amplitude, *restrict rho = out->rho;
+    const float *restrict margin = out->margin;
+    const struct words_limits limit = settings->reading.limits;
+    const float weak_v = settings->weak_v, weak_rho = settings->weak_rho;
+
+    for (size_t i = 0; i < nodes; i++) {
+        int clear = rho[i] > limit.low_rho, weak = margin[i] < limit.low_margin;
+        /* Too weak to count as spoken, but too even and too strong to be noise. */
+        float heard = (float)(active[i] | ((amplitude[i] > weak_v) & (rho[i] > weak_rho) &
+                                           (margin[i] > limit.low_margin)));
+        sums[i] += heard;
+        sums[nodes + i] += amplitude[i] * heard;
+        sums[2 * nodes + i] += (float)(doubtful[i] & clear & weak);
+        sums[3 * nodes + i] += (float)doubled[i];
+        sums[4 * nodes + i] += (float)(odd[i] & clear & !weak);
+    }
+}
+
+/* ---- readings ---------------------------------------------------------------------------------- */
+
+/* The nodes from number `at` on, which go through these steps together. Loops are short, without branches
+ * and on arrays that are known to differ, so that they are done for many nodes at once; flags are 0 or 1,
+ * thus −flag a mask. */
+struct block {
+    size_t at, size;
+    float volts[BLOCK], pressure_pa[BLOCK];
+    uint8_t beyond[BLOCK], stale[BLOCK];
+};
+
+/* Takes words into what is kept of the nodes: `hear` in readings/stages.py. */
+VECTORS static void keep_words(const struct readout_skin *skin, const struct readout_frame *out,
+                               double now_s, double stale_after_s, struct block *block)
+{
+    const size_t size = block->size;
+    const uint8_t *restrict active = out->active + block->at;
+    const int32_t *restrict words = out->codes + block->at;
+    int32_t *restrict codes = skin->kept_codes + block->at;
+    double *restrict heard_s = skin->heard_s + block->at;
+    uint8_t *restrict stale = block->stale;
+
+    for (size_t i = 0; i < size; i++) {
+        int32_t before = codes[i], now = words[i];
+        codes[i] = active[i] ? now : before;
+    }
+    for (size_t i = 0; i < size; i++) {
+        double before_s = heard_s[i];
+        heard_s[i] = active[i] ? now_s : before_s;
+    }
+    for (size_t i = 0; i < size; i++)
+        stale[i] = now_s - heard_s[i] > stale_after_s;
+}
+
+/* Looks up voltages; raised_v: at rest at least, for the highest code. */
+static void look_up(const struct readout_skin *skin, int32_t highest, float *raised_v,
+                    struct block *block)
+{
+    const size_t size = block->size;
+
+    for (size_t i = 0; i < size; i++) {
+        int32_t code = skin->kept_codes[block->at + i];
+        float volts = skin->table_v[code], rest_v = skin->rest_v[block->at + i];
+        block->volts[i] = volts;
+        raised_v[block->at + i] = (code == highest) & (volts < rest_v) ? rest_v : volts;
+    }
+}
+
+/* Pressures, and which are beyond the curves' range: `convert` there. */
+VECTORS static void convert(const struct readout *readout, const float *restrict raised_v,
+                            const float *restrict drift_v, float *restrict node_pa, struct block *block)
+{
+    const size_t at = block->at, size = block->size, nodes = readout->settings.frame.nodes;
+    const float *restrict pieces = readout->skin.pieces + at, *restrict end_v = readout->skin.end_v + at;
+    float *restrict pressure_pa = block->pressure_pa;
+    uint8_t *restrict beyond = block->beyond;
+
+    for (size_t i = 0; i < size; i++) {
+        pressure_pa[i] = 0;
+        beyond[i] = raised_v[at + i] + drift_v[at + i] < end_v[i];
+    }
+    for (size_t piece = 0; piece < readout->settings.pieces; piece++, pieces += 3 * nodes)
+        for (size_t i = 0; i < size; i++) {
+            float fall_v = pieces[i] - (raised_v[at + i] + drift_v[at + i]), width_v = pieces[nodes + i];
+            fall_v = fall_v < 0 ? 0 : fall_v;
+            fall_v = fall_v > width_v ? width_v : fall_v;
+            pressure_pa[i] += fall_v * pieces[2 * nodes + i];
+        }
+    for (size_t i = 0; i < size; i++)
+        node_pa[at + i] = pressure_pa[i];
+}
+
+/* Readings and their status: the rest of `hear`, and `finish`. */
+VECTORS static void finish(const struct readout *readout, const struct readout_frame *out,
+                           const float *restrict tare_pa, const struct block *block,
+                           float *restrict pressures_pa, float *restrict voltages_v,
+                           uint8_t *restrict statuses)
+{
+    const struct readout_bits bits = readout->settings.bits;
+    const struct readout_skin *skin = &readout->skin;
+    const size_t at = block->at, size = block->size;
+    const uint8_t *restrict active = out->active + at, *restrict doubtful = out->doubtful + at;
+    const uint8_t *restrict state = skin->state + at, *restrict invalid = skin->invalid + at;
+    const uint8_t *restrict masked = skin->masked + at, *restrict bare = skin->uncalibrated + at;
+    const uint8_t *restrict beyond = block->beyond, *restrict stale = block->stale;
+    uint8_t *restrict flags = skin->kept_flags + at, *restrict valid = out->valid + at;
+    uint8_t *restrict status = statuses + at;
+    float *restrict pressure_pa = pressures_pa + at, *restrict voltage_v = voltages_v + at;
+
+    APART
+    for (size_t i = 0; i < size; i++) {
+        uint8_t is_new = (uint8_t)-(active[i] | doubtful[i]), old = (uint8_t)-stale[i];
+        uint8_t out_of_use = (uint8_t)-masked[i], is_valid = !(stale[i] | invalid[i] | masked[i]);
+        uint8_t flag = (flags[i] & (uint8_t)~is_new) | (bits.low_snr & (uint8_t)-doubtful[i]);
+        uint8_t known = flag | state[i] | (bits.silent & (uint8_t)(active[i] - 1));
+        uint8_t all = (known & (uint8_t)~old) | ((bits.silent | bits.stale) & old);
+        all |= bits.saturated & (uint8_t)-(beyond[i] & is_valid);
+        all |= bits.uncalibrated & (uint8_t)-bare[i];
+        flags[i] = flag;
+        valid[i] = is_valid;
+        status[i] = (all & (uint8_t)~out_of_use) | (bits.masked & out_of_use);
+    }
+    for (size_t i = 0; i < size; i++) {
+        float reading_pa = block->pressure_pa[i] - tare_pa[at + i], volts = block->volts[i];
+        pressure_pa[i] = valid[i] ? reading_pa : NAN;
+        voltage_v[i] = valid[i] ? volts : NAN;
+    }
+}
+
+enum readout_look readout_read(struct readout *readout, const float *rows, float per_noise,
+                               float least_usual, bool in_place, double now_s, double stale_after_s,
+                               const float *drift_v, const float *tare_pa,
+                               const struct readout_frame *out)
+{
+    const struct readout_settings *settings = &readout->settings;
+    const struct readout_skin *skin = &readout->skin;
+    size_t nodes = settings->frame.nodes;
+    float *floats = readout->floats;
+    struct words_measures measures = {out->amplitude,     floats,         floats + nodes,
+                                      floats + 2 * nodes, readout->ints, readout->ints + nodes};
+    struct words_decided decided = {out->codes,    out->rho,     out->margin,
+                                    out->doubtful, out->doubled, out->odd};
+    enum words_look look =
+        words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, skin->sign_mask,
+                   skin->expected, &measures, &decided, out->active, readout->late);
+    if (look == WORDS_NEED_STAGES || is_disturbed(readout, out))
+        return READOUT_ODD;
+    if (look == WORDS_LEAVE_ENERGY && !in_place) {
+        enum readout_look displaced = find_displaced(readout, rows, out);
+        if (displaced != READOUT_PLAIN)
+            return displaced;
+    }
+    count(nodes, out, settings, skin->sums);
+    const int32_t *source = skin->source;
+    /* Of nodes in scratch, where taxels have another order. */
+    float *pressure_pa = source ? floats : out->pressure_pa;
+    float *voltage_v = source ? floats + nodes : out->voltage_v;
+    uint8_t *status = source ? readout->late : out->status;
+    struct block block = {.at = 0};
+    for (; block.at < nodes; block.at += BLOCK) {
+        block.size = nodes - block.at < BLOCK ? nodes - block.at : BLOCK;
+        keep_words(skin, out, now_s, stale_after_s, &block);
+        look_up(skin, (int32_t)settings->codes - 1, out->node_v, &block);
+        convert(readout, out->node_v, drift_v, out->node_pa, &block);
+        finish(readout, out, tare_pa, &block, pressure_pa, voltage_v, status);
+    }
+    for (size_t i = 0; source && i < settings->taxels; i++) {
+        out->pressure_pa[i] = source[i] < 0 ? NAN : pressure_pa[source[i]];
+        out->voltage_v[i] = source[i] < 0 ? NAN : voltage_v[source[i]];
+        out->status[i] = source[i] < 0 ? settings->bits.masked : status[source[i]];
+    }
+    return memchr(out->doubtful, 1, nodes) ? READOUT_DOUBTFUL : READOUT_PLAIN;
+}
