@@ -100,7 +100,7 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class SampleStream:
     """What is the same in all samples of a stream.
 
     key: its name, unique. kind: TACTILE … IMAGE. feature: name for datasets, [a-z0-9_].
@@ -133,7 +133,7 @@ class SampleSource(Protocol):
     end_ns: int
 
     @property
-    def streams(self) -> Mapping[str, Stream]: ...
+    def streams(self) -> Mapping[str, SampleStream]: ...
 
     @property
     def problem(self) -> str | None: ...
@@ -150,7 +150,7 @@ class SampleSource(Protocol):
         ...
 
 
-def patches_of(source: SampleSource) -> list[Stream]:
+def patches_of(source: SampleSource) -> list[SampleStream]:
     """The source's skin patches, in order."""
     return [stream for stream in source.streams.values() if stream.kind == TACTILE]
 
