@@ -21,7 +21,7 @@ from rerun.chunk import RrdReader
 
 from tactile_cdma.places.layout_file import Wiring, read_layout
 from tactile_cdma.places.mesh import taxel_squares
-from tactile_cdma.ros.viewers.rerun_scene import OLD_S
+from tactile_cdma.ros.viewers.patches import OLD_S
 from tactile_cdma.ros.viewers.rerun_view import RerunView
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 from test.support.skin_client import running

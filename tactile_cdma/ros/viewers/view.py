@@ -35,7 +35,7 @@ from ..common.process import PATIENCE_S, Viewing, viewing
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
 from .keys import typed_keys
-from .patches import full_name, layout_of
+from .patches import OLD_S, full_name, layout_of
 from .tally import Tally, summary
 
 DRAW_PERIOD_S = 0.1
@@ -44,8 +44,6 @@ HISTORY_S = 20.0
 """Time that the curve shows; chosen."""
 RIVALS_S = 0.5
 """Interval of checks for a second driver; chosen."""
-OLD_S = 1.0
-"""Time without a frame, s, after which the last one is no reading any more; chosen."""
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
