@@ -14,8 +14,8 @@ from bisect import bisect
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..config.skin_config import SkinConfig
 from ..driver.clock import RECENT, SURE_INTERVALS, DeviceClock, line_below
 from ..driver.pipeline import Pipeline
@@ -129,7 +129,7 @@ class _FittedClock(DeviceClock):
         return y_s[i] + (t_device - x_s[i]) * rate
 
 
-def _keeps_real_time(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
+def _keeps_real_time(x: Floats, y: Floats) -> bool:
     """Whether arrivals half of the stream apart are as far apart on both clocks, mostly.
 
     They are not where a simulation or a replay runs faster or slower than real time.

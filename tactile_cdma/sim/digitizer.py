@@ -13,9 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..base.arrays import Counts
 from ..base.errors import SpecError
 from ..places.indenters import Indenter
 from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
@@ -278,7 +276,7 @@ class VirtualDigitizer:
         self._send(packet)
 
     def _samples(
-        self, device_time_us: int, first_index: int, counts: NDArray[np.int16], **marks: bool
+        self, device_time_us: int, first_index: int, counts: Counts, **marks: bool
     ) -> Samples:
         channel = self.options.channel
         if self._packs and channel.adc_bits <= PACKED_BITS:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Counts, Floats, Floats32
 from .channel import chip_means, first_sample, point_samples, waveforms
 from .disturbance import Disturbance
 from .loads import LOADS
@@ -43,7 +43,7 @@ def truth(
 
 def line_counts(
     options: SimOptions, setup: Setup, frame: NodeFrame, disturbance: Disturbance | None = None
-) -> NDArray[np.int16]:
+) -> Counts:
     """Readings of the converter in one frame period, (m,) int16 counts.
 
     Raw: all samples from the start of the frame to the start of the next. Integrated: the mean of
@@ -57,7 +57,7 @@ def line_counts(
         first, stop, averaged = 0, spec.chips, setup.samples_per_chip
         nominal = clocks is None and not (channel.stretch or channel.jitter)
 
-        def seen(levels: NDArray[np.float32], own_s: NDArray[np.float64]) -> NDArray[np.float32]:
+        def seen(levels: Floats32, own_s: Floats) -> Floats32:
             if nominal and own_s is edges_s:
                 return levels[spec.places]
             return chip_means(levels, own_s, spec.chip_s)[spec.places]
@@ -67,7 +67,7 @@ def line_counts(
         first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
         averaged = 1
 
-        def seen(levels: NDArray[np.float32], own_s: NDArray[np.float64]) -> NDArray[np.float32]:
+        def seen(levels: Floats32, own_s: Floats) -> Floats32:
             return point_samples(levels, own_s, setup.rate_hz, first, stop)
 
     line_v = np.zeros(stop - first, np.float32)

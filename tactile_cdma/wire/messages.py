@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats32
+from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ._protocol import (
@@ -179,7 +179,7 @@ class Info(Packet):
         """Rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
-    def volts(self, counts: NDArray[np.int16]) -> Floats32:
+    def volts(self, counts: Counts) -> Floats32:
         """The line in V, (m,) float32, of counts (m,)."""
         return to_volts(counts, self.zero_count, self.volts_per_count)
 
@@ -227,7 +227,7 @@ class Samples(Stretch):
 
     TYPE = PacketType.SAMPLES
 
-    counts: NDArray[np.int16]
+    counts: Counts
 
     def __post_init__(self) -> None:
         Stretch.__post_init__(self)
@@ -365,9 +365,7 @@ class Quiet(Stretch):
             )
 
     @classmethod
-    def of(
-        cls, device_time_us: int, first_index: int, counts: NDArray[np.int16], **marks: bool
-    ) -> Quiet:
+    def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
         """The packet that replaces these samples, (m,) int16. marks: sync, overrun, called."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))

@@ -17,9 +17,8 @@ from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
 from ..alignment import Aligner, Row, stale_s
 from ..arrow import pyarrow
-from ..episodes import FOREVER_NS, Episode, find_episodes
-from ..frames import LATENESS_NS
-from ..progress import Progress, fraction
+from ..episodes import Episode, find_episodes, samples_of
+from ..progress import Progress
 from ..samples import (
     ACTION,
     CONTACTS,
@@ -284,14 +283,7 @@ def _rows(
 ) -> Iterator[tuple[Row, bool]]:
     """Rows of a file, and whether each lies in a pause."""
     last_ns = source.begin_ns
-    end_ns = episodes[-1].end_ns
-    until_ns = end_ns + LATENESS_NS if end_ns < FOREVER_NS else None
-    # From the file's beginning on: what is held in an episode may be known from before it.
-    for sample in source.samples(None, until_ns):
-        progress.at(
-            fraction(sample.seen_ns, source.begin_ns, source.end_ns),
-            f"{source.path.name}: {(sample.seen_ns - source.begin_ns) / NANO:.0f} s",
-        )
+    for sample in samples_of(source, episodes, progress):
         if sample.stream not in streams:
             continue
         pause_ns = last_ns + round(PAUSE_S * NANO)
