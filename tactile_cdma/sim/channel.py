@@ -21,6 +21,8 @@ from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
 MAX_JITTER = 0.25
 """Largest option `jitter`, in chips. Chosen: no chip is then shorter than half of its duration."""
+Waveform = tuple[Floats32, Floats]
+"""Levels (c,) V between edges (c + 1,) s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,8 @@ class Channel:
         peak = float(spec.nodes)
         if spec.sign_seed is not None and spec.drive != UNIPOLAR:
             peak = min(peak, 8.0 * math.sqrt(peak))
-        return 1.1 * peak * _amplitude_v(spec) + 6.0 * self.noise_rms_v
+        amplitude_v = DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v
+        return 1.1 * peak * amplitude_v + 6.0 * self.noise_rms_v
 
     def volts_per_count(self, spec: FrameSpec) -> float:
         """One count of the digitized line, V, rounded to a float32 as on the wire."""
@@ -65,12 +68,10 @@ class Channel:
 
     @property
     def min_count(self) -> int:
-        """Lowest reading of the converter."""
         return -(1 << (self.adc_bits - 1))
 
     @property
     def max_count(self) -> int:
-        """Highest reading of the converter."""
         return (1 << (self.adc_bits - 1)) - 1
 
     def edges(self, spec: FrameSpec, rng: np.random.Generator) -> Floats:
@@ -94,7 +95,7 @@ class Channel:
         rail_v = self.rail_of(spec)
         line_v = np.minimum(np.maximum(volts, -rail_v), rail_v) + np.float32(self.offset_v)
         counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
-        in_range: Floats32 = np.minimum(np.maximum(counts, self.min_count), self.max_count)
+        in_range: Floats32 = np.clip(counts, self.min_count, self.max_count)
         return in_range.astype(np.int16)
 
     def volts(self, counts: Counts, spec: FrameSpec) -> Floats32:
@@ -110,8 +111,8 @@ def waveforms(
     active: Bools,
     edges_s: Floats,
     clocks: NodeClocks | None = None,
-) -> Iterator[tuple[Floats32, Floats]]:
-    """Waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
+) -> Iterator[Waveform]:
+    """Waveforms whose sum is the line in one frame.
 
     codes, active: (n,). edges_s: (span_chips + 1,) where a nominal clock puts them. Without
     clocks of their own all nodes share these edges; else each active node has its own.
@@ -164,7 +165,3 @@ def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
     """Index of the first sample taken at or after t_s."""
     index: Floats = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
     return index.astype(np.int64)
-
-
-def _amplitude_v(spec: FrameSpec) -> float:
-    return DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v

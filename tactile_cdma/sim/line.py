@@ -6,16 +6,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from typing import Protocol
 
 import numpy as np
 
 from ..base.arrays import Counts, Floats, Floats32
-from .channel import chip_means, first_sample, point_samples, waveforms
-from .disturbance import Disturbance
+from .channel import Waveform, chip_means, first_sample, point_samples, waveforms
 from .loads import LOADS
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import EXTERNAL, SCENES, Scene, idle
+
+
+class Disturbance(Protocol):
+    """Faults on the line, made by tests: comes between the nodes and the converter."""
+
+    def added(self, frame: NodeFrame, edges_s: Floats) -> Iterator[Waveform]:
+        """Waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""
+        ...
+
+    def disturbed(self, frame: NodeFrame, volts: Floats32, t_s: Floats) -> Floats32:
+        """The line, (m,) V at (m,) s since START, as it reaches the amplifier."""
+        ...
 
 
 def truth(

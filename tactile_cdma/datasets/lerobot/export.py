@@ -19,18 +19,7 @@ from ..alignment import Aligner, Row, stale_s
 from ..arrow import pyarrow
 from ..episodes import Episode, find_episodes, samples_of
 from ..progress import Progress
-from ..samples import (
-    ACTION,
-    CONTACTS,
-    NANO,
-    TACTILE,
-    WRENCH,
-    SampleSource,
-    Stream,
-    check_taxels,
-    differences,
-    patches_of,
-)
+from ..samples import NANO, Kind, SampleSource, Stream, check_taxels, differences, patches_of
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, WINDOW, TouchStream, slots
@@ -139,7 +128,7 @@ def _lacking(sources: Sequence[SampleSource], clock: str | None) -> dict[str, Pa
         column(stream)
         for source in sources
         for stream in source.streams.values()
-        if stream.kind in (CONTACTS, WRENCH) and stream.topic != clock
+        if stream.kind in (Kind.CONTACTS, Kind.WRENCH) and stream.topic != clock
     }
     return {
         name: source.path
@@ -226,7 +215,7 @@ def _export(
     clock = _clock(source, taken, plan)
     aligner = Aligner(taken, touch, episodes, layout.fps, clock)
     streams = list(taken.values())
-    actions = [stream for stream in streams if stream.kind == ACTION]
+    actions = [stream for stream in streams if stream.kind == Kind.ACTION]
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
     repeated: Counter[str] = Counter()  # commands that are older than others of their topics
@@ -327,7 +316,7 @@ def _rate(source: SampleSource, key: str) -> int:
 def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[str, Any]:
     taxels = {}
     for stream in layout.streams.values():
-        if stream.kind == TACTILE and (patch := stream.patch) is not None:
+        if stream.kind == Kind.TACTILE and (patch := stream.patch) is not None:
             taxels[stream.feature] = {
                 "rows": patch.rows,
                 "columns": patch.columns,

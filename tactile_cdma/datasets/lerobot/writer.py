@@ -119,7 +119,6 @@ class DatasetWriter:
             self._flush()
 
     def finish(self) -> None:
-        """Write what is left, and the metadata."""
         self._flush()
         self._close()
         (self._folder / "meta").mkdir()
@@ -152,7 +151,6 @@ class DatasetWriter:
         self._arrow.parquet.write_table(self._arrow.Table.from_pylist(self._episodes), path)
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Write a file of metadata."""
         path = self._folder / name
         path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
 

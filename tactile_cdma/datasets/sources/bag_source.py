@@ -20,15 +20,10 @@ from ...base.errors import CaptureError
 from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import (
-    ACTION,
     CONTACT_NAMES,
-    CONTACTS,
-    IMAGE,
     NANO,
-    STATE,
-    TACTILE,
-    WRENCH,
     WRENCH_NAMES,
+    Kind,
     RawImage,
     Sample,
     Stream,
@@ -71,7 +66,7 @@ class BagSource:
                 raise CaptureError(f"{path}: the bag is empty")
             self.begin_ns, self.end_ns = self._span(bag)
             found = {stream.key: stream for stream in self._find(bag, wanted)}
-            for kind, topic in ((STATE, wanted.state), (ACTION, wanted.action)):
+            for kind, topic in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
                 if topic is not None:
                     found[f"{kind}:{topic}"] = self._vector(bag, kind, topic)
             self.streams = found
@@ -143,10 +138,10 @@ class BagSource:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
             self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
-            yield Stream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
+            yield Stream(topic, Kind.TACTILE, patch.name, (len(patch),), patch=patch)
             for name, kind, type_, elements, take in (
-                ("contacts", CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
-                ("wrench", WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
+                ("contacts", Kind.CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
+                ("wrench", Kind.WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
             ):
                 beside = f"{stem}/{name}"
                 if wanted.derived and kinds.get(beside) == type_:
@@ -176,9 +171,9 @@ class BagSource:
         words = topic.strip("/").split("/")
         while len(words) > 1 and words[-1] in GENERIC:
             words.pop()
-        return Stream(topic, IMAGE, feature_name("_".join(words)), shape)
+        return Stream(topic, Kind.IMAGE, feature_name("_".join(words)), shape)
 
-    def _vector(self, bag: AnyReader, kind: str, topic: str) -> Stream:
+    def _vector(self, bag: AnyReader, kind: Kind, topic: str) -> Stream:
         if (said := self._connections(bag, topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
