@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 11
+VERSION = 12
 """Of the functions that this package expects in the kernel."""
 
 

@@ -22,7 +22,7 @@ from .dynamics import Compensator
 from .pressure import PressureChain
 from .readout import Conditions, Readout
 from .stages import Kept, Trust, finish, hear
-from .status import Status
+from .status import Status, is_in_service
 from .tare import take_tare
 
 
@@ -41,7 +41,7 @@ class Coverage:
     @classmethod
     def of(cls, pressure_pa: Floats32, status: NDArray[np.uint8]) -> Coverage:
         """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits."""
-        in_service = status & _MASKED == 0
+        in_service = is_in_service(status)
         valid = in_service & np.isfinite(pressure_pa)
         doubtful = valid & (status & _LOW_SNR != 0)
         return cls(*(int(np.count_nonzero(some)) for some in (valid, in_service, doubtful)))
@@ -224,7 +224,7 @@ class Taxels:
         found = readout.read(levels, self.baseline, t_device, self.stale_after_s)
         if found is None:
             return None
-        words, pressure_pa, voltage_v, status, self._stale_from_s = found
+        words, pressure_pa, voltage_v, status = found
         health.counted()
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         self.chain.look(readout.voltage_v, readout.pressure_pa, readout.valid, t_device)
@@ -235,15 +235,21 @@ class Taxels:
         """Update with one frame's words; t_device: its device time, s."""
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         anybody = bool((words.active | words.doubtful).any())
-        if not anybody and self._silence is not None and self._try_hold(t_device):
-            return self._silence
         readings = self._read(words, t_device, health)
         self._silence = None if anybody else readings
         return readings
 
-    def _try_hold(self, t_device: float) -> bool:
-        """Let a silent frame read as the last one did, if it does; see PressureChain.try_hold."""
-        return t_device <= self._stale_from_s and self.chain.try_hold(t_device)
+    def try_hold(self, t_device: float) -> Readings | None:
+        """The readings of a frame in which no node spoke, if they are those of the last one.
+
+        If so, this counts as an update; see PressureChain.try_hold.
+        """
+        if self._silence is None or t_device > self._stale_from_s:
+            return None
+        if not self.chain.try_hold(t_device):
+            return None
+        self.now_s = t_device  # not the first frame: that one was read
+        return self._silence
 
     def _read(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         trust = self._trusted(health)
@@ -278,7 +284,6 @@ class Taxels:
 
 
 _LOW_SNR = np.uint8(Status.LOW_SNR)
-_MASKED = np.uint8(Status.MASKED)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

@@ -21,8 +21,6 @@ from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
 
 MAX_JITTER = 0.25
 """Largest option `jitter`, in chips. Chosen: no chip is then shorter than half of its duration."""
-Waveform = tuple[Floats32, Floats]
-"""Levels (c,) V between edges (c + 1,) s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +109,8 @@ def waveforms(
     active: Bools,
     edges_s: Floats,
     clocks: NodeClocks | None = None,
-) -> Iterator[Waveform]:
-    """Waveforms whose sum is the line in one frame.
+) -> Iterator[tuple[Floats32, Floats]]:
+    """Waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
 
     codes, active: (n,). edges_s: (span_chips + 1,) where a nominal clock puts them. Without
     clocks of their own all nodes share these edges; else each active node has its own.

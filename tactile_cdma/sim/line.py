@@ -11,15 +11,17 @@ from typing import Protocol
 import numpy as np
 
 from ..base.arrays import Counts, Floats, Floats32
-from .channel import Waveform, chip_means, first_sample, point_samples, waveforms
-from .loads import LOADS
+from .channel import chip_means, first_sample, point_samples, waveforms
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
-from .scene import EXTERNAL, SCENES, Scene, idle
+from .scene import EXTERNAL, LOADS, SCENES, Scene, idle
+
+Waveform = tuple[Floats32, Floats]
+"""Levels (c,) V between edges (c + 1,) s."""
 
 
 class Disturbance(Protocol):
-    """Faults on the line, made by tests: comes between the nodes and the converter."""
+    """A fault on the line, made by tests: it comes between the nodes and the converter."""
 
     def added(self, frame: NodeFrame, edges_s: Floats) -> Iterator[Waveform]:
         """Waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""

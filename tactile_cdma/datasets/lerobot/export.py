@@ -19,7 +19,7 @@ from ..alignment import Aligner, Row, stale_s
 from ..arrow import pyarrow
 from ..episodes import Episode, find_episodes, samples_of
 from ..progress import Progress
-from ..samples import NANO, Kind, SampleSource, Stream, check_taxels, differences, patches_of
+from ..samples import NANO, Kind, SampleSource, SampleStream, check_taxels, differences, patches_of
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, WINDOW, TouchStream, slots
@@ -146,7 +146,7 @@ class _Layout:
     have other keys than a bag's.
     """
 
-    streams: Mapping[str, Stream]
+    streams: Mapping[str, SampleStream]
     lacking: Collection[str]
     slots: Mapping[str, int]
     features: Sequence[Feature]
@@ -258,7 +258,7 @@ def _export(
     ]
 
 
-def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, Stream]:
+def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, SampleStream]:
     """The streams of a file, but for columns that another file lacks."""
     return {key: one for key, one in source.streams.items() if column(one) not in lacking}
 
@@ -283,7 +283,7 @@ def _rows(
         yield row, False
 
 
-def _clock(source: SampleSource, streams: Mapping[str, Stream], plan: Plan) -> str | None:
+def _clock(source: SampleSource, streams: Mapping[str, SampleStream], plan: Plan) -> str | None:
     """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
     if plan.clock is None:
         return None

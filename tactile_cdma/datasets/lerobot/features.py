@@ -12,7 +12,7 @@ import numpy as np
 
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
-from ..samples import NANO, Kind, RawImage, SampleSource, Stream
+from ..samples import NANO, Kind, RawImage, SampleSource, SampleStream
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
 
@@ -44,7 +44,9 @@ class Feature:
         return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
 
 
-def features_of(streams: Iterable[Stream], slots: Mapping[str, int], mode: str) -> list[Feature]:
+def features_of(
+    streams: Iterable[SampleStream], slots: Mapping[str, int], mode: str
+) -> list[Feature]:
     """The columns for some streams. slots: samples of a tick, by the patches' keys."""
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
     for stream in streams:
@@ -69,7 +71,7 @@ def features_of(streams: Iterable[Stream], slots: Mapping[str, int], mode: str) 
     return features
 
 
-def column(stream: Stream) -> str:
+def column(stream: SampleStream) -> str:
     """The name of a stream's feature."""
     if stream.kind == Kind.ACTION:
         return "action"
@@ -79,7 +81,9 @@ def column(stream: Stream) -> str:
     return f"observation.{group}.{stream.feature}"
 
 
-def obstacle(row: Row, streams: Iterable[Stream], source: SampleSource, policy: str) -> str | None:
+def obstacle(
+    row: Row, streams: Iterable[SampleStream], source: SampleSource, policy: str
+) -> str | None:
     """Why a row has to be left out, in words; None if it is whole.
 
     Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.
@@ -98,7 +102,7 @@ def obstacle(row: Row, streams: Iterable[Stream], source: SampleSource, policy: 
     return None
 
 
-def cells(row: Row, streams: Iterable[Stream]) -> dict[str, Any]:
+def cells(row: Row, streams: Iterable[SampleStream]) -> dict[str, Any]:
     """What a row without an obstacle puts into the columns."""
     found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
     for stream in streams:

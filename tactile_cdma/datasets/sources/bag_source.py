@@ -26,7 +26,7 @@ from ..samples import (
     Kind,
     RawImage,
     Sample,
-    Stream,
+    SampleStream,
     Value,
     feature_name,
 )
@@ -59,7 +59,7 @@ class BagSource:
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
         self._astray: Counter[str] = Counter()  # messages whose time of recording is not believed
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
-        self.streams: Mapping[str, Stream] = {}
+        self.streams: Mapping[str, SampleStream] = {}
         with self._opened() as bag:
             self.counts = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
             if not bag.message_count:
@@ -115,7 +115,7 @@ class BagSource:
         with self._intact():  # reads all of the bag, as seldom as that is needed
             return believed_span(seen_ns for _, seen_ns, _ in bag.messages())
 
-    def _find(self, bag: AnyReader, wanted: Wanted) -> Iterator[Stream]:
+    def _find(self, bag: AnyReader, wanted: Wanted) -> Iterator[SampleStream]:
         """The streams of skins and cameras."""
         kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
@@ -138,7 +138,7 @@ class BagSource:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
             self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
-            yield Stream(topic, Kind.TACTILE, patch.name, (len(patch),), patch=patch)
+            yield SampleStream(topic, Kind.TACTILE, patch.name, (len(patch),), patch=patch)
             for name, kind, type_, elements, take in (
                 ("contacts", Kind.CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
                 ("wrench", Kind.WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
@@ -146,7 +146,7 @@ class BagSource:
                 beside = f"{stem}/{name}"
                 if wanted.derived and kinds.get(beside) == type_:
                     self._takes[beside].append((beside, _without_time(take)))
-                    yield Stream(beside, kind, patch.name, (len(elements),), elements)
+                    yield SampleStream(beside, kind, patch.name, (len(elements),), elements)
         pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
         others = (
             t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
@@ -156,7 +156,7 @@ class BagSource:
             if stream is not None:
                 yield stream
 
-    def _camera(self, bag: AnyReader, topic: str, asked: bool) -> Stream | None:
+    def _camera(self, bag: AnyReader, topic: str, asked: bool) -> SampleStream | None:
         """The stream of an image topic; None, with a note, for images that are not taken."""
         if (kind := self._connections(bag, topic)[0].msgtype) not in fields.IMAGES:
             raise CaptureError(f"{self.path}: {topic} is {kind}, not an image")
@@ -171,9 +171,9 @@ class BagSource:
         words = topic.strip("/").split("/")
         while len(words) > 1 and words[-1] in GENERIC:
             words.pop()
-        return Stream(topic, Kind.IMAGE, feature_name("_".join(words)), shape)
+        return SampleStream(topic, Kind.IMAGE, feature_name("_".join(words)), shape)
 
-    def _vector(self, bag: AnyReader, kind: Kind, topic: str) -> Stream:
+    def _vector(self, bag: AnyReader, kind: Kind, topic: str) -> SampleStream:
         if (said := self._connections(bag, topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
@@ -181,7 +181,7 @@ class BagSource:
         names = fields.vector_names(self._first(bag, topic))
         take = partial(fields.vector, topic=topic, names=names)
         self._takes[topic].append((f"{kind}:{topic}", _without_time(take)))
-        return Stream(f"{kind}:{topic}", kind, kind, (len(names),), names)
+        return SampleStream(f"{kind}:{topic}", kind, kind, (len(names),), names)
 
     def _first(self, bag: AnyReader, topic: str) -> Any:
         for message in self._all(bag, topic):

@@ -26,8 +26,8 @@ from ..samples import (
     Kind,
     PatchInfo,
     Sample,
+    SampleStream,
     SkinFrame,
-    Stream,
     feature_name,
 )
 
@@ -48,13 +48,13 @@ class RecordingSource:
         self.name = feature_name(self.capture.config.skin)
 
     @property
-    def streams(self) -> Mapping[str, Stream]:
+    def streams(self) -> Mapping[str, SampleStream]:
         """Those of the skin, as far as the file has been decoded; see patch."""
         patch = self.patch
-        found = [Stream(Kind.TACTILE, Kind.TACTILE, self.name, (len(patch),), patch=patch)]
+        found = [SampleStream(Kind.TACTILE, Kind.TACTILE, self.name, (len(patch),), patch=patch)]
         if self._derived:
             for kind, names in ((Kind.CONTACTS, CONTACT_NAMES), (Kind.WRENCH, WRENCH_NAMES)):
-                found.append(Stream(kind, kind, self.name, (len(names),), names))
+                found.append(SampleStream(kind, kind, self.name, (len(names),), names))
         return {stream.key: stream for stream in found}
 
     @property
