@@ -46,8 +46,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words
-
-from .independent_line import (
+from test.support.independent_line import (
     SILENT,
     Digitizer,
     Ints,
@@ -60,6 +59,7 @@ from .independent_line import (
     render,
     row_sign,
 )
+
 from .line_packets import introduction, packets
 from .report import QUICK, Report
 

@@ -10,8 +10,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
 from tactile_cdma.wire.messages import FrameLayout, Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
-
-from .independent_line import Digitizer, Recording
+from test.support.independent_line import Digitizer, Recording
 
 
 def introduction(config: SkinConfig, digitizer: Digitizer) -> Info:

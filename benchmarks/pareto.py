@@ -29,7 +29,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.independent_line import (
+from benchmarks.line_packets import introduction, packets
+from benchmarks.report import QUICK, Report
+from tactile_cdma.base.kernel import VARIABLE, compiled
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.wire.messages import Samples
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.independent_line import (
     SILENT,
     Digitizer,
     Ints,
@@ -39,13 +46,6 @@ from benchmarks.independent_line import (
     Truth,
     render,
 )
-from benchmarks.line_packets import introduction, packets
-from benchmarks.report import QUICK, Report
-from tactile_cdma.base.kernel import VARIABLE, compiled
-from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.wire.messages import Samples
-from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 BOUND = 1e-3
 RHO = -NormalDist().inv_cdf(BOUND)

@@ -41,8 +41,8 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.driver.steady import Waited
-from tactile_cdma.framing.quiet_limit import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions

@@ -17,16 +17,43 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import DTypeLike, NDArray
 
 from tactile_cdma import PortError, RecordingEndError, Skin
-from tactile_cdma.datasets.recent import RecentFrames
 
 FRAMES = 32
 SCALE_PA = 50e3
 """Pressure that a network sees as 1: one scale for all taxels; see docs/learning.md."""
+
+
+class RecentFrames:
+    """The last `length` frames, oldest first, always at hand as one view.
+
+    Every frame is written twice into a buffer of twice the length, half of it apart, so that any
+    `length` successive frames lie side by side somewhere: push() costs two short writes, and
+    `window` nothing. count: frames pushed so far.
+    """
+
+    def __init__(self, length: int, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> None:
+        self._length = length
+        self._frames = np.zeros((2 * length, *shape), dtype=dtype)
+        self.count = 0
+
+    def push(self, frame: NDArray[Any]) -> None:
+        """Add the newest frame; it takes the place of the oldest."""
+        place = self.count % self._length
+        self._frames[place] = self._frames[place + self._length] = frame
+        self.count += 1
+
+    @property
+    def window(self) -> NDArray[Any]:
+        """(length, *shape) a view, zeros before the first frames; the next push() changes it."""
+        begin = self.count % self._length
+        return self._frames[begin : begin + self._length]
 
 
 class TouchNet(torch.nn.Module):

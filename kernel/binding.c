@@ -3,14 +3,243 @@
 #include "binding.h"
 
 #include <errno.h>
+#include <stdarg.h>
+#include <string.h>
 
-PyObject *hold(PyTypeObject *type, void *held)
+/* ---- arguments --------------------------------------------------------------------------------- */
+
+/* Raises "function: argument: …"; returns false. */
+static bool unfit(const struct call *call, const struct argument *takes, PyObject *error,
+                  const char *format, ...)
+{
+    va_list values;
+
+    va_start(values, format);
+    PyObject *text = PyUnicode_FromFormatV(format, values);
+    va_end(values);
+    if (text)
+        PyErr_Format(error, "%s: %s: %U", call->name, takes->name, text);
+    Py_XDECREF(text);
+    return false;
+}
+
+/* The same with the exception that is raised, whose text does not say of what. */
+static bool unfit_as_raised(const struct call *call, const struct argument *takes)
+{
+    PyObject *type, *reason, *trace;
+
+    PyErr_Fetch(&type, &reason, &trace);
+    unfit(call, takes, type, "%S", reason);
+    Py_XDECREF(type);
+    Py_XDECREF(reason);
+    Py_XDECREF(trace);
+    return false;
+}
+
+PyObject *refuse(const struct call *call, const char *format, ...)
+{
+    va_list values;
+
+    va_start(values, format);
+    PyObject *text = PyUnicode_FromFormatV(format, values);
+    va_end(values);
+    if (text)
+        PyErr_Format(PyExc_ValueError, "%s: %U", call->name, text);
+    Py_XDECREF(text);
+    return NULL;
+}
+
+/* Whether an array's axes are as long as the letters of its shape say; a new letter takes the length. */
+static bool fits(struct call *call, const struct argument *takes, const Py_buffer *buffer)
+{
+    const char *shape = takes->shape;
+    int axes = (int)strlen(shape);
+
+    if (*shape == '*')
+        return true;
+    if (buffer->ndim != axes)
+        return unfit(call, takes, PyExc_ValueError, "%d axes (%s) expected, not %d", axes, shape,
+                     buffer->ndim);
+    for (int i = 0; i < axes; i++) {
+        size_t has = (size_t)buffer->shape[i], digit = (size_t)(shape[i] - '0');
+        size_t *known = digit < 10 ? &digit : &call->axes[shape[i] & 63], needs = *known;
+        if (needs == SIZE_MAX)
+            *known = needs = has;
+        if (has == needs)
+            continue;
+        if (axes == 1)
+            return unfit(call, takes, PyExc_ValueError, "%zu values expected, not %zu", needs, has);
+        return unfit(call, takes, PyExc_ValueError, "%c of (%s) is %zu, not %zu", shape[i], shape,
+                     needs, has);
+    }
+    return true;
+}
+
+/* Gets one array or settings; unless it is false, the buffer has to be released. */
+static bool get_buffer(struct call *call, const struct argument *takes, PyObject *object,
+                       Py_buffer *buffer)
+{
+    bool has_type = takes->kind != SETTINGS_KIND;
+    int flags = has_type ? PyBUF_C_CONTIGUOUS | PyBUF_FORMAT : PyBUF_SIMPLE;
+
+    if (PyObject_GetBuffer(object, buffer, flags | (takes->written ? PyBUF_WRITABLE : 0)))
+        return unfit_as_raised(call, takes);
+    const char *format = buffer->format;
+    bool is_fit;
+    if (!has_type)
+        is_fit = (size_t)buffer->len == takes->size ||
+                 unfit(call, takes, PyExc_ValueError, "%zu bytes of settings expected, not %zd",
+                       takes->size, buffer->len);
+    else
+        is_fit = (format[0] == takes->kind && format[1] == 0) ?
+                     fits(call, takes, buffer) :
+                     unfit(call, takes, PyExc_TypeError, "values of type '%c' expected, not '%s'",
+                           takes->kind, format);
+    if (!is_fit)
+        PyBuffer_Release(buffer);
+    return is_fit;
+}
+
+/* What an object of a class of this module holds. */
+static bool get_object(struct call *call, const struct argument *takes, PyObject *object,
+                       union value *value)
+{
+    if (!takes->shape)
+        return true;
+    PyTypeObject *own = PyType_Check(call->self) ? (PyTypeObject *)call->self : Py_TYPE(call->self);
+    PyObject *module = PyModule_Check(call->self) ? call->self : PyType_GetModule(own);
+    PyObject *class = module ? PyObject_GetAttrString(module, takes->shape) : NULL;
+    int is = class ? PyObject_IsInstance(object, class) : -1;
+
+    Py_XDECREF(class);
+    if (is == 1)
+        value->data = held_by(object);
+    return is == 1 ||
+           (!is && unfit(call, takes, PyExc_TypeError, "a %s of the kernel expected", takes->shape));
+}
+
+static bool get(struct call *call, const struct argument *takes, PyObject *object, size_t i)
+{
+    union value *value = &call->value[i];
+
+    call->buffers[i].obj = NULL;
+    switch (takes->kind) {
+    case NUMBER_KIND:
+        value->number = PyFloat_AsDouble(object);
+        return value->number != -1 || !PyErr_Occurred() || unfit_as_raised(call, takes);
+    case SIZE_KIND:
+        value->size = PyLong_AsSize_t(object);
+        return value->size != SIZE_MAX || !PyErr_Occurred() || unfit_as_raised(call, takes);
+    case FLAG_KIND: {
+        int is = PyObject_IsTrue(object);
+        value->size = is > 0;
+        return is >= 0;
+    }
+    case OBJECT_KIND:
+        return get_object(call, takes, object, value);
+    default:
+        if (!get_buffer(call, takes, object, &call->buffers[i]))
+            return call->buffers[i].obj = NULL, false;
+        value->data = call->buffers[i].buf;
+        return true;
+    }
+}
+
+PyObject *run(const char *name, const struct argument *takes, size_t count, body *body, PyObject *self,
+              PyObject *const *given, Py_ssize_t number)
+{
+    struct call call;
+    PyObject *result = NULL;
+    size_t got = 0;
+
+    if (number != (Py_ssize_t)count)
+        return PyErr_Format(PyExc_TypeError, "%s: %zu arguments expected, not %zd", name, count, number);
+    call.name = name;
+    call.takes = takes;
+    call.self = self;
+    call.given = given;
+    memset(call.axes, 0xff, sizeof call.axes);
+    while (got < count && get(&call, &takes[got], given[got], got))
+        got++;
+    if (got == count)
+        result = body(&call);
+    while (got-- > 0)
+        if (call.buffers[got].obj)
+            PyBuffer_Release(&call.buffers[got]);
+    return result;
+}
+
+PyObject *make(const char *name, const struct argument *takes, size_t count, body *body,
+               PyTypeObject *type, PyObject *given, PyObject *keywords)
+{
+    PyObject *each[BINDING_MOST];
+    Py_ssize_t number = PyTuple_Size(given);
+
+    if (keywords && PyDict_Size(keywords))
+        return PyErr_Format(PyExc_TypeError, "%s: arguments have no names", name);
+    for (Py_ssize_t i = 0; i < number && i < BINDING_MOST; i++)
+        each[i] = PyTuple_GetItem(given, i);
+    return run(name, takes, count, body, (PyObject *)type, each, number);
+}
+
+size_t length(const struct call *call, size_t argument)
+{
+    const Py_buffer *buffer = &call->buffers[argument];
+
+    return (size_t)(buffer->len / buffer->itemsize);
+}
+
+Py_buffer keep(struct call *call, size_t argument)
+{
+    Py_buffer kept = call->buffers[argument];
+
+    call->buffers[argument].obj = NULL;
+    return kept;
+}
+
+/* ---- settings ---------------------------------------------------------------------------------- */
+
+static PyObject *fields_tuple(const struct layout *layout)
+{
+    PyObject *fields = PyTuple_New((Py_ssize_t)layout->count);
+
+    for (size_t i = 0; fields && i < layout->count; i++) {
+        const struct field *field = &layout->fields[i];
+        const char *dot = strrchr(field->member, '.');
+        PyObject *tuple = Py_BuildValue("(snC)", dot ? dot + 1 : field->member,
+                                        (Py_ssize_t)field->offset, field->kind);
+        if (!tuple || PyTuple_SetItem(fields, (Py_ssize_t)i, tuple))
+            Py_CLEAR(fields);
+    }
+    return fields;
+}
+
+PyObject *layouts_dict(const struct layout *layouts, size_t count)
+{
+    PyObject *dict = PyDict_New();
+
+    for (size_t i = 0; dict && i < count; i++) {
+        PyObject *fields = fields_tuple(&layouts[i]);
+        PyObject *layout = fields ? Py_BuildValue("(nN)", (Py_ssize_t)layouts[i].size, fields) : NULL;
+        if (!layout || PyDict_SetItemString(dict, layouts[i].name, layout))
+            Py_CLEAR(dict);
+        Py_XDECREF(layout);
+    }
+    return dict;
+}
+
+/* ---- objects ----------------------------------------------------------------------------------- */
+
+PyObject *hold(PyTypeObject *type, void *held, void (*drop)(void *held))
 {
     allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
-    PyObject *self = allocate(type, 0);
+    PyObject *self = held ? allocate(type, 0) : PyErr_NoMemory();
 
-    if (self)
+    if (self) {
         ((struct holder *)self)->held = held;
+        ((struct holder *)self)->drop = drop;
+    } else if (held)
+        drop(held);
     return self;
 }
 
@@ -19,69 +248,18 @@ void *held_by(PyObject *self)
     return ((struct holder *)self)->held;
 }
 
-void drop(PyObject *self)
+void drop_holder(PyObject *self)
 {
+    struct holder *holder = (struct holder *)self;
     PyTypeObject *type = Py_TYPE(self);
 
+    if (holder->held)
+        holder->drop(holder->held);
     ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
 }
 
-int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what)
-{
-    if (PyObject_GetBuffer(object, buffer, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | flags))
-        return -1;
-    const char *format = buffer->format;
-    if (format[0] == code && format[1] == 0)
-        return 0;
-    PyErr_Format(PyExc_TypeError, "%s holds '%s', not '%c'", what, format, code);
-    PyBuffer_Release(buffer);
-    return -1;
-}
-
-bool takes(Py_ssize_t count, Py_ssize_t expected)
-{
-    if (count != expected)
-        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
-    return count == expected;
-}
-
-int get_arrays(PyObject *const *objects, size_t count, const char *codes, size_t writable,
-                      size_t size, Py_buffer *buffers)
-{
-    for (size_t i = 0; i < count; i++) {
-        int flags = i < writable ? 0 : PyBUF_WRITABLE;
-        int failed = get_array(objects[i], &buffers[i], codes[i], flags, "an array");
-        if (!failed && (size_t)(buffers[i].len / buffers[i].itemsize) != size) {
-            PyErr_Format(PyExc_ValueError, "an array of %zd values, not %zu",
-                         buffers[i].len / buffers[i].itemsize, size);
-            PyBuffer_Release(&buffers[i]);
-            failed = -1;
-        }
-        if (failed) {
-            while (i-- > 0)
-                PyBuffer_Release(&buffers[i]);
-            return -1;
-        }
-    }
-    return 0;
-}
-
-void release(size_t count, Py_buffer *buffers)
-{
-    while (count-- > 0)
-        PyBuffer_Release(&buffers[count]);
-}
-
-int get_numbers(PyObject *const *objects, size_t count, double *numbers)
-{
-    for (size_t i = 0; i < count; i++) {
-        numbers[i] = PyFloat_AsDouble(objects[i]);
-        if (numbers[i] == -1 && PyErr_Occurred())
-            return -1;
-    }
-    return 0;
-}
+/* ---- packets and files ------------------------------------------------------------------------- */
 
 PyObject *packet_tuple(const struct scanner_packet *packet)
 {

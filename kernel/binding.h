@@ -1,6 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* What the parts of the Python module share: objects that hold one of the kernel's, and arguments.
+/* Python's arguments for the kernel: described in tables, gathered, checked and released in one place.
+ *
+ * A function of the module is a table of its arguments and a body that runs once all of them fit:
+ *
+ *     FUNCTION(mean_of, ARRAY("levels", 'f', "kn"), SIZE("bit"), OUT("mean", 'f', "n"))
+ *     {
+ *         if (!(call->value[1].size < axis(call, 'k')))
+ *             return refuse(call, "bit: beyond the levels");
+ *         ... call->value[0].data, call->value[2].data, axis(call, 'n') ...
+ *         Py_RETURN_NONE;
+ *     }
+ *
+ * Every letter of a shape stands for one length throughout the call, so that arrays are checked against
+ * each other. The same macro makes methods (call->self is then the object) and, as CONSTRUCTOR, what
+ * makes an object. An object that uses an array for as long as it lives takes it over by keep().
+ *
+ * Settings are C structs. FIELDS describes one by the names of its members, `structs` in module.c offers
+ * them to Python, and tactile_cdma/base/kernel.py makes numpy's dtype of that and fills it by name: what a
+ * setting is called, where it lies and of which type it is, is written once, in the struct.
  *
  * Limited API of 3.11, the first with buffers: one build serves all later Pythons. */
 #ifndef TACTILE_BINDING_H
@@ -11,34 +29,133 @@
 #include <Python.h>
 
 #include <stdbool.h>
+#include <stddef.h>
 
 #include "scanner.h"
 
-/* An object of one of this module's types, which holds one of the kernel's. */
+#define BINDING_MOST 24 /* arguments of a function */
+
+/* ---- arguments --------------------------------------------------------------------------------- */
+
+/* A buffer's `kind` is the letter of its values as in Python's struct. */
+enum kind { NUMBER_KIND = 1, SIZE_KIND, FLAG_KIND, SETTINGS_KIND, OBJECT_KIND };
+
+struct argument {
+    const char *name;
+    char kind;
+    const char *shape; /* a letter or digit per axis; "*": any. Of an object: its class here, or NULL */
+    bool written;
+    size_t size; /* of settings, bytes */
+};
+
+#define ARRAY(name, kind, shape) {name, kind, shape, false, 0} /* contiguous */
+#define OUT(name, kind, shape) {name, kind, shape, true, 0}
+#define NUMBER(name) {name, NUMBER_KIND, NULL, false, 0}
+#define SIZE(name) {name, SIZE_KIND, NULL, false, 0} /* a number, 0 or more */
+#define FLAG(name) {name, FLAG_KIND, NULL, false, 0}
+#define OBJECT(name, class) {name, OBJECT_KIND, class, false, 0}
+#define SETTINGS(type) {#type, SETTINGS_KIND, NULL, false, sizeof(struct type)}
+
+union value {
+    double number; /* NUMBER */
+    size_t size;   /* SIZE, FLAG */
+    void *data;    /* ARRAY, OUT, SETTINGS; of an OBJECT with a class, what it holds */
+};
+
+/* A call while its body runs. */
+struct call {
+    const char *name;
+    const struct argument *takes;
+    PyObject *self, *const *given;
+    union value value[BINDING_MOST];
+    size_t axes[64];
+    Py_buffer buffers[BINDING_MOST];
+};
+
+/* The length that a letter of the shapes stands for. */
+static inline size_t axis(const struct call *call, char letter)
+{
+    return call->axes[letter & 63];
+}
+
+/* Number of values of an array. */
+size_t length(const struct call *call, size_t argument);
+
+/* Takes over an array from a call, to be released later by PyBuffer_Release. */
+Py_buffer keep(struct call *call, size_t argument);
+
+/* Raises ValueError "function: …"; returns NULL. */
+PyObject *refuse(const struct call *call, const char *format, ...);
+
+typedef PyObject *body(struct call *call);
+PyObject *run(const char *name, const struct argument *takes, size_t count, body *body, PyObject *self,
+              PyObject *const *given, Py_ssize_t number);
+PyObject *make(const char *name, const struct argument *takes, size_t count, body *body,
+               PyTypeObject *type, PyObject *given, PyObject *keywords);
+
+#define FUNCTION(function, ...)                                                                     \
+    static body run_##function;                                                                     \
+    static PyObject *function(PyObject *self, PyObject *const *given, Py_ssize_t number)            \
+    {                                                                                               \
+        static const struct argument takes[] = {__VA_ARGS__};                                       \
+        return run(#function, takes, sizeof takes / sizeof *takes, run_##function, self, given,     \
+                   number);                                                                         \
+    }                                                                                               \
+    static PyObject *run_##function(struct call *call)
+
+/* Its entry in a table of methods. */
+#define ENTRY(function) {#function, (PyCFunction)(void (*)(void))function, METH_FASTCALL, NULL}
+
+/* Makes an object of a class; call->self is the type. */
+#define CONSTRUCTOR(function, ...)                                                                  \
+    static body run_##function;                                                                     \
+    static PyObject *function(PyTypeObject *type, PyObject *given, PyObject *keywords)              \
+    {                                                                                               \
+        static const struct argument takes[] = {__VA_ARGS__};                                       \
+        return make(#function, takes, sizeof takes / sizeof *takes, run_##function, type, given,    \
+                    keywords);                                                                      \
+    }                                                                                               \
+    static PyObject *run_##function(struct call *call)
+
+/* ---- settings ---------------------------------------------------------------------------------- */
+
+struct field {
+    const char *member; /* its name for Python is what follows the last dot */
+    size_t offset;
+    char kind;
+};
+
+struct layout {
+    const char *name;
+    size_t size, count;
+    const struct field *fields;
+};
+
+#define FIELD_KIND(member)                                                                          \
+    _Generic((member), bool: '?', uint8_t: 'B', int: 'i', unsigned: 'I', unsigned long: 'L',        \
+             unsigned long long: 'Q', float: 'f', double: 'd')
+#define FIELD(type, member)                                                                         \
+    {#member, offsetof(struct type, member), FIELD_KIND(((struct type *)NULL)->member)}
+#define LAYOUT(type, fields) {#type, sizeof(struct type), sizeof fields / sizeof *fields, fields}
+
+/* {name: (bytes, ((field, offset, kind), …))} of `count` structs. */
+PyObject *layouts_dict(const struct layout *layouts, size_t count);
+
+/* ---- objects ----------------------------------------------------------------------------------- */
+
+/* An object of one of this module's classes, which holds one of the kernel's; `drop` frees that. */
 struct holder {
     PyObject_HEAD
     void *held;
+    void (*drop)(void *held);
 };
 
-PyObject *hold(PyTypeObject *type, void *held);
+/* A new one; NULL, and nothing is held, with an exception: out of memory, or `held` is NULL. */
+PyObject *hold(PyTypeObject *type, void *held, void (*drop)(void *held));
 void *held_by(PyObject *self);
-/* Frees an object, but not what it holds. */
-void drop(PyObject *self);
+void drop_holder(PyObject *self);
 
-/* A contiguous array of this type (struct's code), or -1 with an exception. `what` is its name. */
-int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what);
-
-/* Whether a function got as many arguments as it takes; if not, with an exception. */
-bool takes(Py_ssize_t count, Py_ssize_t expected);
-
-/* Gets `count` arrays of `size` values each, of types that a letter of `codes` each names: those from
- * number `writable` on to be written to. Returns 0, or -1 with an exception, and then holds none. */
-int get_arrays(PyObject *const *objects, size_t count, const char *codes, size_t writable,
-               size_t size, Py_buffer *buffers);
-void release(size_t count, Py_buffer *buffers);
-
-/* Converts `count` numbers. Returns 0, or -1 with an exception. */
-int get_numbers(PyObject *const *objects, size_t count, double *numbers);
+/* ---- packets and files ------------------------------------------------------------------------- */
 
 /* (type, sequence, payload) of a packet; the payload of well-formed samples is taken apart. */
 PyObject *packet_tuple(const struct scanner_packet *packet);

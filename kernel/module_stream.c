@@ -9,6 +9,52 @@
 #include "reader.h"
 #include "steady.h"
 
+static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what)
+{
+    if (PyObject_GetBuffer(object, buffer, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | flags))
+        return -1;
+    const char *format = buffer->format;
+    if (format[0] == code && format[1] == 0)
+        return 0;
+    PyErr_Format(PyExc_TypeError, "%s holds '%s', not '%c'", what, format, code);
+    PyBuffer_Release(buffer);
+    return -1;
+}
+
+static bool takes(Py_ssize_t count, Py_ssize_t expected)
+{
+    if (count != expected)
+        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
+    return count == expected;
+}
+
+static int get_arrays(PyObject *const *objects, size_t count, const char *codes, size_t writable,
+                      size_t size, Py_buffer *buffers)
+{
+    for (size_t i = 0; i < count; i++) {
+        int flags = i < writable ? 0 : PyBUF_WRITABLE;
+        int failed = get_array(objects[i], &buffers[i], codes[i], flags, "an array");
+        if (!failed && (size_t)(buffers[i].len / buffers[i].itemsize) != size) {
+            PyErr_Format(PyExc_ValueError, "an array of %zd values, not %zu",
+                         buffers[i].len / buffers[i].itemsize, size);
+            PyBuffer_Release(&buffers[i]);
+            failed = -1;
+        }
+        if (failed) {
+            while (i-- > 0)
+                PyBuffer_Release(&buffers[i]);
+            return -1;
+        }
+    }
+    return 0;
+}
+
+static void release(size_t count, Py_buffer *buffers)
+{
+    while (count-- > 0)
+        PyBuffer_Release(&buffers[count]);
+}
+
 enum fit_array { WHOLE, SHARE, NUMBER, PLACES, FIT_ARRAYS };
 
 struct following {
@@ -51,8 +97,10 @@ static void drop_fit(struct following *following)
     following->has_fit = false;
 }
 
-static void drop_following(struct following *following)
+static void drop_following(void *held)
 {
+    struct following *following = held;
+
     drop_fit(following);
     if (following->rows.obj)
         PyBuffer_Release(&following->rows);
@@ -62,12 +110,6 @@ static void drop_following(struct following *following)
     if (following->steady)
         steady_free(following->steady);
     PyMem_Free(following);
-}
-
-static void drop_steady(PyObject *self)
-{
-    drop_following(held_by(self));
-    drop(self);
 }
 
 /* Whether an object is of the class of this name in the same module; if not, with an exception. */
@@ -94,7 +136,8 @@ static struct steady_setting setting_of(const double *n)
                            .unipolar = n[4] != 0,
                            .swing = (float)n[5],
                            .loudest_share = (float)n[6],
-                           .active_share = (float)n[7]},
+                           .active_share = (float)n[7],
+                           .spoken_over = n[42]},
                  .spare = (size_t)n[8],
                  .spare_count = (size_t)n[9],
                  .size = (size_t)n[10],
@@ -134,7 +177,7 @@ static struct steady_setting setting_of(const double *n)
     };
 }
 
-#define NUMBERS 42
+#define NUMBERS 43
 
 static bool is_possible(const struct steady_setting *setting, size_t order, size_t values)
 {
@@ -153,7 +196,7 @@ static bool is_possible(const struct steady_setting *setting, size_t order, size
 static PyObject *make_steady(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
 {
     static char *names[] = {"", "", "", "", NULL};
-    PyObject *scanner, *transform, *numbers_given, *rows, *self = NULL;
+    PyObject *scanner, *transform, *numbers_given, *rows;
     Py_buffer numbers;
 
     if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "OOOO", names, &scanner, &transform,
@@ -187,9 +230,7 @@ static PyObject *make_steady(PyTypeObject *type, PyObject *arguments, PyObject *
         PyErr_NoMemory();
         goto fail;
     }
-    self = hold(type, following);
-    if (self)
-        return self;
+    return hold(type, following, drop_following);
 fail:
     drop_following(following);
     return NULL;
@@ -430,7 +471,7 @@ static PyMethodDef methods[] = {
 
 static PyType_Slot slots[] = {
     {Py_tp_new, make_steady},
-    {Py_tp_dealloc, drop_steady},
+    {Py_tp_dealloc, drop_holder},
     {Py_tp_methods, methods},
     {0},
 };

@@ -141,7 +141,7 @@ INLINE bool decide(size_t nodes, const struct words_measures *measures, const ui
         }
         int cancelling = doubt & (least[i] < limit.low_margin * expected[i]);
         int three = (amplitude > limit.shared * expected[i]) & (rho > limit.clear_rho) &
-                    (least[i] < 0.5f * most[i]);
+                    (least[i] < limit.lower * most[i]);
         int twice = (cancelling | three) & (most[i] > two) & (amplitude == amplitude); /* no NaN */
         codes[i] = (int32_t)code;
         rhos[i] = rho;
@@ -342,7 +342,7 @@ static double noise_of_words(const struct words_frame *frame, const float *rows)
             double off = fabs((double)levels[bit * frame->order]) - sum / bits;
             scatter += off * off / (bits - 1);
         }
-        power += sum / bits > 2.2 * sqrt(scatter) ? scatter : squares / bits;
+        power += sum / bits > frame->spoken_over * sqrt(scatter) ? scatter : squares / bits;
     }
     return sqrt(power / (double)frame->nodes);
 }
@@ -387,12 +387,13 @@ static bool leave_little(const struct words_frame *frame, const struct words_rea
     else
 #endif
         total = frame_power(frame, rows);
-    double most = (spoken <= reading->few ? 0.5 : 1.0) * (double)reading->a_chip * (double)least;
+    double most = (spoken <= reading->few ? (double)reading->few_share : 1.0) * (double)reading->a_chip * (double)least;
     return total / (double)frame->bits - words < most * (double)least / (double)frame->order;
 }
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
-                           const float *rows, const int32_t *sign_mask, float *expected,
+                           float per_noise, float least_usual, const float *rows,
+                           const int32_t *sign_mask, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active, uint8_t *faint)
 {
@@ -400,17 +401,17 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     float threshold = reading->threshold;
 
     words_measure(rows + frame->first, (ptrdiff_t)frame->order, frame->bits, frame->nodes, measures);
-    if (!isnan(reading->least_usual)) {
+    if (!isnan(least_usual)) {
         float usual;
         loudest_of(amplitude, frame->nodes, frame->loudest_share, &usual);
-        usual = usual < reading->least_usual ? reading->least_usual : usual; /* NaN stays */
+        usual = usual < least_usual ? least_usual : usual; /* NaN stays */
         for (size_t i = 0; i < frame->nodes; i++)
             expected[i] = usual;
     }
     if (words_find_active(frame->nodes, amplitude, expected, threshold, reading->faint_share,
                           reading->sound_share, active, faint))
         return WORDS_NEED_STAGES;
-    if (words_decide(frame->nodes, measures, active, expected, sign_mask, reading->per_noise,
+    if (words_decide(frame->nodes, measures, active, expected, sign_mask, per_noise,
                      (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,
                      decided))
         return WORDS_NEED_STAGES;

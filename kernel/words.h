@@ -27,7 +27,7 @@ bool words_find_active(size_t nodes, const float *amplitude, const float *expect
 
 /* As `Limits` in stages.py. */
 struct words_limits {
-    float low_rho, low_margin, shared, two, clear_rho;
+    float low_rho, low_margin, shared, two, clear_rho, lower;
 };
 
 struct words_decided {
@@ -49,6 +49,7 @@ struct words_frame {
     bool unipolar;
     float swing; /* amplitude of a node, V; NaN: unknown */
     float loudest_share, active_share;
+    double spoken_over; /* see separate.py */
 };
 
 /* Of one candidate. rows: (k, N). amplitude, uneven: (n,). Returns through the others as WordFit. */
@@ -59,10 +60,9 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
  * than two rows are spare; see node_levels in separate.py. */
 double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count);
 
-/* What words are read by, besides: see decode.py. per_noise: 1/V. least_usual: V, of the usual amplitude;
- * NaN where the expected ones are given. a_chip, few: see lateness.py. */
+/* What words are read by, besides: see decode.py and stages.py. a_chip, few, few_share: lateness.py. */
 struct words_reading {
-    float per_noise, threshold, faint_share, sound_share, most_square, least_usual, a_chip;
+    float threshold, faint_share, sound_share, most_square, a_chip, few_share;
     size_t few;
     bool parity;
     struct words_limits limits;
@@ -74,10 +74,11 @@ enum words_look {
     WORDS_ARE_PLAIN,
 };
 
-/* The words of a frame, as decode_in_stages in decode.py reads them. rows: (k, N). expected: (n,) V,
- * written to if none is given. faint is scratch. */
+/* The words of a frame, as decode_in_stages in decode.py reads them. per_noise: 1/V. rows: (k, N).
+ * expected: (n,) V, written to unless least_usual (V, of the usual amplitude) is NaN. faint is scratch. */
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
-                           const float *rows, const int32_t *sign_mask, float *expected,
+                           float per_noise, float least_usual, const float *rows,
+                           const int32_t *sign_mask, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active, uint8_t *faint);
 

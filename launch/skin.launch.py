@@ -35,8 +35,8 @@ from tactile_cdma.config.parameters import (
     read_file,
     unknown,
 )
-from tactile_cdma.config.rviz_file import body_view, skin_view
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.ros.rviz_file import body_view, skin_view
 
 SHARE = Path(__file__).parent.parent  # of the installed package, or the checkout
 PARAMS = str(SHARE / "config" / "skin.yaml")

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The compiled kernel, built from kernel/: its functions take contiguous arrays and check them.
+"""The compiled kernel, built from kernel/, whose module.c lists the arguments of every function.
 
-They raise TypeError or ValueError for arrays of another type or size. base/kernel.py chooses
-whether the kernel is used.
+Arrays are contiguous; of another type or size they raise TypeError or ValueError that names the
+function and the argument. Settings are C structs that base/kernel.py makes; it also chooses whether
+the kernel is used.
 """
 
 from typing import Any, final
@@ -16,6 +17,8 @@ from .wire.packets import Found
 
 VERSION: int
 """Of these functions."""
+STRUCTS: dict[str, tuple[int, tuple[tuple[str, int, str], ...]]]
+"""Bytes of each struct of settings, and its members: name, offset, type as in Python's struct."""
 LANES: int
 """float32 values that are computed at once on this processor."""
 
@@ -24,66 +27,26 @@ class Transform:
     """Product with a Kronecker product of Hadamard matrices, the first varying slowest."""
 
     def __new__(
-        cls, twos: int, factors: tuple[bytes, ...], scale: float, lanes: int = 0
+        cls,
+        twos: int,
+        orders: NDArray[np.uintc],
+        signs: NDArray[np.int8],
+        scale: float,
+        lanes: int,
+        /,
     ) -> Transform:
-        """twos: factors of order 2, which come first. factors: (P, P) int8 of ±1 each, P ≤ 512.
+        """twos: factors of order 2, which come first. orders: of the others, P ≤ 512.
 
-        scale: of the product. lanes: 1, 4 or 8; 0 for what the processor has. The result is the
-        same bits for any number of lanes.
+        signs: their matrices (P, P) of ±1, one after the other. scale: of the product. lanes: 1, 4
+        or 8; 0 for what the processor has. The result is the same bits for any number of lanes.
         """
 
     def multiply(self, source: NDArray[np.float32], out: NDArray[np.float32], /) -> None:
         """Vectors (…, N) times the transposed matrix, into out of the same size, or in place."""
 
-def measure(
-    levels: NDArray[np.float32],
-    amplitude: NDArray[np.float32],
-    weakest: NDArray[np.float32],
-    strongest: NDArray[np.float32],
-    squares: NDArray[np.float32],
-    signs: NDArray[np.int32],
-    weakest_bit: NDArray[np.int32],
-    /,
-) -> None:
-    """As numpy_measure in words/stages.py, into the arrays after the first, (n,)."""
-
-def find_active(
-    threshold: float,
-    faint_share: float,
-    sound_share: float,
-    nodes: int,
-    amplitude: NDArray[np.float32],
-    expected: NDArray[np.float32],
-    active: NDArray[np.bool_],
-    faint: NDArray[np.bool_],
-    /,
-) -> bool:
-    """As numpy_find_active there, into the last two arrays, (n,); returns whether any is faint."""
-
-def decide(
-    per_noise: float,
-    bits: int,
-    parity: bool,
-    most_square: float,
-    low_rho: float,
-    low_margin: float,
-    shared_share: float,
-    double_share: float,
-    clear_rho: float,
-    nodes: int,
-    /,
-    *arrays: NDArray[np.generic],
-) -> bool:
-    """As numpy_decide there; returns whether any word is uneven.
-
-    arrays: (n,), Measures, active, expected, sign_mask, then the arrays of Decided, written to.
-    """
-
 def late(
-    first_row: int,
-    late_share: float,
-    leaked: float,
-    by_chance: float,
+    frame: NDArray[np.void],
+    lateness: NDArray[np.void],
     rows: NDArray[np.float32],
     meant: NDArray[np.float32],
     edges: NDArray[np.float32],
@@ -96,12 +59,7 @@ def late(
     """
 
 def fit_words(
-    first_row: int,
-    nodes: int,
-    unipolar: bool,
-    swing_v: float,
-    loudest_share: float,
-    active_share: float,
+    frame: NDArray[np.void],
     rows: NDArray[np.float32],
     amplitude: NDArray[np.float32],
     uneven: NDArray[np.float32],
@@ -111,30 +69,18 @@ def fit_words(
     misfit: NDArray[np.float32],
     /,
 ) -> None:
-    """As numpy_fit_words in framing/fit.py, into those after rows; swing_v: NaN if unknown."""
+    """As numpy_fit_words in framing/fit.py, into those after rows."""
 
 def word_noise(
-    first_row: int, nodes: int, spare: int, spare_count: int, rows: NDArray[np.float32], /
+    frame: NDArray[np.void], spare: int, spare_count: int, rows: NDArray[np.float32], /
 ) -> float:
     """As numpy_noise_of in code/separate.py."""
 
 def read_words(
-    first_row: int,
+    frame: NDArray[np.void],
+    reading: NDArray[np.void],
     per_noise: float,
-    threshold: float,
-    faint_share: float,
-    sound_share: float,
-    most_square: float,
     least_usual: float,
-    loudest_share: float,
-    a_chip: float,
-    few: int,
-    parity: bool,
-    low_rho: float,
-    low_margin: float,
-    shared_share: float,
-    double_share: float,
-    clear_rho: float,
     rows: NDArray[np.float32],
     sign_mask: NDArray[np.int32],
     expected: NDArray[np.float32],
@@ -143,16 +89,18 @@ def read_words(
     flags: NDArray[np.bool_],
     /,
 ) -> int:
-    """As compiled_read in words/stages.py; returns NEED_STAGES, LEAVE_ENERGY or 2.
+    """As `read` in words/stages.py; returns NEED_STAGES, LEAVE_ENERGY or 2.
 
     least_usual: NaN if `expected` is given. floats: (6, n): amplitude, rho, margin, scratch. ints:
     (3, n): codes, scratch. flags: (5, n): active, doubtful, doubled, odd, scratch.
     """
 
-def hear(now_s: float, stale_after_s: float, /, *arrays: NDArray[np.generic]) -> float:
+def hear(
+    bits: NDArray[np.void], now_s: float, stale_after_s: float, /, *arrays: NDArray[np.generic]
+) -> float:
     """As numpy_hear in readings/stages.py; returns stale_from_s.
 
-    arrays: bits as struct readings_bits (readings.h), table; active, doubtful, codes, Trust; Kept
+    arrays: table; active, doubtful, codes, Trust; Kept
     and the arrays of Heard, written to. Raises ValueError for a code beyond the table.
     """
 
@@ -167,21 +115,13 @@ def convert(
 ) -> None:
     """As numpy_convert there, into the last two."""
 
-def finish(bits: NDArray[np.uint8], /, *arrays: NDArray[np.generic]) -> None:
+def finish(bits: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> None:
     """As numpy_finish there.
 
     arrays: saturated, valid, uncalibrated, masked; status, reading_pa, voltage_v, written to.
     """
 
-def count_words(
-    weak_v: float,
-    weak_rho: float,
-    low_margin: float,
-    low_rho: float,
-    suspected_frames: int,
-    /,
-    *arrays: NDArray[np.generic],
-) -> bool:
+def count_words(limits: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> bool:
     """As numpy_count in words/health.py.
 
     arrays: active, amplitude_v, rho, margin, doubtful, doubled, odd, astray; sums and suspected,
@@ -199,17 +139,14 @@ def gather_contacts(
     status: NDArray[np.uint8],
     place: NDArray[np.int32],
     unread: NDArray[np.uint8],
-    ints: NDArray[np.int32],
-    doubles: NDArray[np.float64],
-    peak_pa: NDArray[np.float32],
-    flags: NDArray[np.bool_],
     /,
+    *out: NDArray[np.generic],
 ) -> int:
     """As NumpyGatherer in readings/gather.py; returns the number of contacts.
 
-    place, unread: (t,), kept from frame to frame. ints: (6·t + 1,): scratch (3·t), taxels, before,
-    starts (t + 1). doubles: (13·t,): sums (t, 11), scratch. peak_pa: (t,). flags: (3·t,):
-    saturated, lower_bound, torn. Raises ValueError for a neighbour that is no taxel.
+    place, unread: (t,), kept from frame to frame. out: int32 (3, t) and float64 (2, t) scratch;
+    taxels, places (t,), starts (t + 1,) int32; sums (t, 11) float64; peak_pa (t,) float32; bool
+    (3, t): saturated, lower_bound, torn. Raises ValueError for a neighbour that is no taxel.
     """
 
 def to_volts(

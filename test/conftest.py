@@ -7,7 +7,10 @@ from __future__ import annotations
 import os
 import signal
 import zlib
+from importlib.util import find_spec
+from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Never
 
 import pytest
 from hypothesis import settings
@@ -15,6 +18,7 @@ from hypothesis import settings
 # Workers share the cores: more threads of matrix products would only wait for each other. Before
 # numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROS = Path(__file__).parent / "ros"
 DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
 
 
@@ -37,6 +41,19 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(home.cleanup)
     # Tests interrupt their child processes, which a shell's background job would have ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    """Tests of ROS are told of as skipped where there is none."""
+    without = path == ROS and find_spec("rclpy") is None
+    return Left.from_parent(parent, path=path) if without else None
+
+
+class Left(pytest.Dir):
+    """A folder whose tests cannot run here."""
+
+    def collect(self) -> Never:
+        pytest.skip("ROS 2 (rclpy) is not installed", allow_module_level=True)
 
 
 @pytest.fixture(scope="session")

@@ -230,7 +230,7 @@ static void read_words(struct input *input)
     bool faint = words_find_active(nodes, all.amplitude, expected, 0.5f, 0.25f, 0.8f, flags,
                                    flags + nodes);
     MUST(faint == (memchr(flags + nodes, 1, nodes) != NULL), WRONG_VALUE);
-    struct words_limits limits = {5, 0.4f, 1.25f, 1.6f, 8};
+    struct words_limits limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f};
     struct words_decided decided = {ints + 3 * nodes,  floats + 6 * nodes, floats + 7 * nodes,
                                     flags + 2 * nodes, flags + 3 * nodes,  flags + 4 * nodes};
     words_decide(nodes, &all, flags, expected, ints + 2 * nodes, 1 / (noise + 1e-6f), (unsigned)bits,
@@ -239,7 +239,7 @@ static void read_words(struct input *input)
         MUST(flags[i] <= 1 && decided.doubtful[i] <= flags[i], WRONG_VALUE);
         MUST((uint32_t)decided.codes[i] >> (bits - parity) == 0, WRONG_VALUE);
     }
-    struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f};
+    struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f, 2.2};
     words_fit(&frame, rows, amplitude, floats + 8 * nodes, &pedestal, &power, &spread, &misfit);
     for (size_t i = 0; i < nodes; i++)
         MUST(!(amplitude[i] < 0), WRONG_VALUE);
@@ -274,16 +274,15 @@ static void read_at_once(struct input *input)
     uint8_t *flags = malloc(5 * nodes);
     struct words_frame frame = {
         .bits = bits, .order = order, .first = first, .nodes = nodes, .loudest_share = 0.25f};
-    struct words_reading reading = {.per_noise = 100,
-                                    .threshold = 0.5f,
+    struct words_reading reading = {.threshold = 0.5f,
                                     .faint_share = 0.25f,
                                     .sound_share = 0.8f,
                                     .most_square = (float)bits + 0.04f,
-                                    .least_usual = silent % 2 ? NAN : 0.01f,
                                     .a_chip = 1,
                                     .few = 3,
+                                    .few_share = 0.5f,
                                     .parity = bits > 1 && silent % 3 == 0,
-                                    .limits = {5, 0.4f, 1.25f, 1.6f, 8}};
+                                    .limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f}};
 
     for (size_t i = 0; i < bits * order; i++) {
         uint8_t byte = input_u8(input);
@@ -299,8 +298,9 @@ static void read_at_once(struct input *input)
                                  floats + 5 * nodes, ints + nodes,       ints + 2 * nodes};
     struct words_decided decided = {ints,          floats + nodes,    floats + 2 * nodes,
                                     flags + nodes, flags + 2 * nodes, flags + 3 * nodes};
-    enum words_look look = words_read(&frame, &reading, rows, ints + 3 * nodes, expected, &all,
-                                      &decided, flags, flags + 4 * nodes);
+    enum words_look look = words_read(&frame, &reading, 100, silent % 2 ? NAN : 0.01f, rows,
+                                      ints + 3 * nodes, expected, &all, &decided, flags,
+                                      flags + 4 * nodes);
     for (size_t i = 0; look != WORDS_NEED_STAGES && i < nodes; i++) {
         MUST(!flags[4 * nodes + i], WRONG_VALUE);
         MUST(flags[i] == (floats[i] > 0.5f * expected[i]), WRONG_VALUE);
@@ -519,7 +519,8 @@ static struct followed follow(const uint8_t *bytes, size_t size, size_t piece, b
                            .nodes = 3,
                            .swing = 100,
                            .loudest_share = 0.25f,
-                           .active_share = 0.5f},
+                           .active_share = 0.5f,
+                           .spoken_over = 2.2},
                  .size = STREAM_CHIP * STREAM_BITS * STREAM_ORDER,
                  .chip = STREAM_CHIP,
                  .least_power = 625,

@@ -12,11 +12,14 @@ import os
 from importlib import import_module
 from types import ModuleType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .errors import ParameterError
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 8
+VERSION = 9
 """Of the functions that this package expects in the kernel."""
 
 
@@ -46,3 +49,24 @@ def _choose(wanted: str) -> tuple[ModuleType | None, str]:
 
 compiled, why_numpy = _choose(os.environ.get(VARIABLE, ""))
 """The kernel's module, None where numpy is used; and why, "" where it is not."""
+
+
+def settings(struct: str, **fields: float) -> NDArray[np.void]:
+    """One of the kernel's C structs, filled by the names of its members; () of its dtype.
+
+    For functions of the kernel that take SETTINGS(struct). Raises TypeError unless exactly its
+    members are given.
+    """
+    assert compiled is not None
+    size, members = compiled.STRUCTS[struct]
+    names, offsets, formats = zip(*members, strict=True)
+    if fields.keys() != set(names):
+        wrong = ", ".join(sorted(fields.keys() ^ set(names)))
+        raise TypeError(f"struct {struct} of the kernel: missing or unknown: {wrong}")
+    dtype = np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}, align=False
+    )
+    filled = np.zeros((), dtype)
+    for name, value in fields.items():
+        filled[name] = value
+    return filled

@@ -6,13 +6,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats32
+from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .chips import rows_of
-from .frame import FrameSpec
+from .frame import UNIPOLAR, FrameSpec
+
+SPOKEN_OVER = 2.2
+"""Mean |r| of a word over the standard deviation of its levels, above which it was spoken. Chosen:
+noise, folded, has 1.3."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +67,30 @@ def compiled_noise_of(rows: Floats32, spec: FrameSpec) -> float:
     assert kernel.compiled is not None
     spare, rows = spec.spare_rows, np.ascontiguousarray(rows)
     noise_v: float = kernel.compiled.word_noise(
-        spec.first_row, spec.nodes, spare.start, spare.stop - spare.start, rows
+        frame_settings(spec), spare.start, spare.stop - spare.start, rows
     )
     return noise_v
+
+
+def frame_fields(spec: FrameSpec) -> dict[str, float]:
+    """What the kernel knows of a frame: the members of its struct words_frame."""
+    return {
+        "bits": spec.line_bits,
+        "order": spec.order,
+        "first": spec.first_row,
+        "nodes": spec.nodes,
+        "unipolar": spec.drive == UNIPOLAR,
+        "swing": math.nan if spec.node_swing_v is None else spec.node_swing_v,
+        "loudest_share": LOUDEST_FLOOR,
+        "active_share": ACTIVE_SHARE,
+        "spoken_over": SPOKEN_OVER,
+    }
+
+
+@lru_cache(maxsize=8)
+def frame_settings(spec: FrameSpec) -> NDArray[np.void]:
+    """The same for its functions."""
+    return kernel.settings("words_frame", **frame_fields(spec))
 
 
 noise_of = numpy_noise_of if kernel.compiled is None else compiled_noise_of
@@ -71,12 +99,12 @@ noise_of = numpy_noise_of if kernel.compiled is None else compiled_noise_of
 def _noise_of_words(values: Floats32) -> float:
     """RMS noise of one correlation, V, where no row is spare.
 
-    A spoken word's k levels scatter about their mean with the noise. The levels of a silent node
-    are the noise itself: folded, their mean is 1.3 of their deviations only.
+    A spoken word's k levels scatter about their mean with the noise; the levels of a silent node
+    are the noise itself.
     """
     level = np.abs(values)
     amplitude = level.mean(axis=0)
     scatter = np.sum(np.square(level - amplitude), axis=0) / (len(values) - 1)
-    spoken = amplitude > 2.2 * np.sqrt(scatter)
+    spoken = amplitude > SPOKEN_OVER * np.sqrt(scatter)
     power = np.where(spoken, scatter, np.mean(np.square(level), axis=0))
     return float(np.sqrt(power.mean()))

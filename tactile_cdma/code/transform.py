@@ -180,10 +180,16 @@ def _transform(plan: tuple[int, ...], spreading: bool = False) -> Transform:
 def compiled_transform(plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> Transform:
     """That of the kernel. lanes: 1, 4 or 8; 0 for what the processor has."""
     assert kernel.compiled is not None
-    factors = [CodeBook((order,)).matrix for order in plan if order > 2]
-    signs = tuple((matrix.T if spreading else matrix).tobytes() for matrix in factors)
-    scale = 1.0 if spreading else 1.0 / math.prod(plan)
-    transform: Transform = kernel.compiled.Transform(plan.count(2), signs, scale, lanes)
+    orders = [order for order in plan if order > 2]
+    factors = [CodeBook((order,)).matrix for order in orders]
+    signs = [(matrix.T if spreading else matrix).astype(np.int8).ravel() for matrix in factors]
+    transform: Transform = kernel.compiled.Transform(
+        plan.count(2),
+        np.array(orders, np.uintc),
+        np.concatenate([np.zeros(0, np.int8), *signs]),
+        1.0 if spreading else 1.0 / math.prod(plan),
+        lanes,
+    )
     return transform
 
 

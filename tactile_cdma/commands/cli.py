@@ -14,9 +14,20 @@ from types import ModuleType
 
 from .. import __version__
 from ..base.errors import TactileError
-from ..calibrating import command as calibrate
 from ..doctor import command as doctor
-from . import amplifier, completion, decode, export, info, layout, node, ports, record, simulate
+from . import (
+    amplifier,
+    calibrate,
+    completion,
+    decode,
+    export,
+    info,
+    layout,
+    node,
+    ports,
+    record,
+    simulate,
+)
 
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),

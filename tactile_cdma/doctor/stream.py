@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import PortError
 from ..base.listing import listed
+from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
@@ -19,9 +20,8 @@ from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.timing import Rejections, silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
-from ..words.decode import ACTIVE_SHARE
 from ..words.health import NodeHealth, NodeState
-from ..words.stages import DOUBLE_SHARE, FAINT_SHARE, LOW_RHO
+from ..words.stages import DOUBLE_SHARE, LOW_RHO
 from .report import Check, ok, problem, warning
 
 SLOW = 0.95

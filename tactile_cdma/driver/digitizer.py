@@ -9,10 +9,10 @@ from enum import IntEnum
 
 from ..config.parameters import GAP, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
-from ..framing.quiet_limit import quiet_uv
 from ..wire._protocol import PacketType, Result, Signs, SyncMode
 from ..wire.identity import is_simulated, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
+from .quiet_limit import quiet_uv
 
 MAX_SAMPLES_PER_CHIP = 1000
 """Chosen: 8 suffice for any timing, and buffers of a frame stay small at this many."""

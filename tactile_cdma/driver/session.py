@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.quiet_limit import quiet_uv
 from ..wire._protocol import SyncMode
 from ..wire.messages import (
     Command,
@@ -26,6 +25,7 @@ from ..wire.messages import (
 from ..wire.packets import PacketWriter, diagnose
 from .digitizer import DigitizerState
 from .pipeline import Pipeline
+from .quiet_limit import quiet_uv
 
 PATIENCE_S = 1.0
 """s without a frame, or 3 frame periods if that is longer, until the digitizer is asked again and

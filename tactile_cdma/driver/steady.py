@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base import kernel
+from ..code.amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from ..code.frame import UNIPOLAR
-from ..code.separate import NodeLevels
+from ..code.separate import SPOKEN_OVER, NodeLevels
 from ..code.transform import compiled_transform, is_compiled
 from ..framing.fit import lowest_power
 from ..framing.frame_end import tail_of
@@ -34,7 +35,6 @@ from ..framing.marked_timing import (
 from ..framing.timing import ABSURD_V, FrameLevels, blinding_noise_v, within_rails
 from ..wire.messages import Info
 from ..wire.packets import Found, PacketParser
-from ..words.stages import LOUDEST_FLOOR
 from .timeline import CLOCK_SLACK_S, MAX_DEVICE_TIME_US, Pace, PassedPacket, Timeline, sample_count
 
 NO_FILE = -1
@@ -213,7 +213,7 @@ def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[fl
         spec.drive == UNIPOLAR,
         math.nan if spec.node_swing_v is None else spec.node_swing_v,
         LOUDEST_FLOOR,
-        LIMITS.active,
+        ACTIVE_SHARE,
         spare.start,
         spare.stop - spare.start,
         line.size,
@@ -247,4 +247,5 @@ def _setting(line: MarkedLine, info: Info, pace: Pace, gap_size: int) -> list[fl
         LIMITS.spread,
         LIMITS.misfit,
         LIMITS.left,
+        SPOKEN_OVER,
     ]

@@ -17,10 +17,10 @@ import numpy as np
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..base.sums import dot
+from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, LOUDEST_FLOOR, usual_amplitude
 from ..code.chips import chips_of, rows_of
 from ..code.frame import UNIPOLAR, FrameSpec
-from ..words.decode import usual_amplitude
-from ..words.stages import LOUDEST_FLOOR
+from ..code.separate import frame_settings
 from .limits import LIMITS
 
 UNEVEN = 0.02
@@ -270,13 +270,11 @@ def numpy_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
 def compiled_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
     """As numpy_fit_words."""
     assert kernel.compiled is not None
-    swing_v = math.nan if spec.node_swing_v is None else spec.node_swing_v
     amplitude, uneven = np.empty((2, len(rows), spec.nodes), np.float32)
     pedestal, power, spread, misfit = np.empty((4, len(rows)), np.float32)
     kernel.compiled.fit_words(
-        spec.first_row, spec.nodes, spec.drive == UNIPOLAR, swing_v, LOUDEST_FLOOR, LIMITS.active,
-        rows, amplitude, uneven, pedestal, power, spread, misfit,
-    )  # fmt: skip
+        frame_settings(spec), rows, amplitude, uneven, pedestal, power, spread, misfit
+    )
     return WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
 
 
@@ -286,7 +284,7 @@ fit_words = numpy_fit_words if kernel.compiled is None else compiled_fit_words
 def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     """Amplitude that the words of a frame exceed, V: (…, n) mean |r| of all nodes to (…, 1).
 
-    That is LIMITS.active of the nodes' amplitude where it is known, else of the usual one.
+    That is ACTIVE_SHARE of the nodes' amplitude where it is known, else of the usual one.
     """
     loudest = mean.max(axis=-1, keepdims=True)
     if spec.node_swing_v is not None:
@@ -294,7 +292,7 @@ def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     else:
         usual = usual_amplitude(mean)
     floor: Floats32 = np.maximum(
-        np.float32(LOUDEST_FLOOR) * loudest, np.float32(LIMITS.active) * usual
+        np.float32(LOUDEST_FLOOR) * loudest, np.float32(ACTIVE_SHARE) * usual
     )
     return floor
 
@@ -305,8 +303,8 @@ def least_power(spec: FrameSpec) -> float:
 
 
 def lowest_power(swing_v: float) -> float:
-    """The same for nodes of this amplitude, V: half of it may be one, a quarter is none."""
-    return (swing_v / 4) ** 2
+    """The same for nodes of this amplitude, V."""
+    return (FAINT_SHARE * swing_v) ** 2
 
 
 @dataclass(frozen=True, slots=True)

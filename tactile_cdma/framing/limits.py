@@ -15,8 +15,6 @@ class Limits:
 
     chip_error: share by which chips may be shorter than nominal, or longer than the longest
         stretch. Chosen: a third of a chip at the end of a frame of 32.
-    active: share of the amplitude that nodes have, which the word of one that spoke exceeds:
-        halfway between silence and speech.
     loud: deviations of a correlation that a word's mean |r| exceeds where somebody spoke. Noise
         alone gives 0.8 ± 0.6/√k, so at k = 10 that is six deviations off.
     spread: relative variance of |r| within a word (WordFit.spread) beyond which a fit is not
@@ -87,7 +85,6 @@ class Limits:
     """
 
     chip_error: float = 0.01
-    active: float = 0.5
     loud: float = 2.0
     spread: float = 0.12
     misfit: float = 0.15

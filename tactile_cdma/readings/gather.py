@@ -144,14 +144,12 @@ class CompiledGatherer:
         self._moments = moments_of(layout)
         self._place = np.full(taxels, -1, dtype=np.int32)
         self._unread = np.ones(taxels, dtype=np.uint8)
-        self._ints = np.empty(6 * taxels + 1, dtype=np.int32)
-        self._doubles = np.empty(13 * taxels)
-        self._peak_pa = np.empty(taxels, dtype=np.float32)
-        self._flags = np.empty(3 * taxels, dtype=bool)
-        self._taxels, self._places = self._ints[3 * taxels : 5 * taxels].reshape(2, -1)
-        self._starts = self._ints[5 * taxels :]
-        self._sums = self._doubles[: 11 * taxels].reshape(-1, 11)
-        self._by_flag = self._flags.reshape(3, -1)
+        self._scratch = np.empty((3, taxels), np.int32), np.empty((2, taxels))
+        self._taxels, self._places = np.empty((2, taxels), np.int32)
+        self._starts = np.empty(taxels + 1, np.int32)
+        self._sums = np.empty((taxels, 11))
+        self._peak_pa = np.empty(taxels, np.float32)
+        self._flags = np.empty((3, taxels), np.bool_)
 
     def forget(self) -> None:
         """See NumpyGatherer."""
@@ -163,7 +161,8 @@ class CompiledGatherer:
         count = kernel.compiled.gather_contacts(
             contact_pa, release_pa, RIM * release_pa, Status.SATURATED, self._neighbours,
             self._moments, readings.pressure_pa, readings.status, self._place, self._unread,
-            self._ints, self._doubles, self._peak_pa, self._flags,
+            *self._scratch, self._taxels, self._places, self._starts, self._sums, self._peak_pa,
+            self._flags,
         )  # fmt: skip
         if not count:
             return _NOTHING
@@ -175,7 +174,7 @@ class CompiledGatherer:
             sums[:, :10],
             sums[:, 10],
             self._peak_pa[:count].copy(),
-            *self._by_flag[:, :count].copy(),
+            *self._flags[:, :count].copy(),
         )
 
 

@@ -38,18 +38,6 @@ _SILENT, _LOW_SNR, _SATURATED = (
     np.uint8(bit) for bit in (Status.SILENT, Status.LOW_SNR, Status.SATURATED)
 )
 _UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
-_BITS = np.array(
-    [
-        Status.SILENT,
-        Status.LOW_SNR,
-        Status.STALE,
-        Status.SATURATED,
-        Status.UNCALIBRATED,
-        Status.MASKED,
-    ],
-    np.uint8,
-)
-"""As struct readings_bits in the kernel."""
 
 
 class Kept(NamedTuple):
@@ -120,7 +108,7 @@ def compiled_hear(
     voltage_v, raised_v = np.empty(nodes, np.float32), np.empty(nodes, np.float32)
     status, valid = np.empty(nodes, np.uint8), np.empty(nodes, np.bool_)
     until_s: float = kernel.compiled.hear(
-        now_s, stale_after_s, _BITS, table_v, words.active, words.doubtful, words.codes, *trust,
+        _BITS, now_s, stale_after_s, table_v, words.active, words.doubtful, words.codes, *trust,
         *kept, voltage_v, raised_v, status, valid,
     )  # fmt: skip
     return Heard(voltage_v, raised_v, status, valid, until_s)
@@ -175,6 +163,17 @@ def compiled_finish(
         heard.voltage_v,
     )  # fmt: skip
 
+
+if kernel.compiled is not None:
+    _BITS = kernel.settings(
+        "readings_bits",
+        silent=Status.SILENT,
+        low_snr=Status.LOW_SNR,
+        stale=Status.STALE,
+        saturated=Status.SATURATED,
+        uncalibrated=Status.UNCALIBRATED,
+        masked=Status.MASKED,
+    )
 
 if kernel.compiled is None:
     hear, convert, finish = numpy_hear, numpy_convert, numpy_finish

@@ -24,8 +24,8 @@ from ..base.errors import CaptureError
 from ..config.skin_config import SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame
-from .message_fields import array_fields, info_fields
-from .message_types import PACKAGE, message_types
+from ..messages.fields import array_fields, info_fields
+from ..messages.types import PACKAGE, message_types
 
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
 INFO_ID = 1

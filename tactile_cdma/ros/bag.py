@@ -27,7 +27,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from ..base.errors import ParameterError, TactileError
 from ..config.arguments import positive
-from ..recording.message_types import message_types
+from ..messages.types import message_types
 from .common.process import viewing
 
 DATA = ("tactile", "info", "contacts", "wrench")

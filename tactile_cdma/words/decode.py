@@ -6,31 +6,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
+from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, usual_amplitude
 from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels
-from .lateness import FEW, displaced, least_left, out_of_place
+from ..code.separate import NodeLevels, frame_settings
+from .lateness import FEW, FEW_SHARE, displaced, least_left, out_of_place
 from .leakage import unexplained
 from .stages import (
     CLEAR_RHO,
-    FAINT_SHARE,
-    LOUDEST_FLOOR,
     SOUND_SHARE,
     UNLIKE,
-    compiled_read,
+    Settings,
     decide,
     find_active,
     measure,
+    read,
+    reading_settings,
 )
 
-ACTIVE_SHARE = 0.5
-"""A node spoke where the mean of |r| over its word exceeds this share of its amplitude: halfway
-between silence and speech."""
 AUTO_FLOOR = 6.0
 """With the amplitude unknown, words below this many noise deviations count as silence. Noise alone
 has a mean |r| of 0.8 ± 0.6/√k deviations, 0.99 at k = 10; chosen far above, as noise is not all
@@ -192,13 +191,11 @@ def decode_at_once(
     given = spec.node_swing_v if swing_v is None else swing_v
     unknown = given is None
     expected = np.empty(spec.nodes, np.float32) if given is None else _of_each(given, spec.nodes)
-    read = compiled_read(
-        rows, expected, spec.sign_mask, noise, spec.line_bits, spec.parity, spec.first_row,
-        threshold, AUTO_FLOOR * noise / threshold if unknown else math.nan, least_left(spec), FEW,
-    )  # fmt: skip
-    if read is None:
+    least_usual = AUTO_FLOOR * noise / threshold if unknown else math.nan
+    found = read(_settings(spec, threshold), rows, expected, spec.sign_mask, noise, least_usual)
+    if found is None:
         return decode_in_stages(levels, spec, threshold, swing_v)
-    words, leave_energy = read
+    words, leave_energy = found
     if leave_energy:
         least = float(expected.min())
         if displaced(levels, words.amplitude, words.active, least, spec) is not None:
@@ -206,20 +203,13 @@ def decode_at_once(
     return Words(*words, np.zeros(spec.nodes, np.bool_), noise * math.sqrt(spec.order))
 
 
+@lru_cache(maxsize=8)
+def _settings(spec: FrameSpec, threshold: float) -> Settings:
+    reading = reading_settings(spec, threshold, least_left(spec), FEW, FEW_SHARE)
+    return frame_settings(spec), reading
+
+
 decode = decode_in_stages if kernel.compiled is None else decode_at_once
-
-
-def usual_amplitude(mean: Floats32) -> Floats32:
-    """Amplitude of a sound node, V, from mean |r| of all nodes: (…, n) to (…, 1).
-
-    The loudest word may be that of two or three nodes on one row. So it is that of the second of at
-    least three loud words.
-    """
-    loudest: Floats32 = mean.max(axis=-1, keepdims=True)
-    if mean.shape[-1] < 3:
-        return loudest
-    third, second = np.split(np.partition(mean, (-3, -2), axis=-1)[..., -3:-1], 2, axis=-1)
-    return np.where(third > np.float32(LOUDEST_FLOOR) * loudest, second, loudest)
 
 
 def _of_each(swing_v: ArrayLike, nodes: int) -> Floats32:

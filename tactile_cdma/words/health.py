@@ -6,15 +6,17 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
+from ..code.amplitude import FAINT_SHARE
 from ..code.frame import FrameSpec
 from .decode import Words
-from .stages import DOUBLE_SHARE, FAINT_SHARE, LOW_MARGIN, LOW_RHO
+from .stages import DOUBLE_SHARE, LOW_MARGIN, LOW_RHO
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
@@ -22,7 +24,7 @@ LEAST_WORDS = 4
 """Words needed for a verdict on a node; each verdict halves the weight of older words. Chosen."""
 WEAK_SHARE = 0.6
 """Share of the expected amplitude below which a node is weak. Chosen: just above
-decode.ACTIVE_SHARE, so that a weak node is reported before its words are lost."""
+amplitude.ACTIVE_SHARE, so that a weak node is reported before its words are lost."""
 MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
 """Shares of a node's words beyond which the node is faulty (uneven words; odd parity though every
 bit is clear) or doubled. Chosen; words that are no words have odd parity in half of all cases."""
@@ -61,6 +63,8 @@ class NodeHealth:
         # Fading sums per node: words, their amplitudes, uneven, doubled and odd words.
         self._sums = np.zeros((5, spec.nodes), dtype=np.float32)
         self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self._sums
+        # Of a word that is too weak to count as spoken, V; NaN where that is unknown.
+        self._weak_v = FAINT_SHARE * (self._nominal_v or math.nan)
         self._frames = 0
         self.any_suspect = False
         self._suspected = np.zeros(spec.nodes, dtype=np.int32)  # for so many frames with words
@@ -72,8 +76,7 @@ class NodeHealth:
 
     def update(self, words: Words) -> None:
         """Count one frame's words."""
-        weak_v = math.nan if self._nominal_v is None else FAINT_SHARE * self._nominal_v
-        self.any_suspect = count(words, weak_v, self._sums, self._suspected)
+        self.any_suspect = count(words, self._weak_v, self._sums, self._suspected)
         self._frames += 1
         if self._frames % JUDGE_FRAMES == 0:
             self.judge()
@@ -137,11 +140,22 @@ def compiled_count(
     """As numpy_count."""
     assert kernel.compiled is not None
     is_any: bool = kernel.compiled.count_words(
-        weak_v, WEAK_RHO, LOW_MARGIN, LOW_RHO, JUDGE_FRAMES, words.active, words.amplitude_v,
-        words.rho, words.margin, words.doubtful, words.doubled, words.odd, words.astray, sums,
-        suspected,
+        _limits(weak_v), words.active, words.amplitude_v, words.rho, words.margin, words.doubtful,
+        words.doubled, words.odd, words.astray, sums, suspected,
     )  # fmt: skip
     return is_any
+
+
+@lru_cache(maxsize=8)
+def _limits(weak_v: float) -> NDArray[np.void]:
+    return kernel.settings(
+        "readings_limits",
+        weak_v=weak_v,
+        weak_rho=WEAK_RHO,
+        low_margin=LOW_MARGIN,
+        low_rho=LOW_RHO,
+        suspected_frames=JUDGE_FRAMES,
+    )
 
 
 count = numpy_count if kernel.compiled is None else compiled_count

@@ -13,13 +13,14 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.chips import chips_of, rows_of
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels
+from ..code.separate import NodeLevels, frame_settings
 from ..code.transform import correlate
 
 EDGE = 2
@@ -32,9 +33,9 @@ LEAKED = 0.3
 0.3 chip."""
 BY_CHANCE = 4.0
 """Standard deviations by which it must show. Chosen."""
-A_CHIP = 1.0
+A_CHIP, FEW_SHARE = 1.0, 0.5
 """Energy that words may leave over in a bit without a closer look, in chips of the weakest of them;
-half of it where there are FEW.
+FEW_SHARE of it where there are FEW.
 Chosen: of a node that is a chip late one chip is inverted in half of its bits, which leaves 2."""
 PART = 0.6
 """Share of a node's amplitude below which a word may be a part of one that is out of step. Chosen:
@@ -60,7 +61,7 @@ def out_of_place(
     rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
-    few = 0.5 if spoken.size <= FEW else 1.0
+    few = FEW_SHARE if spoken.size <= FEW else 1.0
     if left < few * least_left(spec) * float(spoken.min()) ** 2 / spec.order:
         return None
     return displaced(levels, amplitude, active, expected, spec)
@@ -150,8 +151,15 @@ def compiled_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: 
     np.multiply(amplitude, active, out=meant[spec.node_slice])
     found = np.empty(spec.nodes, np.bool_)
     rows, edges = np.ascontiguousarray(levels.rows), _edge_rows(spec.book)
-    kernel.compiled.late(spec.first_row, LATE_SHARE, LEAKED, BY_CHANCE, rows, meant, edges, found)
+    kernel.compiled.late(frame_settings(spec), _limits(), rows, meant, edges, found)
     return found
+
+
+@lru_cache(maxsize=1)
+def _limits() -> NDArray[np.void]:
+    return kernel.settings(
+        "words_lateness", late_share=LATE_SHARE, leaked=LEAKED, by_chance=BY_CHANCE
+    )
 
 
 late = numpy_late if kernel.compiled is None else compiled_late

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stages of `decode` that pass over all levels or all nodes, compiled or in numpy.
+"""The stages of `decode` that pass over all levels or all nodes.
 
-Both forms give the same decisions; the kernel's add in the same order.
+The kernel does them at once where no word needs a closer look; it gives the same decisions.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
+from ..code.amplitude import FAINT_SHARE
+from ..code.frame import FrameSpec
 
 SOUND_SHARE = 0.8
 """Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
@@ -24,8 +26,6 @@ LOW_RHO = 5.0
 10."""
 LOW_MARGIN = 0.4
 """A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
-FAINT_SHARE = 0.25
-"""Share of the expected amplitude below which nothing is taken for a node; as fit.lowest_power."""
 DOUBLE_SHARE = 1.6
 """Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
 bits give 2, one 60 % too strong is out of tolerance anyway."""
@@ -35,15 +35,22 @@ random bits give 1 on average, three give 1.5. Chosen between these."""
 CLEAR_RHO = 8.0
 """ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
 deviations of a level."""
-LOUDEST_FLOOR = 0.25
-"""Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
-loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
 UNLIKE = 0.2
 """Share of a word's amplitude by which one of its levels may be off. Chosen on disturbed lines
 (make torture)."""
 
+LOWER_SHARE = 0.5
+"""Share of a word's strongest level below which its weakest one is that of fewer nodes. Chosen:
+three nodes give 3 and 1."""
+LEAST_NOISE = 1e-12
+"""V; less is taken for this, so that ρ stays finite."""
+
 NEED_STAGES, LEAVE_ENERGY = 0, 1
 """What the kernel says of a frame that it read at once, as enum words_look in words.h."""
+
+
+Settings = tuple[NDArray[np.void], NDArray[np.void]]
+"""Of the kernel: those of a frame, and what its words are read by."""
 
 
 class Measures(NamedTuple):
@@ -80,7 +87,7 @@ class Decided(NamedTuple):
     uneven: bool
 
 
-def numpy_measure(values: Floats32) -> Measures:
+def measure(values: Floats32) -> Measures:
     """Measure levels (k, n), V."""
     level: Floats32 = np.abs(values)
     bits = len(values)
@@ -96,18 +103,7 @@ def numpy_measure(values: Floats32) -> Measures:
     )
 
 
-def compiled_measure(values: Floats32) -> Measures:
-    """As numpy_measure."""
-    assert kernel.compiled is not None
-    if values.strides[1] != 4:
-        values = np.ascontiguousarray(values)
-    nodes = values.shape[1]
-    measures = Measures(*np.empty((4, nodes), np.float32), *np.empty((2, nodes), np.int32))
-    kernel.compiled.measure(values, *measures)
-    return measures
-
-
-def numpy_find_active(
+def find_active(
     amplitude: Floats32, expected: Floats32, threshold: float
 ) -> tuple[Bools, Bools, bool]:
     """Words that were spoken; those of a node that is too weak, and whether there are any.
@@ -120,20 +116,7 @@ def numpy_find_active(
     return active, faint, bool(faint.any())
 
 
-def compiled_find_active(
-    amplitude: Floats32, expected: Floats32, threshold: float
-) -> tuple[Bools, Bools, bool]:
-    """As numpy_find_active."""
-    assert kernel.compiled is not None
-    size = amplitude.size
-    active, faint = np.empty((2, size), np.bool_)
-    any_faint: bool = kernel.compiled.find_active(
-        threshold, FAINT_SHARE, SOUND_SHARE, size, amplitude, expected, active, faint
-    )
-    return active, faint, any_faint
-
-
-def numpy_decide(
+def decide(
     measures: Measures,
     active: Bools,
     expected: Floats32,
@@ -148,7 +131,7 @@ def numpy_decide(
     FrameSpec. noise: RMS of a level, V. bits: on the line. parity: the last one is that.
     """
     amplitude, weakest = measures.amplitude, measures.weakest
-    rho: Floats32 = amplitude * np.float32(_per(noise))
+    rho: Floats32 = amplitude * np.float32(1 / max(noise, LEAST_NOISE))
     above_zero: Floats32 = np.maximum(amplitude, np.float32(1e-30))
     margin = weakest / above_zero
     codes = measures.signs ^ sign_mask
@@ -162,35 +145,13 @@ def numpy_decide(
     two = np.float32(DOUBLE_SHARE) * expected
     cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
     loud = amplitude > np.float32(SHARED_SHARE) * expected
-    three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(0.5) * measures.strongest)
+    three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(LOWER_SHARE) * measures.strongest)
     doubled = (cancelling | three) & (measures.strongest > two)
     doubtful |= doubled | (amplitude > two)
     doubtful &= active
     uneven = measures.squares > amplitude * amplitude * np.float32(_most_square(bits))
     is_uneven = active.size > 2 and bool((uneven & active).any())
     return Decided(codes, rho, margin, doubtful, doubled, odd, is_uneven)
-
-
-def compiled_decide(
-    measures: Measures,
-    active: Bools,
-    expected: Floats32,
-    sign_mask: NDArray[np.int32],
-    noise: float,
-    bits: int,
-    parity: bool,
-) -> Decided:
-    """As numpy_decide."""
-    assert kernel.compiled is not None
-    size = active.size
-    codes, (rho, margin) = np.empty(size, np.int32), np.empty((2, size), np.float32)
-    doubtful, doubled, odd = np.empty((3, size), np.bool_)
-    limits = (LOW_RHO, LOW_MARGIN, SHARED_SHARE, DOUBLE_SHARE, CLEAR_RHO)
-    uneven: bool = kernel.compiled.decide(
-        _per(noise), bits, parity, _most_square(bits), *limits, size, *measures, active, expected,
-        sign_mask, codes, rho, margin, doubtful, doubled, odd,
-    )  # fmt: skip
-    return Decided(codes, rho, margin, doubtful, doubled, odd, uneven)
 
 
 class Read(NamedTuple):
@@ -209,35 +170,28 @@ class Read(NamedTuple):
     odd: Bools
 
 
-def compiled_read(
+def read(
+    settings: Settings,
     rows: Floats32,
     expected: Floats32,
     sign_mask: NDArray[np.int32],
     noise: float,
-    bits: int,
-    parity: bool,
-    first_row: int,
-    threshold: float,
     least_usual: float,
-    a_chip: float,
-    few: int,
 ) -> tuple[Read, bool] | None:
-    """All stages of `decode` at once; None if any word is faint or uneven.
+    """All stages of `decode` at once, compiled; None if any word is faint or uneven.
 
     Besides, whether the words leave over as much energy as a chip of one of them.
 
     rows: (k, N) float32, V, contiguous. expected: (n,) V. least_usual: NaN; or least amplitude, V,
-    of the usual one, which is then written to `expected`. a_chip, few: see lateness.out_of_place.
-    The others: as in numpy_decide.
+    of the usual one, which is then written to `expected`. The others: as in `decide`.
     """
     assert kernel.compiled is not None
     nodes = sign_mask.size
     floats, ints = np.empty((6, nodes), np.float32), np.empty((3, nodes), np.int32)
     flags = np.empty((5, nodes), np.bool_)
     look: int = kernel.compiled.read_words(
-        first_row, _per(noise), threshold, FAINT_SHARE, SOUND_SHARE, _most_square(bits),
-        least_usual, LOUDEST_FLOOR, a_chip, few, parity, LOW_RHO, LOW_MARGIN, SHARED_SHARE,
-        DOUBLE_SHARE, CLEAR_RHO, rows, sign_mask, expected, floats, ints, flags,
+        *settings, 1 / max(noise, LEAST_NOISE), least_usual, rows, sign_mask, expected, floats,
+        ints, flags,
     )  # fmt: skip
     if look == NEED_STAGES:
         return None
@@ -247,8 +201,27 @@ def compiled_read(
     return words, look == LEAVE_ENERGY
 
 
-def _per(noise: float) -> float:
-    return 1 / max(noise, 1e-12)
+def reading_settings(
+    spec: FrameSpec, threshold: float, a_chip: float, few: int, few_share: float
+) -> NDArray[np.void]:
+    """What the kernel reads words by. threshold: see find_active. The others: see lateness.py."""
+    return kernel.settings(
+        "words_reading",
+        threshold=threshold,
+        faint_share=FAINT_SHARE,
+        sound_share=SOUND_SHARE,
+        most_square=_most_square(spec.line_bits),
+        a_chip=a_chip,
+        few=few,
+        few_share=few_share,
+        parity=spec.parity,
+        low_rho=LOW_RHO,
+        low_margin=LOW_MARGIN,
+        shared=SHARED_SHARE,
+        two=DOUBLE_SHARE,
+        clear_rho=CLEAR_RHO,
+        lower=LOWER_SHARE,
+    )
 
 
 def _most_square(bits: int) -> float:
@@ -271,9 +244,3 @@ def _is_odd(words: NDArray[np.int32]) -> Bools:
         words = words ^ (words >> shift)
     odd: Bools = (words & 1).astype(bool)
     return odd
-
-
-if kernel.compiled is None:
-    measure, find_active, decide = numpy_measure, numpy_find_active, numpy_decide
-else:
-    measure, find_active, decide = compiled_measure, compiled_find_active, compiled_decide

@@ -6,49 +6,22 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
 
 import pytest
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
-CORE = FIRMWARE / "core"
-sys.path.append(str(FIRMWARE / "sim"))
-from emulated import Node  # noqa: E402
+from emulated import Node
+from test.support.firmware import CORE, FIRMWARE, SANITIZE, SANITIZED, STRICT, Specimen, need, run
 
 BUILD = FIRMWARE / "build"
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")
-STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
-SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 COMPILERS = {
     "node": "avr-gcc",
     "rp2040": "arm-none-eabi-gcc",
     "replay-arm": "arm-none-eabi-gcc",
 }
 """Compilers that targets of firmware/Makefile need besides the host's."""
-SANITIZED = "TACTILE_SANITIZE"
-"""Environment variable, set if the core is to be built with sanitizers (test_sanitizers.py)."""
-
-
-def need(tool: str) -> str:
-    """Path of a program; skips the test where it is not installed."""
-    path = shutil.which(tool)
-    if path is None:
-        pytest.skip(f"no {tool} on this machine; `make firmware-tools` tells how to get it")
-    return path
-
-
-def run(*command: str | Path, cwd: Path | None = None, timeout: float = 300) -> str:
-    """Run a command that has to succeed; return what it printed."""
-    result = subprocess.run(
-        [str(part) for part in command], capture_output=True, text=True, timeout=timeout, cwd=cwd
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
 
 
 @pytest.fixture(scope="session")
@@ -96,9 +69,6 @@ def rp2040_image(built: Callable[[str], Path]) -> Path:
 def emulator(built: Callable[[str], Path]) -> None:
     """The library of emulated.py."""
     built("sim")
-
-
-Specimen: TypeAlias = "Callable[..., Node]"
 
 
 @pytest.fixture(scope="session")

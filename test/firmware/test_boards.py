@@ -13,7 +13,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from conftest import FIRMWARE
 
 from drawing import Sheet
 from kicad import BOARDS, KicadError, check
@@ -24,6 +23,7 @@ from schematics import FAST_SYNC_OHM, SYNC_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.amplifier import FrontEnd, Stage, design
+from test.support.firmware import FIRMWARE
 
 ROOT = FIRMWARE.parent
 KICAD = FIRMWARE / "boards" / "kicad"

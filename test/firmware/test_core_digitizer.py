@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_digitizer import Board, CoreDigitizer, Pulse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,6 +41,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
+from test.support.core_digitizer import Board, CoreDigitizer, Pulse
 
 LAYOUT = FrameLayout.of(FrameSpec(), 4)
 REFUSED = Result.UNSUPPORTED

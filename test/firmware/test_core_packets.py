@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from conftest import CORE, STRICT, need, run
-from core_digitizer import declare
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +20,8 @@ from tactile_cdma.wire._protocol import PacketType
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start, Stop
 from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
+from test.support.core_digitizer import declare
+from test.support.firmware import CORE, STRICT, need, run
 
 VECTORS = json.loads((CORE.parent / "vectors" / "protocol.json").read_text())
 KEPT = 36  # bytes of a payload that the reader keeps

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import need, run
-from core_digitizer import CoreDigitizer
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, RollCall, Start, Stop
 from tactile_cdma.wire.packets import wrap
+from test.support.core_digitizer import CoreDigitizer
+from test.support.firmware import need, run
 
 LAYOUT = FrameLayout.of(FrameSpec(), 4)
 INSTRUCTIONS_PER_SAMPLE = 60

@@ -13,8 +13,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from conftest import FIRMWARE
-from core_digitizer import Board, CoreDigitizer
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -48,6 +46,8 @@ from tactile_cdma.wire.messages import (
     Start,
     Status,
 )
+from test.support.core_digitizer import Board, CoreDigitizer
+from test.support.firmware import FIRMWARE
 
 MIDDLE = 2048  # count of the middle of the converter's range, which the simulator calls 0
 FIRST_MARK_US = 1000

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Specimen
 
 from emulated import Amplifier, EmulatedSkin, Node
 from tactile_cdma.code.frame import FrameSpec
@@ -30,6 +29,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.firmware import Specimen
 
 MS = 1_000_000
 SPEC = FrameSpec(nodes=2, order=4, frame_period_s=5e-3)

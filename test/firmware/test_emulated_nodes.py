@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Specimen
 
 from emulated import Amplifier, EmulatedNodes, EmulationError, Node
 from tactile_cdma.readings.calibration import AdcScale
+from test.support.firmware import Specimen
 
 CYCLE_NS = 125
 MS = 1_000_000

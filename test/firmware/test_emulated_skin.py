@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import need
 
 from emulated import Amplifier, EmulatedSkin, Node
 from skin import reference_nodes
@@ -21,6 +20,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.wire.messages import Quiet, RollCall, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.firmware import need
 
 MS = 1_000_000
 NODES, GAIN, SUPPLY_V = 16, 0.05, 3.3

@@ -11,7 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_node import (
+from numpy.typing import NDArray
+
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
+from test.support.emulated_node import (
     CALL,
     CLOCK_KNOWN,
     FRAME,
@@ -28,12 +33,7 @@ from emulated_node import (
     slots,
     volts,
 )
-from node_limits import limits
-from numpy.typing import NDArray
-
-from tactile_cdma.code.encode import frame_levels, line_chips
-from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
+from test.support.node_limits import limits
 
 CYCLE_NS = 125
 ROUNDING_NS = 10

@@ -15,23 +15,24 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from conftest import need  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 
-from emulated import EmulatedSkin, Node  # noqa: E402
-from rp2040_skin import Rp2040Skin  # noqa: E402
-from serve import LiveSkin  # noqa: E402
-from skin import PressedSkin, reference_amplifier, reference_nodes  # noqa: E402
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.config.parameters import read_file  # noqa: E402
-from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
-from tactile_cdma.readings.stages import Status  # noqa: E402
-from tactile_cdma.sim.pty import serve  # noqa: E402
-from tactile_cdma.sim.scene import SCENES  # noqa: E402
+from emulated import EmulatedSkin, Node
+from rp2040_skin import Rp2040Skin
+from serve import LiveSkin
+from skin import PressedSkin, reference_amplifier, reference_nodes
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.readings.stages import Status
+from tactile_cdma.sim.pty import serve
+from tactile_cdma.sim.scene import SCENES
+from test.support.firmware import need
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
 PARAMETERS = read_file(ROOT / "config" / "wired_skin.yaml")
 CONFIG = SkinConfig.of(PARAMETERS)

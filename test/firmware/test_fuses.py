@@ -8,7 +8,8 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import FIRMWARE, need, run
+
+from test.support.firmware import FIRMWARE, need, run
 
 ON = {  # fuses that are on: their bits are 0; by avrdude's name of the part
     "m328p": {

@@ -10,8 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from conftest import CORE, FIRMWARE, SANITIZE, STRICT, need, run
 
+from test.support.firmware import CORE, FIRMWARE, SANITIZE, STRICT, need, run
 from torture.commands.c_fuzzing import BUILD, best_kind, build, fuzz, harnesses
 from torture.fuzz import corpus
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, load
 from numpy.typing import NDArray
 
 from tactile_cdma.code.codes import is_feasible
@@ -24,6 +23,7 @@ from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
 from tactile_cdma.sim.scene import Skin
 from tactile_cdma.wire.messages import WIRE
+from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, load
 
 FRAME, CALL, MISSED = range(3)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_node import (
+
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.node_memory import MCUS, node_memory
+from test.support.emulated_node import (
     BUSY_NS,
     CALL,
     CLOCK_KNOWN,
@@ -32,9 +35,6 @@ from emulated_node import (
     slots,
     volts,
 )
-
-from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import MCUS, node_memory
 
 AWAKE_NS = {"atmega328p": 500, "attiny85": 4_500}
 """Largest error of an edge of a node that was awake when an unexpected pulse came.

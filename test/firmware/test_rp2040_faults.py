@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rp2040_bench import UART, USB, Bench, ramp
 
 from rp2040 import EmulatorError
 from tactile_cdma.code.frame import FrameSpec
@@ -26,6 +25,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
+from test.support.rp2040_bench import UART, USB, Bench, ramp
 
 PLAIN = FrameLayout.of(FrameSpec(), 4)  # 80 kS/s
 UNMARKED = Configure(PLAIN, SyncMode.NONE)

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import FIRMWARE, need
+
+from test.support.firmware import FIRMWARE, need
 
 FLASH, RAM, RAM_SIZE = 0x10000000, 0x20000000, 0x42000
 BOOT_SIZE = 256

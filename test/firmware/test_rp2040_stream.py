@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rp2040_bench import FLASH_ID, LEAD_NS, TICK_NS, TIME_NS, UART, USB, Bench, ramp, sine
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import SYNC_CALL, SYNC_FRAME, SYNC_RESTART, SYNC_UNIT_US, SyncMode
@@ -26,6 +25,17 @@ from tactile_cdma.wire.messages import (
     Start,
     Status,
     Stop,
+)
+from test.support.rp2040_bench import (
+    FLASH_ID,
+    LEAD_NS,
+    TICK_NS,
+    TIME_NS,
+    UART,
+    USB,
+    Bench,
+    ramp,
+    sine,
 )
 
 PLAIN = FrameLayout.of(FrameSpec(), 4)  # 80 kS/s

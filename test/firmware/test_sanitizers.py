@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import SANITIZED, need, run
+
+from test.support.firmware import SANITIZED, need, run
 
 HERE = Path(__file__).parent
 TESTS = [*HERE.glob("test_core_[!r]*.py"), HERE / "test_node_core.py"]

@@ -7,7 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from conftest import CORE, FIRMWARE, STRICT, need, run
+
+from test.support.firmware import CORE, FIRMWARE, STRICT, need, run
 
 SYSTEM = {"stdbool.h", "stddef.h", "stdint.h", "string.h"}
 """All that core/ takes from a C library; of string.h, memcpy, memmove and memset."""

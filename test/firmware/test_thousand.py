@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import need
 
 from skin import CRYSTALS, Spread
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.readings.stages import Status
+from test.support.firmware import need
 from thousand import FRAMES, PARAMS, QUICK, on_one_wire
 
 VALUES = read_file(PARAMS)
@@ -57,11 +57,10 @@ def test_nodes_out_of_time_are_counted(spread: Spread) -> None:
     assert trial.frames < 4 or trial.wrong > 4
 
 
-@pytest.mark.ros
 def test_the_driver_publishes_900_taxels(tmp_path: Path) -> None:
     """What the digitizer's image sent of 900 nodes' images, from a recording, on a topic."""
     rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-    from skin_client import running, wait_for
+    from test.support.skin_client import running, wait_for
 
     recording = tmp_path / "thousand.skin"
     trial = on_one_wire(VALUES, 4, record=recording).trial

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import need
 
 from check import PARAMS, on_rp2040, on_virtual_board, press
 from emulated import EmulatedSkin
 from skin import reference_amplifier, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
+from test.support.firmware import need
 
 CONFIG = SkinConfig.of(read_file(PARAMS))
 FRAMES = 60

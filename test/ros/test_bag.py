@@ -11,32 +11,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-
-import rclpy
 from lifecycle_msgs.msg import Transition
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from std_srvs.srv import Trigger
 
-from skin_client import running, wait_for
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.srv import Tare
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("bag")]
+pytestmark = pytest.mark.xdist_group("bag")
 ROOT = Path(__file__).resolve().parents[2]
 PORT = "sim://?scene=moving&seed=6&dead=3"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> object:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def assert_same(read: object, live: object) -> None:
@@ -152,7 +142,7 @@ def test_without_rosbags_skin_bag_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
     """By their hashes, or others take them for other types."""
-    from tactile_cdma.recording.message_types import message_types
+    from tactile_cdma.messages.types import message_types
 
     with running(port=PORT) as (_, client):
         wait_for(lambda: client.arrays and client.infos)

@@ -23,26 +23,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped, WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.config.body_file import read_body
+from tactile_cdma.msg import TactileContact, TactileContacts
+from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.views.cloud import BODY_POINT
+from test.support import skin_client
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from geometry_msgs.msg import TransformStamped, WrenchStamped  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from sensor_msgs.msg import PointCloud2  # noqa: E402
-from tf2_msgs.msg import TFMessage  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
-
-import skin_client  # noqa: E402
-from tactile_cdma.base.errors import TactileError  # noqa: E402
-from tactile_cdma.config.body_file import read_body  # noqa: E402
-from tactile_cdma.msg import TactileContact, TactileContacts  # noqa: E402
-from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
-from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
-from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
-
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 PATCHES, PROCESSES = 5, 2
 PERIOD_S, STALE_AFTER_S = 0.2, 3.0
@@ -175,13 +173,6 @@ class Body:
             process.send_signal(signal.SIGINT)
         codes = [process.wait(20) for process in self.processes]
         assert codes == [0] * len(codes)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 @pytest.fixture

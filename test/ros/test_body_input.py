@@ -18,37 +18,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
-from builtin_interfaces.msg import Time  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import PointCloud2  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-from tf2_msgs.msg import TFMessage  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
-
-from skin_client import wait_for  # noqa: E402
-from tactile_cdma.msg import (  # noqa: E402
+from tactile_cdma.msg import (
     TactileArray,
     TactileContact,
     TactileContacts,
     TactileSkinInfo,
 )
-from tactile_cdma.places.poses import Pose  # noqa: E402
-from tactile_cdma.ros.body.contacts import body_contacts  # noqa: E402
-from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
-from tactile_cdma.ros.common.cdr import Heading  # noqa: E402
-from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
-from tactile_cdma.ros.common.touches import Touches  # noqa: E402
-from tactile_cdma.views.cloud import BODY_POINT  # noqa: E402
-from torture.hosts.clock import WrongClock  # noqa: E402
+from tactile_cdma.places.poses import Pose
+from tactile_cdma.ros.body.contacts import body_contacts
+from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.common.cdr import Heading
+from tactile_cdma.ros.common.qos import LATCHED
+from tactile_cdma.ros.common.touches import Touches
+from tactile_cdma.views.cloud import BODY_POINT
+from test.support.waiting import wait_for
+from torture.hosts.clock import WrongClock
 
-pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
 STALE_AFTER_S = 1.0
 
@@ -87,7 +84,6 @@ class World:
     """A body's node of the patches a and b, of which a is at its origin; and who asks for it."""
 
     def __init__(self) -> None:
-        rclpy.init()
         self.body = BodyNode(
             parameter_overrides=[
                 Parameter("patches", value=["a/skin", "b/skin"]),
@@ -139,7 +135,6 @@ class World:
         self._executor.shutdown()
         self._client.destroy_node()
         self.body.destroy_node()
-        rclpy.shutdown()
 
 
 @pytest.fixture(scope="module")

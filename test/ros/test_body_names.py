@@ -6,15 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-pytest.importorskip("visualization_msgs", reason="ROS 2 is not installed")
-
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from tactile_cdma.ros.body.names import ABOVE_LETTERS, LETTER_SHARE, body_names
 
-pytestmark = pytest.mark.ros
 PALM_M = np.array([[0.0, 0.0, 0.1], [0.2, 0.1, 0.3]])
 BACK_M = np.array([[-0.4, 0.5, 0.0], [-0.2, 0.5, 0.2], [-0.3, 0.5, 0.1]])
 

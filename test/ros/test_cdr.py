@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
@@ -24,11 +21,11 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.messages.fields import array_fields
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.recording.message_fields import array_fields
 from tactile_cdma.ros.common.cdr import CdrError, Heading
 from tactile_cdma.ros.common.convert import (
     image,
@@ -44,7 +41,6 @@ from tactile_cdma.ros.driver.markers import RESULTANT, SUM, SkinMarkers
 from tactile_cdma.views.cloud import BODY_POINT, POINT
 from tactile_cdma.words.decode import silent
 
-pytestmark = pytest.mark.ros
 NAMES = ("", "a", "ab", "abc", "abcd", "/left_palm/skin", "Häutchen", "皮")
 STAMP = Time(sec=2**31 - 1, nanosec=999_999_999)
 FLOATS = (0.0, -0.0, 1 / 3, float("nan"), float("inf"), -1e300, 5e-324)

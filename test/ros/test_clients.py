@@ -19,37 +19,28 @@ from typing import IO
 
 import numpy as np
 import pytest
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
 from numpy.typing import NDArray
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.msg import SimObjects, TactileArray
+from tactile_cdma.ros.common.qos import LATCHED
+from tactile_cdma.ros.driver.objects import sim_objects
+from tactile_cdma.sim import Box, Sphere
+from tactile_cdma.sim.scene import SCENES, Skin
+from test.support.skin_client import Client, running, wait_sending
+from test.support.waiting import wait_for
 
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from rclpy.time import Time  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Bool, Float64  # noqa: E402
-
-from skin_client import Client, running, wait_for, wait_sending  # noqa: E402
-from tactile_cdma.msg import SimObjects, TactileArray  # noqa: E402
-from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
-from tactile_cdma.ros.driver.objects import sim_objects  # noqa: E402
-from tactile_cdma.sim import Box, Sphere  # noqa: E402
-from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
-
-pytestmark = pytest.mark.ros
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PATIENCE_S = 60.0
 OF_DDS = re.compile(r"^.*RTPS_TRANSPORT_SHM.*\n", re.MULTILINE)
 """What Fast DDS itself prints to stdout where two participants open a port in /dev/shm at once."""
 TOLERANCE_NS = 20_000_000
 """What fuse_joint_states says that it leaves out."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 @contextmanager

@@ -6,33 +6,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import Image, PointCloud2
+from visualization_msgs.msg import MarkerArray
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.msg import TactileArray, TactileContacts
+from tactile_cdma.ros.driver.markers import BLIND, SURFACE
+from tactile_cdma.views.heatmap import NO_READING_RGB
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
-
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.msg import TactileArray, TactileContacts  # noqa: E402
-from tactile_cdma.ros.driver.markers import BLIND, SURFACE  # noqa: E402
-from tactile_cdma.views.heatmap import NO_READING_RGB  # noqa: E402
-
-pytestmark = pytest.mark.ros
 PITCH_M = 7e-3
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def subscribed(client: Client, kind: Any, topic: str) -> list[Any]:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,49 +12,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES
+from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.sim import line
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from test.support.boards import plugged
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from rcl_interfaces.msg import Log  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.code.encode import frame_levels, line_chips  # noqa: E402
-from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES  # noqa: E402
-from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
-from tactile_cdma.sim import line  # noqa: E402
-from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
-from tactile_cdma.sim.pty import Digitizer, serve  # noqa: E402
-
-pytestmark = pytest.mark.ros
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STALE = DiagnosticStatus.STALE
 PATIENCE_S = 60.0
 PAST = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HURRY_NS = 250_000_000
 """Reports come at this interval where a test need not wait for whole seconds."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
-
-
-@contextmanager
-def plugged(path: Path, power_up: Callable[[], Digitizer] = VirtualDigitizer) -> Iterator[None]:
-    """A digitizer on a tty of this path."""
-    stop, ready = threading.Event(), threading.Event()
-    server = threading.Thread(target=serve, args=(power_up, path, stop, lambda _: ready.set()))
-    server.start()
-    try:
-        assert ready.wait(5)
-        yield
-    finally:
-        stop.set()
-        server.join()
 
 
 def says(client: Client, entry: str, level: bytes, text: str) -> Callable[[], bool]:
@@ -243,7 +218,7 @@ def test_a_noisy_link_is_told_with_the_share_of_broken_packets(
     tmp_path: Path, one_in: int, level: bytes
 ) -> None:
     path = tmp_path / "tty"
-    with plugged(path, lambda: NoisyLink(one_in)):
+    with plugged(lambda: NoisyLink(one_in), path):
         client = complaint("link", level, "packets arrive broken", port=str(path))
     broken = ("crc errors", "framing errors")
     assert sum(int(client.value("link", name)) for name in broken) > 0
@@ -255,7 +230,7 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
 ) -> None:
     path = tmp_path / "tty"
     with hurrying(port=str(path)) as (_, client):
-        with plugged(path):
+        with plugged(VirtualDigitizer, path):
             wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
         wait_for(lambda: client.entry("stream").level == ERROR, PATIENCE_S)
         assert str(path) in client.entry("stream").message
@@ -263,7 +238,7 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
             wait_for(lambda entry=entry: client.entry(entry).level == STALE)
             assert client.entry(entry).message == NO_FRAMES
         assert client.entry("host").level == OK
-        with plugged(path):
+        with plugged(VirtualDigitizer, path):
             wait_for(lambda: client.entry("stream").level == OK, PATIENCE_S)
             wait_for(lambda: client.entry("link").level == OK, PATIENCE_S)
     assert client.value("link", "connections") == "2"
@@ -282,7 +257,7 @@ def test_two_drivers_of_one_name_are_told_of_by_both() -> None:
 
 def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> None:
     path = tmp_path / "tty"
-    with plugged(path), hurrying(port=str(path)) as (node, client):
+    with plugged(VirtualDigitizer, path), hurrying(port=str(path)) as (node, client):
         wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
         driver = node._driver
         assert driver is not None

@@ -10,18 +10,15 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.ros.common.executor import LeanExecutor
+from tactile_cdma.ros.common.following import Following
 
-from rclpy.clock import Clock, ClockType  # noqa: E402
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from tactile_cdma.ros.common.executor import LeanExecutor  # noqa: E402
-from tactile_cdma.ros.common.following import Following  # noqa: E402
-
-pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -52,13 +49,11 @@ class World:
 
 @pytest.fixture
 def world() -> Iterator[World]:
-    rclpy.init()
     world = World()
     yield world
     world.executor.shutdown()
     for node in (world.node, world.peer):
         node.destroy_node()
-    rclpy.shutdown()
 
 
 def test_timers_come_at_their_period_until_cancelled_and_again_after_reset(world: World) -> None:

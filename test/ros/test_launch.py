@@ -19,18 +19,16 @@ import pytest
 import yaml
 
 pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS 2 installation, not PyPI")
-rclpy = pytest.importorskip("rclpy")
-
-from ament_index_python.packages import (  # noqa: E402
+import rclpy
+from ament_index_python.packages import (
     PackageNotFoundError,
     get_package_prefix,
 )
-from launch import LaunchContext, LaunchDescription  # noqa: E402
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction  # noqa: E402
-from launch_ros.actions import Node  # noqa: E402
-from launch_ros.utilities import evaluate_parameters  # noqa: E402
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch_ros.actions import Node
+from launch_ros.utilities import evaluate_parameters
 
-pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILE = ROOT / "launch" / "skin.launch.py"
 PATH = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -290,16 +288,15 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
         start_new_session=True,
     )
     received: list[TactileArray] = []
-    rclpy.init()
+    listener = rclpy.create_node("listener")
     try:
-        listener = rclpy.create_node("listener")
         topic = f"/{namespace}/skin/tactile".replace("//", "/")
         listener.create_subscription(TactileArray, topic, received.append, qos_profile_sensor_data)
         deadline = time.monotonic() + 20
         while len(received) < 10 and time.monotonic() < deadline and launch.poll() is None:
             rclpy.spin_once(listener, timeout_sec=0.1)
     finally:
-        rclpy.shutdown()
+        listener.destroy_node()
         launch.send_signal(signal.SIGINT)  # without a terminal, launch passes it on
         try:
             output, _ = launch.communicate(timeout=20)

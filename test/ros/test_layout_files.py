@@ -12,16 +12,12 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
 from geometry_msgs.msg import WrenchStamped
 from rosidl_parser.definition import AbstractSequence
 
 from tactile_cdma.msg import TactileArray, TactileContacts
 from tactile_cdma.ros.driver.pictures import TOPICS
 
-pytestmark = pytest.mark.ros
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 TYPES = {"tactile": TactileArray, "contacts": TactileContacts, "wrench": WrenchStamped, **TOPICS}
 FOXGLOVE = json.loads((CONFIG / "foxglove.json").read_text())

@@ -4,33 +4,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pytest
+from sensor_msgs.msg import Image
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.readings.stages import Status
+from tactile_cdma.ros.common.qos import PICTURE
+from tactile_cdma.ros.viewers.patches import layout_of
+from tactile_cdma.ros.viewers.view import in_use
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
-from sensor_msgs.msg import Image  # noqa: E402
-
-from skin_client import running, wait_for  # noqa: E402
-from tactile_cdma.places.layout_file import read_layout  # noqa: E402
-from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.readings.stages import Status  # noqa: E402
-from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
-from tactile_cdma.ros.viewers.patches import layout_of  # noqa: E402
-from tactile_cdma.ros.viewers.view import in_use  # noqa: E402
-
-pytestmark = pytest.mark.ros
 LAYOUTS = Path(__file__).resolve().parents[2] / "config" / "layouts"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def test_places_and_arrays_are_those_of_the_file() -> None:

@@ -8,29 +8,26 @@ import gc
 import os
 import tempfile
 import threading
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-import pytest
+import rclpy
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from lifecycle_msgs.msg import State, Transition
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.driver.driver import CONNECTING
+from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.wire.port import Port
+from test.support.boards import Board, plugged
+from test.support.mute_host import mute_host
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
-from lifecycle_msgs.msg import State, Transition  # noqa: E402
-from mute_host import mute_host  # noqa: E402
-from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
-from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-
-from skin_client import plugged, running, wait_for  # noqa: E402
-from tactile_cdma.driver.driver import CONNECTING  # noqa: E402
-from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
-from tactile_cdma.wire.port import Port  # noqa: E402
-
-pytestmark = pytest.mark.ros
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"
 TRANSITIONS = {
     (UNCONFIGURED, "configure"): INACTIVE,
@@ -41,13 +38,6 @@ TRANSITIONS = {
     (INACTIVE, "shutdown"): FINALIZED,
     (ACTIVE, "shutdown"): FINALIZED,
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def transition_id(state: str, name: str) -> int:
@@ -122,7 +112,7 @@ class Lifecycle(RuleBasedStateMachine):
     @rule()
     def plug_in(self) -> None:
         self.plug = ExitStack()
-        self.plug.enter_context(plugged(self.path))
+        self.plug.enter_context(plugged(Board, self.path))
         self.is_plugged = True
 
     @precondition(lambda self: self.is_plugged and not self.held and self.state == UNCONFIGURED)
@@ -192,7 +182,7 @@ class Defective(SkinNode):
 def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: Path) -> None:
     path = tmp_path / "skin"
     others = open_ports()
-    with plugged(path), running(Defective, port=str(path)) as (node, client):
+    with plugged(Board, path), running(Defective, port=str(path)) as (node, client):
         wait_for(lambda: any("internal error" in status.message for status in client.diagnostics))
         assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
         assert readers() == []

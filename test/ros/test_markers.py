@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("visualization_msgs", reason="ROS 2 is not installed")
-
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -35,7 +32,6 @@ from tactile_cdma.ros.driver.markers import (
 )
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 
-pytestmark = pytest.mark.ros
 PITCH_M, MAX_PA, HEADING = 7e-3, 140e3, Heading(0, "cuff")
 NODES = np.array([*range(1, 24), 0], dtype=np.int32)
 CUFF = Layout(

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.xdist_group("mujoco")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("mujoco")]
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "mujoco_grip.py"
 
 

@@ -6,38 +6,27 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
 from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import State, Transition
+from rcl_interfaces.srv import DescribeParameters
+from rclpy.time import Time
+from sensor_msgs.msg import Image
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from lifecycle_msgs.msg import State, Transition  # noqa: E402
-from rcl_interfaces.srv import DescribeParameters  # noqa: E402
-from rclpy.time import Time  # noqa: E402
-from sensor_msgs.msg import Image  # noqa: E402
-
-from skin_client import Client, plugged, running, wait_for  # noqa: E402
-from tactile_cdma.config.parameters import PARAMETERS  # noqa: E402
-from tactile_cdma.msg import TactileArray  # noqa: E402
-from tactile_cdma.readings.calibration import AdcScale, PressureCurve  # noqa: E402
-from tactile_cdma.readings.stages import Status  # noqa: E402
-from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
-from tactile_cdma.sim.line import truth  # noqa: E402
-from tactile_cdma.sim.options import Setup, SimOptions  # noqa: E402
-
-pytestmark = pytest.mark.ros
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
+from tactile_cdma.config.parameters import PARAMETERS
+from tactile_cdma.msg import TactileArray
+from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.readings.stages import Status
+from tactile_cdma.ros.common.qos import PICTURE
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.options import Setup, SimOptions
+from test.support.boards import Board, plugged
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
 
 def test_status_bits_are_those_of_the_message() -> None:
@@ -266,7 +255,7 @@ def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Pa
         wait_for(lambda: any("no such port" in status.message for status in client.diagnostics))
         assert client.arrays == []
         for _ in range(2):
-            with plugged(path):
+            with plugged(Board, path):
                 before = len(client.arrays)
                 wait_for(lambda before=before: len(client.arrays) > before + 20)
                 wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.OK)

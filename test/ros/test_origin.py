@@ -4,37 +4,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.commands.cli import main
+from tactile_cdma.msg import TactileSkinInfo
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from test.support.boards import Board, plugged
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-from boards import plugged  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-
-from skin_client import Board, Client, running, wait_for  # noqa: E402
-from tactile_cdma.commands.cli import main  # noqa: E402
-from tactile_cdma.msg import TactileSkinInfo  # noqa: E402
-from tactile_cdma.sim.digitizer import VirtualDigitizer  # noqa: E402
-from tactile_cdma.sim.options import SimOptions  # noqa: E402
-
-pytestmark = pytest.mark.ros
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 BOARD, SIMULATED = TactileSkinInfo.ORIGIN_BOARD, TactileSkinInfo.ORIGIN_SIMULATED
 REPLAYED = TactileSkinInfo.ORIGIN_REPLAYED
 OPTIONS = SimOptions(scene="press", seed=3)
 SIMULATOR_ID = "73696D0003000000"
 FIRST, SECOND = "E660000000000001", "E660000000000002"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def simulator() -> VirtualDigitizer:

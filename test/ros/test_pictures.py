@@ -5,28 +5,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import Image, PointCloud2, PointField
+from visualization_msgs.msg import Marker
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.ros.common.qos import PICTURE
+from tactile_cdma.ros.driver.markers import ARROWS, SURFACE
+from tactile_cdma.ros.driver.pictures import LOOK_S, TOPICS
+from tactile_cdma.views.cloud import POINT
+from tactile_cdma.views.heatmap import colours
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-from sensor_msgs.msg import Image, PointCloud2, PointField  # noqa: E402
-from visualization_msgs.msg import Marker  # noqa: E402
-
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.places.layout_file import read_layout  # noqa: E402
-from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.ros.common.qos import PICTURE  # noqa: E402
-from tactile_cdma.ros.driver.markers import ARROWS, SURFACE  # noqa: E402
-from tactile_cdma.ros.driver.pictures import LOOK_S, TOPICS  # noqa: E402
-from tactile_cdma.views.cloud import POINT  # noqa: E402
-from tactile_cdma.views.heatmap import colours  # noqa: E402
-
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("pictures")]
+pytestmark = pytest.mark.xdist_group("pictures")
 PATH = Path(__file__).resolve().parents[2] / "config" / "layouts" / "sphere.yaml"
 BALL = read_layout(PATH, Wiring(nodes=25))
 SKIN = {
@@ -38,13 +36,6 @@ SKIN = {
     "heatmap_pixels": 1,
 }
 NUMPY_TYPES = {PointField.FLOAT32: "<f4", PointField.UINT32: "<u4"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def subscribe(client: Client) -> dict[str, list[Any]]:

@@ -13,31 +13,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
+pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
 
-import rclpy  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from pyarrow.types import is_temporal  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rerun.chunk import RrdReader  # noqa: E402
+import rerun as rr
+from lifecycle_msgs.msg import Transition
+from pyarrow.types import is_temporal
+from rclpy.executors import SingleThreadedExecutor
+from rerun.chunk import RrdReader
 
-from skin_client import running, wait_for  # noqa: E402
-from tactile_cdma.places.layout_file import Wiring, read_layout  # noqa: E402
-from tactile_cdma.places.mesh import taxel_squares  # noqa: E402
-from tactile_cdma.ros.viewers.rerun_scene import OLD_S  # noqa: E402
-from tactile_cdma.ros.viewers.rerun_view import RerunView  # noqa: E402
-from tactile_cdma.views.heatmap import NO_READING_RGB, colours  # noqa: E402
+from tactile_cdma.places.layout_file import Wiring, read_layout
+from tactile_cdma.places.mesh import taxel_squares
+from tactile_cdma.ros.viewers.rerun_scene import OLD_S
+from tactile_cdma.ros.viewers.rerun_view import RerunView
+from tactile_cdma.views.heatmap import NO_READING_RGB, colours
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
-pytestmark = pytest.mark.ros
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:

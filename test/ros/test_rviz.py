@@ -17,10 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
-from rclpy.qos import (  # noqa: E402
+from rclpy.qos import (
     HistoryPolicy,
     QoSCompatibility,
     QoSDurabilityPolicy,
@@ -30,17 +27,17 @@ from rclpy.qos import (  # noqa: E402
     qos_check_compatible,
 )
 
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.config.body_file import read_body  # noqa: E402
-from tactile_cdma.config.parameters import BY_NAME  # noqa: E402
-from tactile_cdma.config.rviz_file import body_view, patch_values, skin_view  # noqa: E402
-from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
-from tactile_cdma.places.layout import Layout  # noqa: E402
-from tactile_cdma.places.mesh import MOST_SQUARES  # noqa: E402
-from tactile_cdma.places.poses import Pose  # noqa: E402
-from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
+from tactile_cdma.config.body_file import read_body
+from tactile_cdma.config.parameters import BY_NAME
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.mesh import MOST_SQUARES
+from tactile_cdma.places.poses import Pose
+from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.rviz_file import body_view, patch_values, skin_view
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-pytestmark = pytest.mark.ros
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 FILES = {path.name: yaml.safe_load(path.read_text()) for path in sorted(CONFIG.glob("*.rviz"))}
 TRIPLE = {"X", "Y", "Z"}
@@ -144,11 +141,9 @@ def test_colours_are_the_drivers_own(name: str) -> None:
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
     """Of a running driver."""
-    rclpy.init()
     with running() as (_, client):
         wait_for(lambda: client.arrays)
         yield client
-    rclpy.shutdown()
 
 
 def wanted_qos(topic: dict[str, Any]) -> QoSProfile:
@@ -188,7 +183,7 @@ def test_topics_are_offered_with_that_type_and_quality(name: str, client: Client
     assert "markers" in check_topics(name, "skin", client)
 
 
-def test_so_are_the_bodys(client: Client) -> None:  # client: after rclpy.init
+def test_so_are_the_bodys() -> None:
     with running(BodyNode, patches=["/nobody/skin"]) as (_, other):
         assert check_topics("body.rviz", "body", other) == {"names", "points"}
 

@@ -9,34 +9,25 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import rclpy
+from rclpy.node import Node
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.readings.calibration_file import write_calibration
+from tactile_cdma.ros.viewers.view import Viewer
+from test.support.boards import Board, plugged
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
-from rclpy.node import Node  # noqa: E402
-
-from skin_client import plugged, running, wait_for  # noqa: E402
-from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
-from tactile_cdma.readings.calibration_file import write_calibration  # noqa: E402
-from tactile_cdma.ros.viewers.view import Viewer  # noqa: E402
-
-pytestmark = pytest.mark.ros
 ROOT = Path(__file__).resolve().parents[2]
-LIFE = Path(__file__).with_name("watched_life.py")
+LIFE = ROOT / "test" / "support" / "watched_life.py"
 POLICY = ROOT / "config" / "security" / "skin.policy.xml"
 USER, GROUP, NO_GROUP = 65_534, 54_321, 54_322
 OPEN_PORT = "import sys; from tactile_cdma.wire.port import Port; Port(sys.argv[1], 9600).close()"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def ordinary(group: int) -> list[str]:
@@ -67,9 +58,8 @@ def environment(home: Path) -> dict[str, str]:
     home.mkdir()
     if not os.getuid():
         os.chown(home, USER, USER)
-    path = os.pathsep.join(filter(None, [str(LIFE.parent), os.environ.get("PYTHONPATH", "")]))
     own = {"HOME": str(home), "ROS_HOME": str(home), "PYTHONDONTWRITEBYTECODE": "1"}
-    return {**os.environ, **own, "PYTHONPATH": path}
+    return {**os.environ, **own}
 
 
 def test_an_ordinary_user_s_driver_opens_its_port_and_dds_and_writes_its_state_only(
@@ -78,7 +68,7 @@ def test_an_ordinary_user_s_driver_opens_its_port_and_dds_and_writes_its_state_o
     home, port, calibration = tmp_path / "home", tmp_path / "tty", tmp_path / "palm.yaml"
     config = SkinConfig.of({})
     write_calibration(calibration, config.calibration, config.adc, "", "a test")
-    with plugged(port):
+    with plugged(Board, port):
         give_to_group(port)
         device = os.path.realpath(port)
         run = subprocess.run(
@@ -110,7 +100,8 @@ def test_an_ordinary_user_s_driver_opens_its_port_and_dds_and_writes_its_state_o
 
 def test_the_watcher_sees_what_must_not_be(tmp_path: Path) -> None:
     program = (
-        "import os, pickle, socket, subprocess, sys, watched_life as w\n"
+        "import os, pickle, socket, subprocess, sys\n"
+        "import test.support.watched_life as w\n"
         "sys.addaudithook(w.watch)\n"
         "open(sys.argv[1], 'w').close()\n"
         "os.rename(sys.argv[1], sys.argv[1] + '.old')\n"
@@ -135,7 +126,7 @@ def test_the_watcher_sees_what_must_not_be(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can make a port of another group")
 def test_a_port_of_a_group_that_one_is_not_in_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    with plugged(tmp_path / "tty"):
+    with plugged(Board, tmp_path / "tty"):
         give_to_group(tmp_path / "tty")
         command = [sys.executable, "-c", OPEN_PORT, tmp_path / "tty"]
         own, other = (

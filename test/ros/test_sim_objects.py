@@ -5,37 +5,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import rclpy
+from geometry_msgs.msg import Point, Pose
+from lifecycle_msgs.msg import Transition
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Header
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.base.errors import ParameterError
+from tactile_cdma.msg import SimObject, SimObjects, TactileContacts
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.ros.driver.objects import indenter, sim_objects
+from tactile_cdma.sim import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from test.support.skin_client import Client, running, wait_sending
+from test.support.waiting import wait_for
 
-from geometry_msgs.msg import Point, Pose  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-
-from skin_client import Client, running, wait_for, wait_sending  # noqa: E402
-from tactile_cdma.base.errors import ParameterError  # noqa: E402
-from tactile_cdma.msg import SimObject, SimObjects, TactileContacts  # noqa: E402
-from tactile_cdma.places.layout import Layout  # noqa: E402
-from tactile_cdma.ros.driver.objects import indenter, sim_objects  # noqa: E402
-from tactile_cdma.sim import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere  # noqa: E402
-
-pytestmark = pytest.mark.ros
 LAYOUT = Layout.grid(16, 4, 4, 7e-3, 7e-3)
 COVER = Foundation(LAYOUT.positions_m, LAYOUT.normals, LAYOUT.areas_m2)
 BALL = Sphere(radius_m=0.02, position_m=(1e-3, -2e-3, 0.018), stiffness_pa_per_m=2e7)
 LSB_PA = 98.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def publisher(client: Client) -> rclpy.publisher.Publisher:

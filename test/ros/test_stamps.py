@@ -9,15 +9,12 @@ from collections.abc import Iterator
 from itertools import islice, repeat
 
 import pytest
+import rclpy
+from rclpy.parameter import Parameter
+from rclpy.time import Time
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.ros.driver.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps
 
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.time import Time  # noqa: E402
-
-from tactile_cdma.ros.driver.stamps import STAMP_JITTER_NS, SURE_NS, TRIES, Stamps  # noqa: E402
-
-pytestmark = pytest.mark.ros
 HOUR_NS = 3600 * 10**9
 
 

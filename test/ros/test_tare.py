@@ -5,40 +5,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from std_srvs.srv import Trigger
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.driver import rest_keeper
+from tactile_cdma.msg import TactileArray
+from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.calibration_file import write_calibration
+from tactile_cdma.ros.driver.node import APART_NODES
+from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.srv import Tare
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.driver import rest_keeper  # noqa: E402
-from tactile_cdma.msg import TactileArray  # noqa: E402
-from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve  # noqa: E402
-from tactile_cdma.readings.calibration_file import write_calibration  # noqa: E402
-from tactile_cdma.ros.driver.node import APART_NODES  # noqa: E402
-from tactile_cdma.sim.scene import SCENES, Skin  # noqa: E402
-from tactile_cdma.srv import Tare  # noqa: E402
-
-pytestmark = pytest.mark.ros
 IDLE = "sim://?scene=idle"
 ALL = "sim://?scene=all"
 REST_V = 3.3 - 781.25 * 0.033e-3
 OFF = "nodes off their rest"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 @pytest.fixture

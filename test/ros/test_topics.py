@@ -5,43 +5,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from lifecycle_msgs.msg import State, Transition
+from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from tf2_msgs.msg import TFMessage
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.msg import TactileArray
+from tactile_cdma.places.layout_file import read_layout
+from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.places.poses import Pose
+from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.common.qos import LATCHED
+from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.ros.driver.pictures import TOPICS
+from test.support.skin_client import Client, running
+from test.support.waiting import wait_for
 
-from lifecycle_msgs.msg import State, Transition  # noqa: E402
-from rcl_interfaces.msg import Log  # noqa: E402
-from rcl_interfaces.srv import SetParametersAtomically  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from tf2_msgs.msg import TFMessage  # noqa: E402
-
-from skin_client import Client, running, wait_for  # noqa: E402
-from tactile_cdma.config.parameters import read_file  # noqa: E402
-from tactile_cdma.msg import TactileArray  # noqa: E402
-from tactile_cdma.places.layout_file import read_layout  # noqa: E402
-from tactile_cdma.places.layout_nodes import Wiring  # noqa: E402
-from tactile_cdma.places.poses import Pose  # noqa: E402
-from tactile_cdma.ros.body.node import BodyNode  # noqa: E402
-from tactile_cdma.ros.common.qos import LATCHED  # noqa: E402
-from tactile_cdma.ros.driver.node import SkinNode  # noqa: E402
-from tactile_cdma.ros.driver.pictures import TOPICS  # noqa: E402
-
-pytestmark = pytest.mark.ros
 PAST = QoSProfile(depth=100, durability=LATCHED.durability)
 OVERRIDE = "qos_overrides.{}.publisher.{}"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def offers(client: Client, topic: str) -> tuple[str, str]:

@@ -13,8 +13,6 @@ from random import Random
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.cdr import Heading
 from tactile_cdma.ros.common.convert import nanoseconds
@@ -23,7 +21,7 @@ from torture.load.loaded_skin import LoadedSkin
 from torture.load.message_judge import LATE_S
 from torture.outcome import Outcome, Plan
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("torture load")]
+pytestmark = pytest.mark.xdist_group("torture load")
 PLAN = Plan(quick=True, seed=1)
 PATIENCE_S = 30.0
 

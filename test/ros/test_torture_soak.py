@@ -14,23 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
-
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.cdr import Heading
 from tactile_cdma.ros.common.convert import ros_array
 from tactile_cdma.sim.options import SimOptions
+from test.support.oracle import Held, Stream
 from torture.load import soak
 from torture.load.known_digitizer import KnownDigitizer
 from torture.load.loaded_skin import SOAKED, LoadedSkin
 from torture.load.message_judge import MessageJudge
-from torture.oracle import Held, Stream
 from torture.outcome import Tally
 from torture.process_watch import Watch
 
-pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("soak")]  # many: so they begin early
+pytestmark = pytest.mark.xdist_group("soak")  # many: so they begin early
 CONFIG = SkinConfig.of({})
 SOAK_S = 40.0  # four cycles of guests that come and go; slopes of memory take longer anyway
 FIRST, FRAMES = 100, 300

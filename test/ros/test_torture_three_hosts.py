@@ -8,13 +8,11 @@ import re
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
 from torture.hosts.campaign import run
 from torture.hosts.network import why_not
 from torture.outcome import Plan
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
 
 def test_a_body_on_three_computers_bears_loss_a_cut_and_wrong_clocks() -> None:

@@ -14,21 +14,17 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 
-from skin_client import running, wait_for
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.ros.common.process import Viewing
 from tactile_cdma.ros.common.qos import QUEUE
@@ -36,15 +32,8 @@ from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
-
-pytestmark = pytest.mark.ros
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
 
 @pytest.mark.parametrize(

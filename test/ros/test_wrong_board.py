@@ -5,33 +5,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import State, Transition
+from serial.tools import list_ports
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-
-from boards import board, board_id, plugged, usb_port  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from lifecycle_msgs.msg import State, Transition  # noqa: E402
-from serial.tools import list_ports  # noqa: E402
-
-from skin_client import running, wait_for  # noqa: E402
-from tactile_cdma.commands.cli import main  # noqa: E402
-from tactile_cdma.ros import doctor  # noqa: E402
-
-pytestmark = pytest.mark.ros
+from tactile_cdma.commands.cli import main
+from tactile_cdma.ros import doctor
+from test.support.boards import board, board_id, plugged, usb_port
+from test.support.skin_client import running
+from test.support.waiting import wait_for
 
 
-@pytest.fixture(scope="module")
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
-
-
-def test_the_wrong_board_is_refused_and_the_right_one_taken(ros: None, tmp_path: Path) -> None:
+def test_the_wrong_board_is_refused_and_the_right_one_taken(tmp_path: Path) -> None:
     link = tmp_path / "tty"
     with running(port=str(link), digitizer_id=board_id(1)) as (node, client):
 
@@ -53,7 +41,7 @@ def test_the_wrong_board_is_refused_and_the_right_one_taken(ros: None, tmp_path:
 
 
 def test_a_node_finds_its_board_by_usb_number_on_whichever_port(
-    ros: None, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     kernel: list[tuple[str, str]] = []
     monkeypatch.setattr(list_ports, "comports", lambda: [usb_port(*port) for port in kernel])
@@ -70,7 +58,7 @@ def test_a_node_finds_its_board_by_usb_number_on_whichever_port(
         wait_for(lambda: len(client.arrays) > 20)
 
 
-def test_a_bad_id_is_refused_with_the_reason(ros: None) -> None:
+def test_a_bad_id_is_refused_with_the_reason() -> None:
     with running(autostart=False) as (_, client):
         client.set(digitizer_id="not hexadecimal")
         assert not client.change(Transition.TRANSITION_CONFIGURE)

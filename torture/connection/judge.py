@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from test.support.oracle import Stream, Verdict
 
-from ..oracle import Judge, Stream, Verdict
+from ..judge import Judge
 
 MOST_MISSING = 1
 """Frames after a START that may be missing: the second one has to be published."""

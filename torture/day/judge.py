@@ -13,8 +13,8 @@ import numpy as np
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.readings.stages import Status
+from test.support.oracle import Held
 
-from ..oracle import Held
 from .laps import Stretch
 
 NEAR_S = 2e-6

@@ -14,8 +14,9 @@ from tactile_cdma.config.parameters import GAP
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.options import Setup, SimOptions
+from test.support.oracle import Held, Verdict
 
-from ..oracle import Held, Judge, Verdict
+from ..judge import Judge
 from ..outcome import Tally
 from .ledger import Counts, Ledger, Unbroken
 

@@ -19,9 +19,9 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
+from test.support.oracle import Stream
 
 from ..connection.plug import Host
-from ..oracle import Stream
 
 READY_S = 30.0
 SPAN_S, WINDOW, KEPT = 5.0, 6, 14

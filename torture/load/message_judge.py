@@ -14,8 +14,8 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.stages import Status
 from tactile_cdma.ros.common.convert import nanoseconds
+from test.support.oracle import Held
 
-from ..oracle import Held
 from ..outcome import Tally
 from .known_digitizer import Known, KnownDigitizer
 

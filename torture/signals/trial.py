@@ -23,8 +23,8 @@ from tactile_cdma.sim.disturbance import Waveform
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.words.health import WEAK_SHARE
+from test.support.oracle import Oracle, pressures
 
-from ..oracle import Oracle, pressures
 from ..outcome import Tally
 from . import faulty_line, faulty_nodes
 from .faulty_line import Span

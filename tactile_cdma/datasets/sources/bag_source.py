@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ...base.errors import CaptureError
-from ...recording.message_types import message_types
+from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import (
     ACTION,

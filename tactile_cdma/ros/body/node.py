@@ -27,7 +27,6 @@ from tactile_cdma.msg import TactileContacts
 from ...base.errors import TransformError
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
-from ...views.rounds import Rounds
 from ..common.cdr import Heading
 from ..common.convert import nanoseconds, point_cloud, wrench_stamped
 from ..common.process import run_node
@@ -39,6 +38,7 @@ from .names import body_names
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
 from .report import body_status
+from .rounds import Rounds
 
 NODE_NAME = "body"
 TICK_S = 0.2

@@ -25,9 +25,9 @@ from ...base.arrays import Floats
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
+from ...messages.fields import array_fields, info_fields
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
-from ...recording.message_fields import array_fields, info_fields
 from .cdr import ENCAPSULATION, PADDING, CdrWriter, Heading
 
 

@@ -10,8 +10,8 @@ from tf2_msgs.msg import TFMessage
 
 from ...base.errors import TransformError
 from ...places.poses import Pose
-from ...places.tf_tree import TfTree
 from .following import Following
+from .tf_tree import TfTree
 
 QUEUE = 100
 """Depth of the subscriptions; the same as in tf2."""

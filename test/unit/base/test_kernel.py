@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,8 +124,14 @@ def test_in_place_as_into_other_memory(order: int) -> None:
 @needs_kernel
 def test_misuse_of_a_transform_is_refused() -> None:
     assert kernel.compiled is not None
-    new, sign = kernel.compiled.Transform, b"\1"
-    transform = new(4, (), 1.0)
+
+    def new(twos: int, orders: tuple[int, ...], signs: int, lanes: int = 0) -> Any:
+        """A transform from this many signs."""
+        assert kernel.compiled is not None
+        matrices = np.ones(signs, np.int8)
+        return kernel.compiled.Transform(twos, np.array(orders, np.uintc), matrices, 1.0, lanes)
+
+    transform = new(4, (), 0)
     values = np.zeros((3, 16), np.float32)
     read_only = values.copy()
     read_only.flags.writeable = False
@@ -142,15 +149,16 @@ def test_misuse_of_a_transform_is_refused() -> None:
         with pytest.raises((TypeError, ValueError, BufferError)):
             transform.multiply(source, out)
     for arguments in (
-        (17, (), 1.0),
-        (0, (sign * 15,), 1.0),
-        (0, (sign * 49,), 1.0),
-        (0, (sign * 516**2,), 1.0),
-        (0, (sign * 512**2, sign * 256**2), 1.0),
-        (1, (sign * 16,) * 9, 1.0),
-        (4, (), 1.0, 3),
-        (2, (), 1.0, 8),
-        (4, ("text",), 1.0),
+        (17, (), 0),
+        (2**32, (), 0),
+        (0, (4,), 15),
+        (0, (7,), 49),
+        (0, (516,), 516**2),
+        (0, (2**31,), 16),
+        (0, (512, 256), 512**2 + 256**2),
+        (1, (4,) * 9, 16 * 9),
+        (4, (), 0, 3),
+        (2, (), 0, 8),
     ):
-        with pytest.raises((TypeError, ValueError)):
+        with pytest.raises(ValueError, match="Transform: "):
             new(*arguments)

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import record
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
@@ -28,6 +27,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES, Skin
+from test.support.simulated import record
 
 ROOT = Path(__file__).resolve().parents[3]
 ADC = AdcScale()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import record
 
 from tactile_cdma.base.errors import CalibrationError
 from tactile_cdma.calibrating.dynamics_fit import find_dynamics
@@ -27,6 +26,7 @@ from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
+from test.support.simulated import record
 
 pytestmark = pytest.mark.xdist_group("recordings")  # they are made once
 ADC = AdcScale()

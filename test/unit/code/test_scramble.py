@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from simulated import configuration, run, stream
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.decorrelate import Decorrelator
@@ -30,6 +29,7 @@ from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words, decode
+from test.support.simulated import configuration, run, stream
 
 MASK = 0xFFFFFFFF
 MOST_LATE = 40

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import scope_capture
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
+from test.support.simulated import scope_capture
 
 ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "tactile_cdma"]

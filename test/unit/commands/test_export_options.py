@@ -7,9 +7,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bags import BagMaker
 
 from tactile_cdma.commands.cli import main
+from test.support.bags import BagMaker
 
 pytestmark = pytest.mark.xdist_group("export options")  # its files are made once
 CHOICES = [

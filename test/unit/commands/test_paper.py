@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import scope_capture
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
+from test.support.simulated import scope_capture
 
 PAPER = FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1)
 SCOPE = Channel(offset_v=0.02, noise_rms_v=0.01, stretch=0.10, adc_bits=8)

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import BEGIN_NS, BagMaker
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.bag_source import BagSource
 from tactile_cdma.datasets.sources.bag_times import FAR_NS, believed_span
+from test.support.bags import BEGIN_NS, BagMaker
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.0

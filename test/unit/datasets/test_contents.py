@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from bags import PERIOD_S, BagMaker
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.parquet_table import ParquetTable
+from test.support.bags import PERIOD_S, BagMaker
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 2.0

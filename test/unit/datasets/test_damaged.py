@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import BagMaker
 
 from tactile_cdma.commands.cli import main
+from test.support.bags import BagMaker
 
 pytestmark = pytest.mark.xdist_group("datasets")
 MCAP, SQLITE, METADATA = "session.mcap", "session.db3", "metadata.yaml"

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
 from numpy.typing import NDArray
 from PIL import Image
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.lerobot import writer
+from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")

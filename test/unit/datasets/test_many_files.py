@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import BagMaker
 
 from tactile_cdma.commands.cli import main
+from test.support.bags import BagMaker
 
 pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
 from numpy.typing import NDArray
 
 from tactile_cdma.commands.cli import main
+from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.6

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from boards import board, board_id, chattering, plugged
 
 from tactile_cdma.base import kernel, shipped
 from tactile_cdma.commands.cli import main
@@ -23,6 +22,7 @@ from tactile_cdma.doctor.report import Verdict, exit_code
 from tactile_cdma.wire.messages import FrameLayout, Info
 from tactile_cdma.wire.packets import PacketWriter, wrap
 from tactile_cdma.wire.port import Port
+from test.support.boards import board, board_id, chattering, plugged
 
 Doctor = Callable[..., tuple[int, dict[str, str]]]
 

@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,65 +17,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
-from mute_host import mute_host
 
 from tactile_cdma.base.errors import PortError, SpecError
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.driver import CONNECTING, WAITING, Driver
+from tactile_cdma.driver.driver import CONNECTING, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire.messages import Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.wire.port import Port
-
-CONFIG = SkinConfig.of({})
-
-
-class Watch:
-    """Collects what a driver reports."""
-
-    def __init__(self) -> None:
-        self.frames: list[TactileFrame] = []
-        self.problems: list[str | None] = []
-
-    def driver(self, url: str, config: SkinConfig = CONFIG) -> Driver:
-        return Driver(config, url, 2_000_000, self.frames.append, self.note)
-
-    def note(self, problem: str | None) -> None:
-        if problem != WAITING:
-            self.problems.append(problem)
-
-
-def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
-
-
-@contextmanager
-def virtual_tty(path: Path, url: str = "sim://?seed=5&scene=all") -> Iterator[Path]:
-    """A virtual digitizer on a pty, linked at path, in a thread of its own."""
-    stop, ready = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve,
-        args=(
-            lambda: VirtualDigitizer(SimOptions.from_url(url)),
-            path,
-            stop,
-            lambda _: ready.set(),
-        ),
-    )
-    thread.start()
-    assert ready.wait(5)
-    try:
-        yield path
-    finally:
-        stop.set()
-        thread.join()
+from test.support.boards import board, plugged
+from test.support.hosts import CONFIG, Watch
+from test.support.mute_host import mute_host
+from test.support.waiting import wait_for
 
 
 @contextmanager
@@ -107,12 +63,12 @@ def test_a_real_tty_gives_the_same_frames_and_values_as_sim(tmp_path: Path) -> N
 
     At the pace at which they are read, so that a busy machine does not make the digitizer drop.
     """
-    options = "?seed=7&scene=moving&noise=0.02&speed=0"
+    options = "scene=moving&noise=0.02&speed=0"
     by_sim, by_tty = Watch(), Watch()
     with (
-        virtual_tty(tmp_path / "skin", f"sim://{options}") as path,
-        by_sim.driver(f"sim://{options}"),
-        by_tty.driver(str(path)),
+        plugged(board(7, options)) as path,
+        by_sim.driver(f"sim://?seed=7&{options}"),
+        by_tty.driver(path),
     ):
         wait_for(lambda: min(len(by_sim.frames), len(by_tty.frames)) >= 100)
     for a, b in zip(by_sim.frames[:100], by_tty.frames[:100], strict=True):
@@ -130,7 +86,7 @@ def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
         wait_for(lambda: watch.problems)
         assert "no such port" in (watch.problems[0] or "")
         for _ in range(2):
-            with virtual_tty(path):
+            with plugged(board(5), path):
                 seen = len(watch.frames)
                 wait_for(lambda seen=seen: len(watch.frames) > seen + 20)
                 assert watch.problems[-1] is None
@@ -146,7 +102,7 @@ def test_a_device_that_comes_back_ends_the_pause(
     path, watch = tmp_path / "skin", Watch()
     with watch.driver(str(path)):
         wait_for(lambda: watch.problems)
-        with virtual_tty(path):
+        with plugged(board(5), path):
             wait_for(lambda: len(watch.frames) > 2)
 
 

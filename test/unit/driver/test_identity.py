@@ -9,23 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from boards import board, board_id, plugged
 from hypothesis import given
 from hypothesis import strategies as st
-from test_driver import Watch, wait_for
 
 from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import Origin, SourceWatch
 from tactile_cdma.driver.driver import Driver
-from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.identity import parse_id, shown_id
 from tactile_cdma.wire.messages import Configure, GetInfo, Info, Start, Stop
-from tactile_cdma.wire.packets import PacketParser
+from test.support.boards import board, board_id, plugged
+from test.support.hosts import Talk, Watch
+from test.support.waiting import wait_for
 
 SEPARATORS = ("", ":", "-", "_", ".", " ")
 ids = st.binary(min_size=8, max_size=8).filter(any)
@@ -52,42 +50,6 @@ def test_zeros_name_no_board() -> None:
     with pytest.raises(ParameterError, match="boards without an id"):
         parse_id("00" * 8)
     assert shown_id(bytes(8)) == "no id"
-
-
-class Talk:
-    """A session, its pipeline and a digitizer, a step of time after the other."""
-
-    def __init__(self, digitizer_id: str, config: SkinConfig | None = None) -> None:
-        config = config or SkinConfig.of({"digitizer_id": digitizer_id})
-        self.session, self.pipeline = Session(config), Pipeline(config)
-        self.now_s = 0.0
-        self.sent: list[object] = []
-        self._heard = PacketParser()
-        self.digitizer = VirtualDigitizer(clock=lambda: self.now_s)
-
-    def exchange(self, seconds: float) -> list[TactileFrame]:
-        """What the driver does with a port, from opening to closing it."""
-        self.open()
-        frames = self.go_on(seconds)
-        self._send(self.session.close())
-        return frames
-
-    def open(self) -> None:
-        self._send(self.session.open())
-
-    def go_on(self, seconds: float) -> list[TactileFrame]:
-        """What its loop does."""
-        frames = []
-        for _ in range(round(seconds / 0.01)):
-            self.now_s += 0.01
-            self.digitizer.advance()
-            frames += self.pipeline.feed(self.digitizer.take(1 << 20), self.now_s)
-            self._send(self.session.watch(self.pipeline, self.now_s))
-        return frames
-
-    def _send(self, data: bytes) -> None:
-        self.sent += [type(packet) for packet in self._heard.feed(data)]
-        self.digitizer.receive(data)
 
 
 def test_the_right_board_is_started_once_it_is_known() -> None:

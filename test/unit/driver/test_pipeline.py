@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import configuration, run, stream
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
@@ -26,6 +25,7 @@ from tactile_cdma.wire.messages import (
     Samples,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import configuration, run, stream
 
 
 def assert_true(frames: list[TactileFrame], config: SkinConfig, url: str) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from simulated import configuration
 
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.parameters import PARAMETERS
@@ -24,6 +23,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, Skin
 from tactile_cdma.wire.messages import GetInfo, Start
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.simulated import configuration
 
 IDLE = "sim://?scene=idle"
 NAME = "skin.rest.yaml"

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from test_identity import Talk
 
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
@@ -20,8 +19,8 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.wire._protocol import Result
 from tactile_cdma.wire.messages import Ack, Command, Configure, GetInfo, Pack, Packet, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.hosts import CONFIG, Talk
 
-CONFIG = SkinConfig.of({})
 OPENING = [Configure, GetInfo, Start]
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import stream
 
 from tactile_cdma.base import kernel
+from tactile_cdma.code.transform import compiled_transform
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.levels import LevelDecoder
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
@@ -24,6 +24,7 @@ from tactile_cdma.framing.line_timing import CARRIED_FRAMES
 from tactile_cdma.wire._protocol import Result
 from tactile_cdma.wire.messages import Ack, Info, Packed, Quiet, Samples, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import stream
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
 
@@ -398,15 +399,15 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     levels = pipeline._levels
     assert isinstance(levels, LevelDecoder) and pipeline._steady is not None
     steady, parser = pipeline._steady._kernel, PacketParser()
-    rows, setting = np.empty((10, 20), np.float32), np.zeros(42)
+    rows, setting = np.empty((10, 20), np.float32), np.zeros(43)
     with pytest.raises(TypeError, match="not a Scanner"):
         kernel.compiled.Steady(3, 3, setting, rows)
     with pytest.raises(TypeError, match="not a Transform"):
         kernel.compiled.Steady(parser.scanner, parser.scanner, setting, rows)
-    transform = kernel.compiled.Transform(2, (), 1.0)
+    transform = compiled_transform((2, 2), True)
     with pytest.raises(ValueError, match="no frame of this code"):
         kernel.compiled.Steady(parser.scanner, transform, setting, rows)
-    with pytest.raises(ValueError, match="42"):
+    with pytest.raises(ValueError, match="43"):
         kernel.compiled.Steady(parser.scanner, transform, setting[1:], rows)
     steady.leave()
     place = (0, 0, 0, 0, 0, 1, 0.0, 0.0, (0.0, 0.0, 0.0), np.empty(0))

@@ -13,8 +13,13 @@ from collections import deque
 from collections.abc import Callable
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from unittest import mock
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tactile_cdma import Decoder, Frame, PortError, Skin, read_recording
 from tactile_cdma.commands.cli import main
@@ -52,6 +57,14 @@ def run(name: str, *words: str) -> dict[str, float]:
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
     return {name: float(value) for name, value in re.findall(r"(\w+)=([\d.]+)", last)}
+
+
+def loaded(name: str) -> ModuleType:
+    spec = spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec and spec.loader
+    example = module_from_spec(spec)
+    spec.loader.exec_module(example)
+    return example
 
 
 @needs_pyarrow
@@ -100,10 +113,7 @@ def test_what_was_logged_before_a_port_was_lost_is_kept(
     import pyarrow.parquet
 
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    spec = spec_from_file_location("live_parquet", EXAMPLES / "live_parquet.py")
-    assert spec and spec.loader
-    example = module_from_spec(spec)
-    spec.loader.exec_module(example)
+    example = loaded("live_parquet")
     output, link = tmp_path / "touch.parquet", tmp_path / "skin"
     plugged, unplug, newest = threading.Event(), threading.Event(), Newest(50)
     newest.reached = unplug.set
@@ -154,6 +164,21 @@ def test_a_network_answers_every_frame_from_shared_memory() -> None:
     assert figures["shared"] == 1
     assert figures["answers"] > 50
     assert 0 < figures["network_ms"] < figures["latency_ms"]
+
+
+@given(length=st.integers(1, 8), pushed=st.integers(0, 30))
+def test_the_window_is_always_the_last_frames_in_order(length: int, pushed: int) -> None:
+    torch = SimpleNamespace(nn=SimpleNamespace(Module=object))  # the ring needs none of it
+    with mock.patch.dict(sys.modules, torch=torch):
+        recent = loaded("live_torch").RecentFrames(length, (2,))
+    for i in range(pushed):
+        recent.push(np.array([i + 1, -i], dtype=np.float32))
+        window = recent.window
+        assert window.flags.c_contiguous and window.base is not None
+        assert np.shares_memory(window, recent._frames)
+        expected = np.maximum(np.arange(i + 2 - length, i + 2), 0)
+        assert window[:, 0].tolist() == expected.tolist()
+    assert recent.count == pushed
 
 
 @needs_torch

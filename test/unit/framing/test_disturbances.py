@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_line import DEFAULT, PAPER, Wire, check, run, same, words_of
 
 from benchmarks.doubt import Tally, compare, decode
-from benchmarks.independent_line import Digitizer, Line, Skin, Talk, render
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.hum import Hum
 from tactile_cdma.framing.impulses import without_impulses
+from test.support.independent_line import Digitizer, Line, Skin, Talk, render
+from test.support.synthetic_line import DEFAULT, PAPER, Wire, check, run, same, words_of
 
 RATE_HZ = 80_000.0
 TWO = Talk(together=2)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_line import DEFAULT, PAPER, SPECS, Wire, check, garbage, run, same, words_of
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import word_bits
@@ -20,6 +19,17 @@ from tactile_cdma.framing.gap import GapSearch
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import decode
+from test.support.synthetic_line import (
+    DEFAULT,
+    PAPER,
+    SPECS,
+    Wire,
+    check,
+    garbage,
+    run,
+    same,
+    words_of,
+)
 
 
 @pytest.mark.parametrize("rate", [4.0, 8.13, 10.0, 20.0])

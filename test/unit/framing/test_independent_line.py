@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from benchmarks.doubt import Tally, compare, conditions, decode, rival
-from benchmarks.independent_line import (
+from tactile_cdma.base.errors import SpecError
+from tactile_cdma.code import codes
+from test.support.independent_line import (
     SILENT,
     Digitizer,
     Line,
@@ -26,8 +28,6 @@ from benchmarks.independent_line import (
     render,
     row_sign,
 )
-from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code import codes
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
 

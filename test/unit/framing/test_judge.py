@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_line import PAPER, Wire
 
 from tactile_cdma.framing.fit import Fit, Line
 from tactile_cdma.framing.judge import Judge, Judgement
 from tactile_cdma.framing.raster import LEAST_KNOWN, Expected, Raster
+from test.support.synthetic_line import PAPER, Wire
 
 CHIP, PERIOD = 8.0, 2048.0
 TIE = {0: 500, 1: 500}

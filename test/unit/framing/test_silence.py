@@ -15,8 +15,8 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.framing.line_timing import LineTiming
-from tactile_cdma.framing.quiet_limit import quiet_uv
 from tactile_cdma.framing.timing import QuietBlock, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions

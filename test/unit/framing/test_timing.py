@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_line import DEFAULT, PAPER, SPECS, Wire, garbage, same, words_of
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
@@ -21,6 +20,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from test.support.synthetic_line import DEFAULT, PAPER, SPECS, Wire, garbage, same, words_of
 
 
 def test_too_few_samples_are_refused() -> None:

@@ -11,7 +11,6 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import run, stream
 
 from tactile_cdma.base.errors import LayoutError, SpecError
 from tactile_cdma.config.skin_config import SkinConfig
@@ -22,6 +21,7 @@ from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.stages import Status
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.words.decode import silent
+from test.support.simulated import run, stream
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[3] / "config" / "layouts").glob("*.yaml"))
 HEAD = "schema: tactile_cdma/layout\nversion: 1\n"

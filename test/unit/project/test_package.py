@@ -27,7 +27,7 @@ MODULES = sorted(
     if path.relative_to(PACKAGE).parts[0] != "ros" and path.name != "__main__.py"
 )
 LOAD_SERIAL = {
-    "calibrating.command",
+    "commands.calibrate",
     "calibrating.load_session",
     "commands.cli",
     "commands.ports",

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from simulated import run, stream
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.config.skin_config import SkinConfig
@@ -25,6 +24,7 @@ from tactile_cdma.readings.stages import Status
 from tactile_cdma.readings.taxels import Coverage, Readings
 from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
+from test.support.simulated import run, stream
 
 PITCH_M, TAXEL_M = 7e-3, 5.5e-3
 ROWS, COLUMNS = 6, 8

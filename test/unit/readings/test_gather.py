@@ -84,5 +84,5 @@ def test_a_neighbour_that_is_no_taxel_is_refused(neighbour: int) -> None:
         pressure_pa = np.zeros(60, dtype=np.float32)
         pressure_pa[:7], pressure_pa[7] = 2e3, level_pa
         readings = Readings(pressure_pa, pressure_pa, np.zeros(60, dtype=np.uint8))
-        with pytest.raises(ValueError, match="a neighbour is no taxel"):
+        with pytest.raises(ValueError, match="neighbours: one is no taxel"):
             gatherer.gather(readings, CONTACT_PA, RELEASE_PA)

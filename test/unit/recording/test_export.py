@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from simulated import record
 
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.commands.cli import main
@@ -28,6 +27,7 @@ from tactile_cdma.recording.capture import read_bytes
 from tactile_cdma.recording.offline import offline_values, raw_frames
 from tactile_cdma.recording.recording_file import Recorder, describe
 from tactile_cdma.sim.options import SimOptions
+from test.support.simulated import record
 
 pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
 TAXELS = 16

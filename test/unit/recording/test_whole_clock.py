@@ -16,7 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
-from simulated import stream
 
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.commands.cli import main
@@ -33,6 +32,7 @@ from tactile_cdma.recording.whole_clock import (
 )
 from tactile_cdma.wire.messages import Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import stream
 from torture.fuzz import corpus
 
 CONFIG = SkinConfig.of({})

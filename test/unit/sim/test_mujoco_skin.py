@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
+pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
 
-from tactile_cdma import ParameterError, Skin  # noqa: E402
-from tactile_cdma.places.layout import Layout  # noqa: E402
-from tactile_cdma.places.poses import Pose  # noqa: E402
-from tactile_cdma.sim import Foundation  # noqa: E402
-from tactile_cdma.sim.mujoco_skin import MujocoSkin  # noqa: E402
+import mujoco
+
+from tactile_cdma import ParameterError, Skin
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.poses import Pose
+from tactile_cdma.sim import Foundation
+from tactile_cdma.sim.mujoco_skin import MujocoSkin
 
 LAYOUT = Layout.grid(16, 4, 4, 7e-3, 7e-3)
 COVER = Foundation(LAYOUT.positions_m, LAYOUT.normals, LAYOUT.areas_m2)

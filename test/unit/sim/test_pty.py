@@ -5,8 +5,6 @@
 import os
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,28 +18,7 @@ from tactile_cdma.sim.packets import stream
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire.messages import Info, Samples, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
-
-
-@contextmanager
-def served(options: SimOptions, link: Path | None = None) -> Iterator[Path]:
-    stop, ready = threading.Event(), threading.Event()
-    paths: list[Path] = []
-
-    def on_ready(path: Path) -> None:
-        paths.append(path)
-        ready.set()
-
-    server = threading.Thread(
-        target=serve, args=(lambda: VirtualDigitizer(options), link, stop, on_ready)
-    )
-    server.start()
-    try:
-        assert ready.wait(5)
-        yield paths[0]
-    finally:
-        stop.set()
-        server.join(timeout=5)
-        assert not server.is_alive()
+from test.support.boards import plugged
 
 
 def collect(port: serial.Serial, parser: PacketParser, count: int) -> list[Samples]:
@@ -57,10 +34,10 @@ def collect(port: serial.Serial, parser: PacketParser, count: int) -> list[Sampl
 def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
     options = SimOptions(seed=4, stretch=0.1, speed=speed)
     with (
-        served(options, tmp_path / "skin") as path,
-        serial.Serial(str(path), 2_000_000, timeout=2) as port,
+        plugged(lambda: VirtualDigitizer(options), tmp_path / "skin") as path,
+        serial.Serial(path, 2_000_000, timeout=2) as port,
     ):
-        assert path == tmp_path / "skin"
+        assert path == str(tmp_path / "skin")
         port.write(PacketWriter().encode(Start()))
         parser = PacketParser()
         packets = collect(port, parser, 150)
@@ -72,7 +49,7 @@ def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
 
 
 def test_it_is_raw_before_anyone_configures_it() -> None:
-    with served(SimOptions()) as path:
+    with plugged(VirtualDigitizer) as path:
         host = os.open(path, os.O_RDWR | os.O_NOCTTY)
         try:
             packets = PacketParser().feed(os.read(host, 4096))
@@ -82,12 +59,12 @@ def test_it_is_raw_before_anyone_configures_it() -> None:
 
 
 def test_clients_come_and_go() -> None:
-    with served(SimOptions()) as path:
-        with serial.Serial(str(path), timeout=2) as port:
+    with plugged(VirtualDigitizer) as path:
+        with serial.Serial(path, timeout=2) as port:
             port.write(PacketWriter().encode(Start()))
             collect(port, PacketParser(), 20)
         time.sleep(1.0)  # nobody reads: more than the buffer holds
-        with serial.Serial(str(path), timeout=2) as port:
+        with serial.Serial(path, timeout=2) as port:
             parser = PacketParser()
             packets = collect(port, parser, 20)
             assert packets[-1].first_index > 20 * 512
@@ -104,8 +81,8 @@ def test_clients_come_and_go() -> None:
 def test_links_replace_links_only(tmp_path: Path) -> None:
     link = tmp_path / "skin"
     link.symlink_to("/nonexistent")
-    with served(SimOptions(), link) as path:
-        assert Path(os.readlink(path)).exists()
+    with plugged(VirtualDigitizer, link):
+        assert Path(os.readlink(link)).exists()
     link.write_text("precious")
     with pytest.raises(PortError, match="no symbolic link"):
         serve(VirtualDigitizer, link, threading.Event(), lambda path: None)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated import scope_capture
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.sim.channel import Channel, chip_means, first_sample, point_samples
+from test.support.simulated import scope_capture
 
 SPEC = FrameSpec()
 QUIET = Channel(noise_rms_v=0.0)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import run, stream
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.body_file import read_body
@@ -21,6 +20,7 @@ from tactile_cdma.readings.stages import Status
 from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import BEGUN_S, EVERY_S, PEAK_PA, REST_S, SCENES, Skin
+from test.support.simulated import run, stream
 
 SPEC = FrameSpec()
 CONFIG = Path(__file__).resolve().parents[3] / "config"

@@ -16,7 +16,7 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from torture.oracle import Oracle
+from test.support.oracle import Oracle
 from torture.outcome import PAGE, Outcome, from_json, summary, to_json, updated
 
 CONFIG = SkinConfig.of({})

@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from boards import board, board_id, chattering, plugged, usb_port
 from serial.tools import list_ports
 
 from tactile_cdma.base.errors import PortError
@@ -26,6 +25,7 @@ from tactile_cdma.wire.introduction import introduction
 from tactile_cdma.wire.messages import GetInfo, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.wire.port import Port
+from test.support.boards import board, board_id, chattering, plugged, usb_port
 
 Kernel = list[tuple[str, str | None]]
 

@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import BIPOLAR, UNIPOLAR, FrameSpec
-from tactile_cdma.code.separate import node_levels
+from tactile_cdma.code.separate import NodeLevels, frame_settings, node_levels
 from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.framing.fit import compiled_fit_words, numpy_fit_words
-from tactile_cdma.words import decode as decode_module
 from tactile_cdma.words import lateness, stages
-from tactile_cdma.words.decode import decode_at_once, decode_in_stages
+from tactile_cdma.words.decode import Words, decode_at_once, decode_in_stages
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
@@ -64,25 +63,6 @@ def same(some: Any, others: Any, rms: float) -> None:
             np.testing.assert_array_equal(a, b)
 
 
-@settings(max_examples=300, deadline=None)
-@given(lines(), st.sampled_from([0.3, 0.5, 0.9]))
-def test_each_stage_gives_what_numpy_gives(
-    line: tuple[FrameSpec, np.ndarray], threshold: float
-) -> None:
-    spec, rows = line
-    rms = float(np.sqrt(np.mean(np.square(rows))))
-    values = rows[0, :, spec.node_slice]
-    expected = np.full(spec.nodes, 0.3, np.float32)
-    measures = stages.numpy_measure(values)
-    same(stages.compiled_measure(values), measures, rms)
-    amplitude = measures.amplitude
-    found = stages.numpy_find_active(amplitude, expected, threshold)
-    same(stages.compiled_find_active(amplitude, expected, threshold), found, rms)
-    noise = node_levels(rows[0], spec).noise_v
-    arguments = (measures, found[0], expected, spec.sign_mask, noise, spec.line_bits, spec.parity)
-    same(stages.compiled_decide(*arguments), stages.numpy_decide(*arguments), rms)
-
-
 @settings(max_examples=200, deadline=None)
 @given(lines())
 def test_words_of_candidates_are_those_of_numpy(line: tuple[FrameSpec, np.ndarray]) -> None:
@@ -101,22 +81,16 @@ def test_words_of_candidates_are_those_of_numpy(line: tuple[FrameSpec, np.ndarra
 
 
 @settings(max_examples=300, deadline=None)
-@given(lines(), st.sampled_from([None, 0.3]), st.sampled_from([0.3, 0.5]))
+@given(lines(), st.sampled_from([None, 0.3]), st.sampled_from([0.3, 0.5, 0.9]))
 def test_decoded_words_are_those_of_numpy(
     line: tuple[FrameSpec, np.ndarray], swing_v: float | None, threshold: float
 ) -> None:
-    """At once, in compiled stages, and in numpy's."""
     spec, rows = line
     rms = float(np.sqrt(np.mean(np.square(rows))))
     levels = node_levels(rows[0], spec)
-    compiled = [way(levels, spec, threshold, swing_v) for way in (decode_at_once, decode_in_stages)]
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("measure", "find_active", "decide"):
-            patch.setattr(decode_module, name, getattr(stages, f"numpy_{name}"))
-        interpreted = decode_in_stages(levels, spec, threshold, swing_v)
-    fields = [field for field in interpreted.__slots__ if field != "noise_rms_v"]
-    for words in compiled:
-        same([getattr(words, f) for f in fields], [getattr(interpreted, f) for f in fields], rms)
+    ways = [way(levels, spec, threshold, swing_v) for way in (decode_at_once, decode_in_stages)]
+    fields = [field for field in Words.__slots__ if field != "noise_rms_v"]
+    same(*([getattr(words, field) for field in fields] for words in ways), rms)
 
 
 @pytest.mark.parametrize("noise_v", [0.0, 2e-3])
@@ -127,9 +101,8 @@ def test_sound_words_are_read_at_once(nodes: int, noise_v: float) -> None:
     rows = rng.normal(0, noise_v, (spec.line_bits, spec.order)).astype(np.float32)
     rows[:, spec.node_slice] += rng.choice([-0.3, 0.3], (spec.line_bits, nodes))
     swing_v = np.full(nodes, 0.3, np.float32)
-    found = stages.compiled_read(
-        rows, swing_v, spec.sign_mask, noise_v, 10, False, spec.first_row, 0.5, np.nan, 1.0, 3
-    )
+    settings = frame_settings(spec), stages.reading_settings(spec, 0.5, 1.0, 3, 0.5)
+    found = stages.read(settings, rows, swing_v, spec.sign_mask, noise_v, np.nan)
     assert found is not None
     words, leave_energy = found
     assert words.active.all() and leave_energy == (nodes * noise_v > 0.1), "noise of many rows"
@@ -147,7 +120,7 @@ def test_late_words_are_those_of_numpy(line: tuple[FrameSpec, np.ndarray], delay
     chips = np.roll(spread(rows[1] - delayed, spec.book), delay)
     rows = rows[0] + delayed + correlate(chips, spec.book)
     levels = node_levels(rows, spec)
-    amplitude = stages.numpy_measure(levels.values).amplitude
+    amplitude = stages.measure(levels.values).amplitude
     active = amplitude > 0.1
     found = lateness.compiled_late(levels, amplitude, active, spec)
     assert np.array_equal(found, lateness.numpy_late(levels, amplitude, active, spec))
@@ -160,43 +133,49 @@ def test_levels_that_are_no_numbers_are_no_words() -> None:
     rows[0, 3, 5] = np.nan
     found, expected = compiled_fit_words(rows, spec), numpy_fit_words(rows, spec)
     np.testing.assert_array_equal(found.amplitude, expected.amplitude)
-    values = rows[0, :, spec.node_slice]
-    measures = stages.compiled_measure(values)
-    np.testing.assert_array_equal(measures.amplitude, stages.numpy_measure(values).amplitude)
-    level = np.full(spec.nodes, 0.3, np.float32)
-    for ours, theirs in zip(
-        stages.compiled_find_active(measures.amplitude, level, 0.5),
-        stages.numpy_find_active(measures.amplitude, level, 0.5),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(ours, theirs)
+    levels = NodeLevels(rows[0, :, spec.node_slice], 1e-3, rows=rows[0])
+    words = decode_at_once(levels, spec)
+    assert np.array_equal(words.active, decode_in_stages(levels, spec).active)
 
 
-def test_levels_that_do_not_lie_in_rows_are_measured_too() -> None:
-    values = np.random.default_rng(1).normal(size=(30, 10)).astype(np.float32).T
-    same(stages.compiled_measure(values), stages.numpy_measure(values), 1.0)
-
-
-def test_misuse_is_refused() -> None:
+def test_misuse_is_refused_and_says_of_which_argument() -> None:
     assert kernel.compiled is not None
-    floats, ints = np.zeros((4, 5), np.float32), np.zeros((2, 5), np.int32)
-    flags, levels = np.zeros((4, 5), np.bool_), np.zeros((10, 5), np.float32)
-    for values, arrays in (
-        (levels, (*floats, *ints[:1])),
-        (levels, (*floats, *floats[:2])),
-        (levels, (*np.zeros((4, 4), np.float32), *ints)),
-        (levels[:0], (*floats, *ints)),
-        (np.zeros((32, 5), np.float32), (*floats, *ints)),
-        (levels.astype(np.float64), (*floats, *ints)),
-        (levels[0], (*floats, *ints)),
-        (levels.T.copy().T, (*floats, *ints)),
+    spec = FrameSpec(nodes=5, order=8)
+    settings = frame_settings(spec), stages.reading_settings(spec, 0.5, 1.0, 3, 0.5)
+    rows, mask, expected = np.zeros((10, 8), np.float32), np.zeros(5, np.int32), np.ones(5)
+    out = np.zeros((6, 5), np.float32), np.zeros((3, 5), np.int32), np.zeros((5, 5), np.bool_)
+    sound = [*settings, 100.0, np.nan, rows, mask, expected.astype(np.float32), *out]
+    kernel.compiled.read_words(*sound)
+    for place, wrong, error in (
+        (0, settings[1], "words_frame: 56 bytes of settings expected, not 64"),
+        (2, "much", "per_noise: must be real number"),
+        (4, rows[:9], r"rows: \(10, 8\) with 5 nodes from row 1 on expected, not \(9, 8\)"),
+        (4, rows[:, ::2], "rows: ndarray is not C-contiguous"),
+        (4, rows[0], r"rows: 2 axes \(kN\) expected, not 1"),
+        (5, mask[:4], "expected: 4 values expected, not 5"),
+        (6, expected, "expected: values of type 'f' expected, not 'd'"),
+        (6, None, "expected: a bytes-like object"),
+        (7, out[0][:5], r"floats: 6 of \(6n\) is 6, not 5"),
+        (8, out[1][:, :4], "ints: ndarray is not C-contiguous"),
+        (9, b"flags", "flags: "),
     ):
-        with pytest.raises((TypeError, ValueError)):
-            kernel.compiled.measure(values, *arrays)
-    with pytest.raises(ValueError, match="an array of 5 values, not 6"):
-        kernel.compiled.find_active(0.5, 0.5, 0.5, 6, floats[0], floats[1], flags[0], flags[1])
-    with pytest.raises(TypeError, match="arguments"):
-        kernel.compiled.decide()
-    rows, out = np.zeros((1, 10, 8), np.float32), np.zeros((4, 1), np.float32)
-    with pytest.raises(ValueError, match="with those of the nodes in N"):
-        kernel.compiled.fit_words(4, 5, False, 0.3, 0.1, 0.5, rows, floats[:1], floats[1:2], *out)
+        with pytest.raises((TypeError, ValueError, BufferError), match=f"read_words: {error}"):
+            kernel.compiled.read_words(*sound[:place], wrong, *sound[place + 1 :])
+    with pytest.raises(TypeError, match="read_words: 10 arguments expected, not 9"):
+        kernel.compiled.read_words(*sound[:-1])
+
+
+def test_settings_have_the_members_of_their_struct() -> None:
+    assert kernel.compiled is not None
+    for name, (size, members) in kernel.compiled.STRUCTS.items():
+        end = 0
+        for _, offset, kind in members:
+            width = np.dtype(kind).itemsize
+            assert end <= offset < end + width + 8 and offset % width == 0, "no member is left out"
+            end = offset + width
+        assert end <= size < end + 8
+        for wrong in ({}, {**dict.fromkeys((m[0] for m in members), 1), "more": 1}):
+            with pytest.raises(TypeError, match=name):
+                kernel.settings(name, **wrong)
+    one = kernel.settings("words_lateness", late_share=0.25, leaked=0.5, by_chance=4.0)
+    assert one.tolist() == (0.25, 0.5, 4.0)

@@ -8,8 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -25,21 +23,8 @@ from sensor_msgs.msg import Image
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
-from tactile_cdma.sim.digitizer import VirtualDigitizer
-from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.pty import serve
-from tactile_cdma.wire.messages import Info
 
-
-class Board(VirtualDigitizer):
-    """A virtual digitizer that says it is a board, with this id: for tests of what boards do."""
-
-    def __init__(self, options: SimOptions, number: str = "E66058388372A432") -> None:
-        self._number = bytes.fromhex(number)
-        super().__init__(options)
-
-    def info(self) -> Info:
-        return replace(super().info(), digitizer_id=self._number)
+from .waiting import holds, wait_for
 
 
 class Client(Node):
@@ -101,14 +86,6 @@ def in_one(message: DiagnosticArray) -> DiagnosticStatus:
     return DiagnosticStatus(level=level, message="; ".join(texts), values=values)
 
 
-def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
-    """Wait until the condition holds; one about the last of no messages does not."""
-    deadline = time.monotonic() + timeout_s
-    while not _holds(condition):
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
-
-
 def wait_sending(
     sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], object], timeout_s: float = 60.0
 ) -> None:
@@ -124,32 +101,9 @@ def wait_sending(
             for publisher, message in sent:
                 publisher.publish(message)
             next_s = time.monotonic() + 0.5
-        return _holds(condition)
+        return holds(condition)
 
     wait_for(held, timeout_s)
-
-
-def _holds(condition: Callable[[], object]) -> bool:
-    try:
-        return bool(condition())
-    except IndexError:
-        return False
-
-
-@contextmanager
-def plugged(path: Path, url: str = "sim://?scene=all") -> Iterator[None]:
-    """A virtual digitizer that says it is a board, on a pty that is linked at path."""
-    stop, ready, options = threading.Event(), threading.Event(), SimOptions.from_url(url)
-    thread = threading.Thread(
-        target=serve, args=(lambda: Board(options), path, stop, lambda _: ready.set())
-    )
-    thread.start()
-    try:
-        assert ready.wait(5)
-        yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `tactile-cdma calibrate`: fits a calibration file to known loads."""
+"""The subcommand `tactile-cdma calibrate`: fits a calibration file to known loads."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ import numpy as np
 from ..base.errors import CalibrationError, CaptureError
 from ..base.listing import listed
 from ..base.named_file import naming
+from ..calibrating import dynamics_fit, report
+from ..calibrating.load_points import LoadPoints, read_points
+from ..calibrating.load_session import LoadSession
+from ..calibrating.plateaus import Recording, Reference, find_offset, plateau_points, read_reference
+from ..calibrating.skin_fit import fit_skin
 from ..config.arguments import add_skin_options, finite, given, positive
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
@@ -32,11 +37,6 @@ from ..readings.calibration_file import (
 )
 from ..recording.capture import capture_notes
 from ..recording.offline import described_parameters, raw_frames
-from . import dynamics_fit, report
-from .load_points import LoadPoints, read_points
-from .load_session import LoadSession
-from .plateaus import Recording, Reference, find_offset, plateau_points, read_reference
-from .skin_fit import fit_skin
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""

@@ -4,20 +4,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from conftest import FIRMWARE
 from numpy.typing import NDArray
 
+from emulated import EDGE, EmulatedNodes, Node
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
-
-sys.path.insert(0, str(FIRMWARE / "sim"))
-from emulated import EDGE, EmulatedNodes, Node
 
 UNIT_NS, LEAD_NS = 16_000, 64_000
 RESTART, FRAME, CALL = 1, 2, 3

@@ -78,8 +78,8 @@ def main() -> None:
     from std_srvs.srv import Trigger
     from visualization_msgs.msg import MarkerArray
 
-    from skin_client import running, wait_for
     from tactile_cdma.srv import Tare
+    from test.support.skin_client import running, wait_for
 
     port, calibration = sys.argv[1:]
     rclpy.init()

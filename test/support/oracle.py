@@ -18,8 +18,6 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import Setup, SimOptions
 
-from .outcome import Tally
-
 KEPT = 4096
 """True frames that are kept, for published frames that come late."""
 NEAR = 0.25
@@ -124,25 +122,6 @@ class Oracle:
             if found[1] is None:
                 found = (index, true)
         return found
-
-
-class Judge:
-    """Compares the frames that one driver publishes with what the nodes really sent.
-
-    Campaigns extend it by what else they can tell: times, pressures, counts.
-    tally: the result so far.
-    """
-
-    def __init__(self) -> None:
-        self.tally = Tally()
-        self.oracle = Oracle()
-
-    def check(self, frame: TactileFrame) -> Verdict:
-        """Compare the next published frame, and count its wrong words."""
-        verdict = self.oracle.check(frame)
-        self.tally.frames += 1
-        self.tally.wrong_values += int(verdict.wrong.sum() + verdict.missed.sum())
-        return verdict
 
 
 def pressures(config: SkinConfig) -> NDArray[np.float64]:

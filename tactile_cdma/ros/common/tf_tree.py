@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.errors import TransformError
-from .poses import Pose
+from ...base.errors import TransformError
+from ...places.poses import Pose
 
 MOST_FRAMES = 10_000
 """Chosen, far above any robot's number: a sender that invents names must not exhaust memory."""

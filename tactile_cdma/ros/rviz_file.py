@@ -14,12 +14,12 @@ import numpy as np
 import yaml
 
 from ..base.arrays import Floats
+from ..config.body_file import NODE_NAME, Body, Patch
+from ..config.parameters import DEFAULTS, Values, read_file
+from ..config.skin_config import SkinConfig
 from ..places.layout import Layout
 from ..places.mesh import MOST_SQUARES
 from ..places.poses import Pose
-from .body_file import NODE_NAME, Body, Patch
-from .parameters import DEFAULTS, Values, read_file
-from .skin_config import SkinConfig
 
 SKIN_SIZES = 1.65
 """Distance of the camera from a skin, in its diagonals. Chosen: with rviz's 45° it fills the

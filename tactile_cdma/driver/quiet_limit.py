@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 from ..code.frame import FrameSpec
-from .fit import least_power
+from ..framing.fit import least_power
 
 MARGIN = 0.9
 """Share of the limit that is used. Chosen: leaves a tenth for rounding of counts."""

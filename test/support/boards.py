@@ -9,6 +9,7 @@ import threading
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 from serial.tools.list_ports_common import ListPortInfo
@@ -16,6 +17,22 @@ from serial.tools.list_ports_common import ListPortInfo
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import Digitizer, serve
+from tactile_cdma.wire.messages import Info
+
+from .waiting import PATIENCE_S
+
+ALL_PRESSED = SimOptions(scene="all")
+
+
+class Board(VirtualDigitizer):
+    """A virtual digitizer that says it is a board, with this id: for tests of what boards do."""
+
+    def __init__(self, options: SimOptions = ALL_PRESSED, number: str = "E66058388372A432") -> None:
+        self._number = bytes.fromhex(number)
+        super().__init__(options)
+
+    def info(self) -> Info:
+        return replace(super().info(), digitizer_id=self._number)
 
 
 @contextmanager
@@ -31,7 +48,7 @@ def plugged(power_up: Callable[[], Digitizer], link: Path | None = None) -> Iter
     thread = threading.Thread(target=serve, args=(power_up, link, stop, on_ready))
     thread.start()
     try:
-        assert ready.wait(5)
+        assert ready.wait(PATIENCE_S)
         yield str(paths[0])
     finally:
         stop.set()

@@ -24,14 +24,14 @@ from tactile_cdma.base.errors import ParameterError, PortError, RestError, SpecE
 from tactile_cdma.commands.cli import main
 from tactile_cdma.recording.recording_file import Recorder
 
-pytestmark = pytest.mark.xdist_group("door")
+pytestmark = pytest.mark.xdist_group("public_skin")
 ROOT = Path(__file__).resolve().parents[3]
 IDLE = "sim://?scene=idle&heartbeat=2"  # every node speaks early, so that no taxel is awaited
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("door") / "touch.skin"
+    path = tmp_path_factory.mktemp("public_skin") / "touch.skin"
     assert main(["record", "sim://?scene=moving&seed=3&speed=0", str(path), "--seconds", "2"]) == 0
     return path
 

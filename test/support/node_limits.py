@@ -8,9 +8,8 @@ import ctypes
 import json
 import re
 
-from conftest import FIRMWARE
-
 from tactile_cdma.wire.messages import WIRE
+from test.support.firmware import FIRMWARE
 
 READER = ctypes.CFUNCTYPE(ctypes.c_uint8, ctypes.c_uint16)
 GOOD, BLANK, CORRUPT, INVALID, UNFIT = range(5)

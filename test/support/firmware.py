@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where the firmware is, and the programs that build it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeAlias
+
+import pytest
+
+from emulated import Node
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+CORE = FIRMWARE / "core"
+STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
+SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
+SANITIZED = "TACTILE_SANITIZE"
+"""Environment variable, set if the core is to be built with sanitizers (test_sanitizers.py)."""
+Specimen: TypeAlias = Callable[..., Node]
+"""Compiles a program of specimens.c for an MCU; returns the node that runs it."""
+
+
+def need(tool: str) -> str:
+    """Path of a program; skips the test where it is not installed."""
+    path = shutil.which(tool)
+    if path is None:
+        pytest.skip(f"no {tool} on this machine; `make firmware-tools` tells how to get it")
+    return path
+
+
+def run(*command: str | Path, cwd: Path | None = None, timeout: float = 300) -> str:
+    """Run a command that has to succeed; return what it printed."""
+    result = subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, timeout=timeout, cwd=cwd
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
