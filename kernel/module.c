@@ -14,7 +14,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 9 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 10 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -170,6 +170,7 @@ FUNCTION(feed, ARRAY("data", 'B', "*"))
             Py_CLEAR(packets);
         Py_XDECREF(tuple);
     }
+    scanner_tell(scanner);
     return packets;
 }
 
@@ -177,6 +178,7 @@ static PyObject *skip(PyObject *self, PyObject *unused)
 {
     (void)unused;
     scanner_skip(held_by(self));
+    scanner_tell(held_by(self));
     Py_RETURN_NONE;
 }
 
@@ -188,11 +190,8 @@ static PyObject *held(PyObject *self, PyObject *unused)
 
 static PyObject *counts(PyObject *self, PyObject *unused)
 {
-    struct scanner_counts seen;
-
     (void)unused;
-    scanner_counts(held_by(self), &seen);
-    return counts_dict(&seen);
+    return counts_dict(scanner_told(held_by(self)));
 }
 
 static PyMethodDef scanner_methods[] = {
@@ -486,10 +485,12 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
-        add_type(module, &steady_spec))
+        add_type(module, &stream_spec))
         return -1;
-    PyObject *structs = layouts_dict(layouts, sizeof layouts / sizeof *layouts);
-    int failed = PyModule_AddObjectRef(module, "STRUCTS", structs);
+    PyObject *structs = PyDict_New();
+    int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||
+                 !add_layouts(structs, stream_layouts, STREAM_LAYOUTS) ||
+                 PyModule_AddObjectRef(module, "STRUCTS", structs);
     Py_XDECREF(structs);
     if (failed || PyModule_AddIntConstant(module, "VERSION", VERSION))
         return -1;

@@ -1,74 +1,97 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The class Steady of the Python module; see steady.h and tactile_cdma/_kernel.pyi. */
+/* The class Stream of the Python module; see stream.h and CompiledStream in
+ * tactile_cdma/driver/compiled_stream.py, its only user. */
 #include "binding.h"
 
 #include <errno.h>
 #include <time.h>
 
 #include "reader.h"
-#include "steady.h"
+#include "stream.h"
 
-static int get_array(PyObject *object, Py_buffer *buffer, char code, int flags, const char *what)
-{
-    if (PyObject_GetBuffer(object, buffer, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | flags))
-        return -1;
-    const char *format = buffer->format;
-    if (format[0] == code && format[1] == 0)
-        return 0;
-    PyErr_Format(PyExc_TypeError, "%s holds '%s', not '%c'", what, format, code);
-    PyBuffer_Release(buffer);
-    return -1;
-}
+enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 
-static bool takes(Py_ssize_t count, Py_ssize_t expected)
-{
-    if (count != expected)
-        PyErr_Format(PyExc_TypeError, "%zd arguments, not %zd", count, expected);
-    return count == expected;
-}
-
-static int get_arrays(PyObject *const *objects, size_t count, const char *codes, size_t writable,
-                      size_t size, Py_buffer *buffers)
-{
-    for (size_t i = 0; i < count; i++) {
-        int flags = i < writable ? 0 : PyBUF_WRITABLE;
-        int failed = get_array(objects[i], &buffers[i], codes[i], flags, "an array");
-        if (!failed && (size_t)(buffers[i].len / buffers[i].itemsize) != size) {
-            PyErr_Format(PyExc_ValueError, "an array of %zd values, not %zu",
-                         buffers[i].len / buffers[i].itemsize, size);
-            PyBuffer_Release(&buffers[i]);
-            failed = -1;
-        }
-        if (failed) {
-            while (i-- > 0)
-                PyBuffer_Release(&buffers[i]);
-            return -1;
-        }
-    }
-    return 0;
-}
-
-static void release(size_t count, Py_buffer *buffers)
-{
-    while (count-- > 0)
-        PyBuffer_Release(&buffers[count]);
-}
-
-enum fit_array { WHOLE, SHARE, NUMBER, PLACES, FIT_ARRAYS };
-
-struct following {
-    struct steady *steady;
-    PyObject *scanner, *transform, *given; /* given: the bytes that are used up next */
-    Py_buffer rows, arrays[FIT_ARRAYS];
-    bool has_fit;
-    struct carried_fit fit;
-    size_t size, chips;          /* samples and chips of a frame */
-    double t_host;               /* of the bytes used last */
+/* A stream, and what it uses of Python's. */
+struct owner {
+    struct stream *stream;
+    struct scanner *scanner;
+    PyObject *scanner_object, *transform, *given; /* given: the bytes that are used up next */
+    Py_buffer rows, flips, edges[EDGE_ARRAYS];
+    size_t chips; /* of a frame */
+    double t_host; /* of the bytes used last */
     bool backlog;
-    volatile bool busy;          /* in a call that has released the GIL */
-    struct scanner_counts told;  /* as of the last event */
+    volatile bool busy; /* in a call that has released the GIL */
     uint8_t bytes[READER_SIZE];
+};
+
+static const struct field rules_fields[] = {
+    FIELD(stream_rules, frame.frame.bits),
+    FIELD(stream_rules, frame.frame.order),
+    FIELD(stream_rules, frame.frame.first),
+    FIELD(stream_rules, frame.frame.nodes),
+    FIELD(stream_rules, frame.frame.unipolar),
+    FIELD(stream_rules, frame.frame.swing),
+    FIELD(stream_rules, frame.frame.loudest_share),
+    FIELD(stream_rules, frame.frame.active_share),
+    FIELD(stream_rules, frame.frame.spoken_over),
+    FIELD(stream_rules, frame.spare),
+    FIELD(stream_rules, frame.spare_count),
+    FIELD(stream_rules, frame.size),
+    FIELD(stream_rules, frame.whole_size),
+    FIELD(stream_rules, frame.chip),
+    FIELD(stream_rules, frame.least_power),
+    FIELD(stream_rules, frame.most_noise),
+    FIELD(stream_rules, frame.rail_low),
+    FIELD(stream_rules, frame.rail_high),
+    FIELD(stream_rules, frame.deafened),
+    FIELD(stream_rules, frame.carried_noise),
+    FIELD(stream_rules, frame.carried_misfit),
+    FIELD(stream_rules, frame.loud),
+    FIELD(stream_rules, frame.spread),
+    FIELD(stream_rules, frame.misfit),
+    FIELD(stream_rules, frame.left),
+    FIELD(stream_rules, frame.tail_noise),
+    FIELD(stream_rules, frame.tail_scatter),
+    FIELD(stream_rules, frame.tail_level),
+    FIELD(stream_rules, frame.least_tail),
+    FIELD(stream_rules, frame.integrated),
+    FIELD(stream_rules, frame.mean_is_offset),
+    FIELD(stream_rules, frame.scrambled),
+    FIELD(stream_rules, frame.silent_rise),
+    FIELD(stream_rules, frame.silent_more),
+    FIELD(stream_rules, marked),
+    FIELD(stream_rules, in_blocks),
+    FIELD(stream_rules, heeds_calls),
+    FIELD(stream_rules, zero_count),
+    FIELD(stream_rules, volts_per_count),
+    FIELD(stream_rules, most_volts),
+    FIELD(stream_rules, gap_size),
+    FIELD(stream_rules, least_rest),
+    FIELD(stream_rules, gap_weight),
+    FIELD(stream_rules, rise),
+    FIELD(stream_rules, rise_v2),
+    FIELD(stream_rules, silent_over),
+    FIELD(stream_rules, rate_hz),
+    FIELD(stream_rules, behind_s),
+    FIELD(stream_rules, ahead_s),
+    FIELD(stream_rules, ahead),
+    FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, most_quiet),
+    FIELD(stream_rules, most_quiet_v2),
+};
+
+static const struct field timing_fields[] = {
+    FIELD(stream_timing, due),        FIELD(stream_timing, over),
+    FIELD(stream_timing, uses),       FIELD(stream_timing, asks),
+    FIELD(stream_timing, has_frame),  FIELD(stream_timing, frame.chip),
+    FIELD(stream_timing, frame.until), FIELD(stream_timing, frame.heard),
+    FIELD(stream_timing, frame.tail), FIELD(stream_timing, frame.tail_end),
+};
+
+const struct layout stream_layouts[STREAM_LAYOUTS] = {
+    LAYOUT(stream_rules, rules_fields),
+    LAYOUT(stream_timing, timing_fields),
 };
 
 static double now_s(void)
@@ -80,287 +103,181 @@ static double now_s(void)
 }
 
 /* NULL with an exception while another thread is in a call. */
-static struct following *free_one(PyObject *self)
+static struct owner *free_one(const struct call *call)
 {
-    struct following *following = held_by(self);
+    struct owner *owner = held_by(call->self);
 
-    if (!following->busy)
-        return following;
+    if (!owner->busy)
+        return owner;
     PyErr_SetString(PyExc_RuntimeError, "another thread follows this stream");
     return NULL;
 }
 
-static void drop_fit(struct following *following)
+static void release(Py_buffer *buffer)
 {
-    if (following->has_fit)
-        release(FIT_ARRAYS, following->arrays);
-    following->has_fit = false;
+    if (buffer->obj)
+        PyBuffer_Release(buffer);
 }
 
-static void drop_following(void *held)
+/* Takes over an array from a call in place of another one. */
+static void exchange(Py_buffer *kept, struct call *call, size_t argument)
 {
-    struct following *following = held;
-
-    drop_fit(following);
-    if (following->rows.obj)
-        PyBuffer_Release(&following->rows);
-    Py_XDECREF(following->scanner);
-    Py_XDECREF(following->transform);
-    Py_XDECREF(following->given);
-    if (following->steady)
-        steady_free(following->steady);
-    PyMem_Free(following);
+    release(kept);
+    *kept = keep(call, argument);
 }
 
-/* Whether an object is of the class of this name in the same module; if not, with an exception. */
-static bool is_a(PyObject *object, PyTypeObject *type, const char *name)
+static void drop_owner(void *held)
 {
-    PyObject *module = PyType_GetModule(type);
-    PyObject *class = module ? PyObject_GetAttrString(module, name) : NULL;
-    int is = class ? PyObject_IsInstance(object, class) : -1;
+    struct owner *owner = held;
 
-    Py_XDECREF(class);
-    if (is == 0)
-        PyErr_Format(PyExc_TypeError, "not a %s of the kernel", name);
-    return is == 1;
+    for (size_t i = 0; i < EDGE_ARRAYS; i++)
+        release(&owner->edges[i]);
+    release(&owner->rows);
+    release(&owner->flips);
+    Py_XDECREF(owner->scanner_object);
+    Py_XDECREF(owner->transform);
+    Py_XDECREF(owner->given);
+    if (owner->stream)
+        stream_free(owner->stream);
+    PyMem_Free(owner);
 }
 
-/* The numbers of a setting, in the order of _setting in tactile_cdma/driver/steady.py. */
-static struct steady_setting setting_of(const double *n)
+CONSTRUCTOR(Stream, OBJECT("scanner", "Scanner"))
 {
-    return (struct steady_setting){
-        .line = {.frame = {.bits = (size_t)n[0],
-                           .order = (size_t)n[1],
-                           .first = (size_t)n[2],
-                           .nodes = (size_t)n[3],
-                           .unipolar = n[4] != 0,
-                           .swing = (float)n[5],
-                           .loudest_share = (float)n[6],
-                           .active_share = (float)n[7],
-                           .spoken_over = n[42]},
-                 .spare = (size_t)n[8],
-                 .spare_count = (size_t)n[9],
-                 .size = (size_t)n[10],
-                 .chip = n[11],
-                 .least_power = n[12],
-                 .most_noise = n[13],
-                 .rail_low = n[14],
-                 .rail_high = n[15],
-                 .deafened = n[16],
-                 .carried_noise = n[17],
-                 .carried_misfit = n[18],
-                 .loud = n[19],
-                 .integrated = n[36] != 0,
-                 .mean_is_offset = n[37] != 0,
-                 .heard = (size_t)n[38],
-                 .spread = n[39],
-                 .misfit = n[40],
-                 .left = n[41]},
-        .zero = (float)n[20],
-        .per_count = (float)n[21],
-        .zero_count = n[20],
-        .volts_per_count = n[21],
-        .most_volts = n[22],
-        .gap_size = (size_t)n[23],
-        .least_rest = (size_t)n[24],
-        .gap_weight = n[25],
-        .rise = n[26],
-        .rise_v2 = n[27],
-        .silent_over = (size_t)n[28],
-        .rate_hz = n[29],
-        .behind_s = n[30],
-        .ahead_s = n[31],
-        .ahead = n[32],
-        .most_device_us = (uint64_t)n[33],
-        .most_quiet = n[34],
-        .most_quiet_v2 = n[35],
-    };
-}
+    struct owner *owner = PyMem_Calloc(1, sizeof *owner);
 
-#define NUMBERS 43
-
-static bool is_possible(const struct steady_setting *setting, size_t order, size_t values)
-{
-    const struct carried_line *line = &setting->line;
-    const struct words_frame *frame = &line->frame;
-
-    return frame->bits && frame->bits <= WORDS_MOST_BITS && frame->order == order &&
-           values == frame->bits * order && frame->nodes && frame->first + frame->nodes <= order &&
-           line->spare + line->spare_count <= order && line->size &&
-           (!line->integrated || (line->size >= values && line->heard >= 1)) && line->size < 1 << 26 &&
-           setting->gap_size && setting->gap_size < 1 << 26 && line->chip > 0 &&
-           setting->rate_hz > 0 && setting->least_rest > 1;
-}
-
-/* scanner, transform, numbers (float64), rows (float32). */
-static PyObject *make_steady(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
-{
-    static char *names[] = {"", "", "", "", NULL};
-    PyObject *scanner, *transform, *numbers_given, *rows;
-    Py_buffer numbers;
-
-    if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "OOOO", names, &scanner, &transform,
-                                     &numbers_given, &rows) ||
-        !is_a(scanner, type, "Scanner") || !is_a(transform, type, "Transform") ||
-        get_arrays(&numbers_given, 1, "d", 1, NUMBERS, &numbers))
-        return NULL;
-    struct following *following = PyMem_Calloc(1, sizeof *following);
-    if (!following) {
-        release(1, &numbers);
+    if (!owner)
         return PyErr_NoMemory();
-    }
-    struct steady_setting setting = setting_of(numbers.buf);
-    release(1, &numbers);
-    following->scanner = Py_NewRef(scanner);
-    following->transform = Py_NewRef(transform);
-    following->size = setting.line.size;
-    following->chips = setting.line.frame.bits * setting.line.frame.order;
-    setting.line.transform = held_by(transform);
-    if (get_array(rows, &following->rows, 'f', PyBUF_WRITABLE, "rows")) {
-        following->rows.obj = NULL;
-        goto fail;
-    }
-    if (!is_possible(&setting, transform_order(setting.line.transform),
-                     (size_t)following->rows.len / sizeof(float))) {
-        PyErr_SetString(PyExc_ValueError, "the numbers are those of no frame of this code and rows");
-        goto fail;
-    }
-    following->steady = steady_new(&setting, held_by(scanner), following->rows.buf);
-    if (!following->steady) {
-        PyErr_NoMemory();
-        goto fail;
-    }
-    return hold(type, following, drop_following);
-fail:
-    drop_following(following);
-    return NULL;
+    owner->scanner = call->value[0].data;
+    owner->scanner_object = Py_NewRef(call->given[0]);
+    owner->stream = stream_new(owner->scanner);
+    if (owner->stream)
+        return hold((PyTypeObject *)call->self, owner, drop_owner);
+    drop_owner(owner);
+    return PyErr_NoMemory();
 }
 
-/* chip, heard, tail, tail_samples; whole, share, number, places: see struct carried_fit. */
-static int take_fit(struct following *following, PyObject *fit, size_t due)
-{
-    PyObject *objects[FIT_ARRAYS];
-    Py_buffer *arrays = following->arrays;
-    Py_ssize_t heard, tail, tail_samples;
-    double chip;
+/* ---- settings ---------------------------------------------------------------------------------- */
 
-    if (!PyArg_ParseTuple(fit, "dnnnOOOO", &chip, &heard, &tail, &tail_samples, &objects[WHOLE],
-                          &objects[SHARE], &objects[NUMBER], &objects[PLACES]))
-        return -1;
-    Py_ssize_t edges = PyObject_Size(objects[WHOLE]);
-    if (edges < 0)
-        return -1;
-    if (edges < 2 || heard < 1 || tail < 0 || tail_samples < 1 || (size_t)heard > due ||
-        (size_t)tail + (size_t)tail_samples > due) {
-        PyErr_SetString(PyExc_ValueError, "the timing does not fit the samples of a frame");
-        return -1;
-    }
-    if (get_arrays(&objects[WHOLE], 1, "i", 1, (size_t)edges, &arrays[WHOLE]))
-        return -1;
-    if (get_arrays(&objects[SHARE], 1, "d", 1, (size_t)edges, &arrays[SHARE]))
-        goto drop_whole;
-    if (get_arrays(&objects[NUMBER], 1, "d", 1, (size_t)edges - 1, &arrays[NUMBER]))
-        goto drop_share;
-    if (get_arrays(&objects[PLACES], 1, "i", 1, following->chips, &arrays[PLACES]))
-        goto drop_number;
-    following->has_fit = true;
-    following->fit = (struct carried_fit){
-        .chip = chip,
-        .edges = {(size_t)edges, arrays[WHOLE].buf, arrays[SHARE].buf, arrays[NUMBER].buf},
-        .places = arrays[PLACES].buf,
-        .heard = (size_t)heard,
-        .tail = (size_t)tail,
-        .tail_samples = (size_t)tail_samples,
-    };
-    return 0;
-drop_number:
-    release(1, &arrays[NUMBER]);
-drop_share:
-    release(1, &arrays[SHARE]);
-drop_whole:
-    release(1, &arrays[WHOLE]);
-    return -1;
+static bool is_possible(const struct stream_rules *rules, size_t bits, size_t order)
+{
+    const struct frame_rules *frame = &rules->frame;
+    const struct words_frame *words = &frame->frame;
+
+    return words->bits == bits && words->order == order && bits && bits <= WORDS_MOST_BITS &&
+           words->nodes && words->first <= order && words->nodes <= order - words->first &&
+           frame->spare <= order && frame->spare_count <= order - frame->spare && frame->size &&
+           frame->size <= STREAM_MOST_SAMPLES && frame->whole_size && rules->gap_size &&
+           rules->gap_size <= STREAM_MOST_SAMPLES && rules->least_rest > 1 && frame->chip > 0 &&
+           rules->rate_hz > 0;
 }
 
-/* origin, end, gap_begin, mark, last_us, last_count, level, noise, (gap count, sum, squares), volts,
- * due, over, most_uses, fit or None. */
-static PyObject *enter(PyObject *self, PyObject *arguments)
+/* transform: None where there is none of this order. flips: empty where no chips are flipped. */
+FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "?Transform"), ARRAY("flips", 'f', "*"),
+         OUT("rows", 'f', "kn"))
 {
-    struct following *following = free_one(self);
-    struct steady_place place = {.start = -1};
-    unsigned long long origin, last_us;
-    long long end, gap_begin, mark;
-    unsigned long last_count;
-    Py_ssize_t due, over, most_uses;
-    PyObject *volts, *fit;
-    Py_buffer buffer;
+    const struct stream_rules *rules = call->value[0].data;
+    struct owner *owner = free_one(call);
 
-    if (!following ||
-        !PyArg_ParseTuple(arguments, "KLLLKkdd(ddd)OnnnO", &origin, &end, &gap_begin, &mark,
-                          &last_us, &last_count, &place.level, &place.noise, &place.gap_count,
-                          &place.gap_sum, &place.gap_squares, &volts, &due, &over, &most_uses, &fit))
+    if (!owner)
         return NULL;
-    if (due < 1 || (size_t)due < following->size || (size_t)due > (size_t)1 << 27 || over < 0 ||
-        most_uses < 0 || end < 0) {
-        PyErr_SetString(PyExc_ValueError, "fewer samples than a frame has, or too many");
-        return NULL;
+    struct frame_code code = {call->value[1].data, NULL};
+    size_t bits = axis(call, 'k'), order = axis(call, 'n');
+    if (!(is_possible(rules, bits, order) &&
+          (!code.transform || transform_order(code.transform) == order)))
+        return refuse(call, "rows: those of no frame of this code and these rules");
+    if (length(call, 2)) {
+        if (!(length(call, 2) == bits * order))
+            return refuse(call, "flips: one for every chip expected");
+        code.flips = call->value[2].data;
     }
-    drop_fit(following);
-    Py_CLEAR(following->given);
-    if (fit != Py_None && take_fit(following, fit, (size_t)due))
-        return NULL;
-    if (get_array(volts, &buffer, 'd', 0, "volts"))
-        return NULL;
-    place.end = end;
-    place.gap_begin = gap_begin;
-    place.mark = mark;
-    place.last_us = last_us;
-    place.last_count = (uint32_t)last_count;
-    struct steady_timing timing = {following->has_fit ? &following->fit : NULL, (size_t)due,
-                                   (size_t)over, (size_t)most_uses};
-    bool done = steady_enter(following->steady, &place, origin, &timing, buffer.buf,
-                             (size_t)buffer.len / sizeof(double));
-    release(1, &buffer);
-    scanner_counts(held_by(following->scanner), &following->told);
-    return done ? Py_NewRef(Py_None) : PyErr_NoMemory();
+    if (!stream_describe(owner->stream, rules, &code, call->value[3].data))
+        return PyErr_NoMemory();
+    exchange(&owner->flips, call, 2);
+    exchange(&owner->rows, call, 3);
+    owner->chips = bits * order;
+    PyObject *before = owner->transform;
+    owner->transform = Py_NewRef(call->given[1]);
+    Py_XDECREF(before);
+    Py_RETURN_NONE;
 }
 
-/* data, t_host, backlog. */
-static PyObject *give(PyObject *self, PyObject *arguments)
+FUNCTION(forget)
 {
-    struct following *following = free_one(self);
-    const uint8_t *left;
-    PyObject *data;
-    double t_host;
-    int backlog;
-    char *bytes;
-    Py_ssize_t size;
+    struct owner *owner = free_one(call);
 
-    if (!following || !PyArg_ParseTuple(arguments, "Sdp", &data, &t_host, &backlog) ||
-        PyBytes_AsStringAndSize(data, &bytes, &size))
+    if (!owner)
         return NULL;
-    if (steady_left(following->steady, &left)) {
+    stream_describe(owner->stream, NULL, NULL, NULL);
+    Py_RETURN_NONE;
+}
+
+FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share", 'd', "e"),
+         ARRAY("number", 'd', "g"), ARRAY("places", 'i', "c"))
+{
+    struct stream_timing timing = *(const struct stream_timing *)call->value[0].data;
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    if (!(timing.due && timing.due <= STREAM_MOST_SAMPLES && timing.over <= STREAM_MOST_SAMPLES))
+        return refuse(call, "due, over: beyond what a frame may have");
+    if (timing.has_frame) {
+        if (!(axis(call, 'g') + 1 == axis(call, 'e') && axis(call, 'c') == owner->chips &&
+              timing.frame.heard && timing.frame.tail >= timing.frame.heard &&
+              timing.frame.until <= STREAM_MOST_SAMPLES))
+            return refuse(call, "edges: those of no frame that was described");
+        timing.frame.edges = (struct samples_edges){axis(call, 'e'), call->value[1].data,
+                                                    call->value[2].data, call->value[3].data};
+        timing.frame.places = call->value[4].data;
+    }
+    if (!stream_carry(owner->stream, &timing))
+        return PyErr_NoMemory();
+    for (size_t i = 0; i < EDGE_ARRAYS; i++)
+        exchange(&owner->edges[i], call, i + 1);
+    Py_RETURN_NONE;
+}
+
+/* ---- bytes ------------------------------------------------------------------------------------- */
+
+FUNCTION(give, ARRAY("data", 'B', "*"), NUMBER("t_host"), FLAG("backlog"))
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    if (stream_left(owner->stream)) {
         PyErr_SetString(PyExc_RuntimeError, "other bytes are not used up");
         return NULL;
     }
-    PyObject *before = following->given;
-    following->given = Py_NewRef(data);
+    PyObject *before = owner->given;
+    owner->given = Py_NewRef(call->given[0]);
     Py_XDECREF(before);
-    following->t_host = t_host;
-    following->backlog = backlog;
-    steady_give(following->steady, (const uint8_t *)bytes, (size_t)size, t_host, backlog);
+    owner->t_host = call->value[1].number;
+    owner->backlog = call->value[2].size;
+    stream_give(owner->stream, call->value[0].data, length(call, 0), owner->t_host, owner->backlog);
+    Py_RETURN_NONE;
+}
+
+FUNCTION(end)
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    stream_end(owner->stream);
     Py_RETURN_NONE;
 }
 
 /* (index, device_time_us, count, sequence, t_host, backlog) of every packet that passed. */
-static PyObject *passed_list(struct steady *steady)
+static PyObject *passed_list(struct stream *stream)
 {
-    const struct steady_passed *passed;
-    size_t count = steady_passed(steady, &passed);
+    const struct stream_passed *passed;
+    size_t count = stream_passed(stream, &passed);
     PyObject *list = PyList_New((Py_ssize_t)count);
 
     for (size_t i = 0; list && i < count; i++) {
-        const struct steady_passed *one = &passed[i];
+        const struct stream_passed *one = &passed[i];
         PyObject *tuple = Py_BuildValue("(LKkHdO)", (long long)one->index,
                                         (unsigned long long)one->device_time_us,
                                         (unsigned long)one->count, one->sequence, one->t_host,
@@ -371,113 +288,156 @@ static PyObject *passed_list(struct steady *steady)
     return list;
 }
 
-/* The next event, from the bytes that were given and, if file is not negative, from those read there
- * within timeout_ms. */
-static PyObject *wait(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+static PyObject *flag(bool is)
 {
-    struct following *following = free_one(self);
-    struct scanner_packet packet = {0};
-    enum steady_event event;
+    return is ? Py_True : Py_False;
+}
+
+/* What an event is about. */
+static PyObject *subject_of(const struct stream *stream, enum stream_event event)
+{
+    const struct stream_subject *about = stream_subject(stream);
+    const struct frame_rest *rest = stream_rest(stream);
+
+    switch (event) {
+    case STREAM_HEARD:
+    case STREAM_SILENT:
+        return Py_BuildValue("(LdddO)", (long long)about->start, about->found.noise,
+                             about->found.level, about->found.clipped, flag(rest->known));
+    case STREAM_PACKET:
+    case STREAM_FOREIGN:
+        return packet_tuple(stream_packet(stream));
+    case STREAM_MARK:
+        return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
+                             (long long)about->since);
+    case STREAM_DOUBT:
+        return Py_BuildValue("(iLy#OnnnOd(ddO))", about->look, (long long)about->start,
+                             (const char *)about->volts,
+                             (Py_ssize_t)(about->count * sizeof *about->volts), flag(about->final),
+                             (Py_ssize_t)about->marks, (Py_ssize_t)about->uses,
+                             (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
+                             rest->level, rest->noise, flag(rest->known));
+    case STREAM_BLOCK:
+        return Py_BuildValue("(Ly#)", (long long)about->start, (const char *)about->volts,
+                             (Py_ssize_t)(about->count * sizeof *about->volts));
+    default:
+        return Py_NewRef(Py_None);
+    }
+}
+
+/* The next event: from the bytes that were given and, if file is not negative, from those that are read
+ * there within timeout_ms. Returns (event, subject, passed, t_host, backlog). */
+FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
+{
+    int file = call->value[0].number >= 0 ? (int)call->value[0].number : -1;
+    struct owner *owner = free_one(call);
+    enum stream_event event;
     ptrdiff_t size = 1;
     int failure = 0;
 
-    if (!following || !takes(count, 2))
+    if (!owner)
         return NULL;
-    long file = PyLong_AsLong(arguments[0]), timeout_ms = PyLong_AsLong(arguments[1]);
-    if (PyErr_Occurred())
-        return NULL;
-    struct steady *steady = following->steady;
-    following->busy = true;
+    struct stream *stream = owner->stream;
+    double left_ms = call->value[1].size < 3600000 ? (double)call->value[1].size : 3600000;
+    owner->busy = true;
     Py_BEGIN_ALLOW_THREADS
-    event = steady_next(steady, &packet);
-    while (event == STEADY_MORE && file >= 0 && size > 0) {
-        size = reader_read((int)file, following->bytes, sizeof following->bytes, (int)timeout_ms,
-                           &following->backlog);
+    double end_s = now_s() + left_ms * 1e-3;
+    event = stream_next(stream);
+    /* Once at least, and not for ever if bytes come that are no packets. */
+    while (event == STREAM_NEEDS_BYTES && file >= 0 && size > 0 && left_ms >= 0) {
+        size = reader_read(file, owner->bytes, sizeof owner->bytes, (int)left_ms, &owner->backlog);
         failure = errno;
         if (size > 0) {
-            following->t_host = now_s();
-            steady_give(steady, following->bytes, (size_t)size, following->t_host,
-                        following->backlog);
-            event = steady_next(steady, &packet);
+            owner->t_host = now_s();
+            stream_give(stream, owner->bytes, (size_t)size, owner->t_host, owner->backlog);
+            event = stream_next(stream);
+            left_ms = (end_s - owner->t_host) * 1e3;
         }
     }
     Py_END_ALLOW_THREADS
-    following->busy = false;
-    scanner_counts(held_by(following->scanner), &following->told);
+    owner->busy = false;
+    scanner_tell(owner->scanner);
     if (size < 0)
         return file_error(failure);
-    PyObject *passed = passed_list(steady);
-    if (!passed)
-        return NULL;
-    PyObject *found;
-    if (event == STEADY_PACKET)
-        found = packet_tuple(&packet);
-    else if (event == STEADY_HEARD || event == STEADY_SILENT) {
-        const struct carried_found *frame = steady_found(steady);
-        found = Py_BuildValue("(Lddd)", (long long)steady_start(steady), frame->noise,
-                              frame->level, frame->clipped);
-    } else
-        found = Py_NewRef(Py_None);
-    if (!found) {
-        Py_DECREF(passed);
+    PyObject *passed = passed_list(stream), *subject = passed ? subject_of(stream, event) : NULL;
+    if (!subject) {
+        Py_XDECREF(passed);
         return NULL;
     }
-    return Py_BuildValue("(iNNdO)", event, found, passed, following->t_host,
-                         following->backlog ? Py_True : Py_False);
+    return Py_BuildValue("(iNNdO)", event, subject, passed, owner->t_host, flag(owner->backlog));
 }
 
-/* (end, start, gap_begin, mark, level, noise, (gap count, sum, squares), uses, marks, bytes that are
- * left, float64 of the samples that are needed to go on). */
-static PyObject *leave(PyObject *self, PyObject *unused)
-{
-    struct following *following = free_one(self);
-    const uint8_t *left;
-    const double *volts;
+/* ---- answers ----------------------------------------------------------------------------------- */
 
-    (void)unused;
-    if (!following)
+static PyObject *answered(const struct call *call, bool is)
+{
+    return is ? Py_NewRef(Py_None) : refuse(call, "nothing of the kind was asked, or no memory");
+}
+
+/* Returns whether a frame was cut short. */
+FUNCTION(place, SIZE("answer"), OBJECT("origin", NULL), FLAG("anew"), NUMBER("mean"), NUMBER("variance"))
+{
+    struct owner *owner = free_one(call);
+    bool cut_short;
+
+    if (!owner)
         return NULL;
-    struct steady *steady = following->steady;
-    const struct steady_place *place = steady_place(steady);
-    int64_t begin = place->start >= 0 ? place->start : 0;
-    size_t samples = steady_samples(steady, &begin, &volts), size = steady_left(steady, &left);
-    PyObject *result = Py_BuildValue(
-        "(LLLLdd(ddd)nny#y#)", (long long)place->end, (long long)place->start,
-        (long long)place->gap_begin, (long long)place->mark, place->level, place->noise,
-        place->gap_count, place->gap_sum, place->gap_squares, (Py_ssize_t)steady_uses(steady),
-        (Py_ssize_t)steady_marks(steady), size ? (const char *)left : "", (Py_ssize_t)size,
-        (const char *)volts, (Py_ssize_t)(samples * sizeof *volts));
-    if (result)
-        steady_give(steady, NULL, 0, 0, false);
-    return result;
+    unsigned long long origin = PyLong_AsUnsignedLongLong(call->given[1]);
+    if (PyErr_Occurred())
+        return NULL;
+    if (!(call->value[0].size <= STREAM_TAKE_HELD))
+        return refuse(call, "answer: there is none of this number");
+    if (!stream_place(owner->stream, (enum stream_answer)call->value[0].size, origin,
+                      call->value[2].size, call->value[3].number, call->value[4].number, &cut_short))
+        return answered(call, false);
+    return Py_NewRef(flag(cut_short));
 }
 
-static PyObject *told_counts(PyObject *self, PyObject *unused)
+FUNCTION(open, SIZE("due"))
 {
-    struct following *following = held_by(self);
+    struct owner *owner = free_one(call);
 
-    (void)unused;
-    return counts_dict(&following->told);
+    return owner ? answered(call, stream_open(owner->stream, call->value[0].size)) : NULL;
+}
+
+/* A stream index of a call; -1 for none, or none that can be. */
+static int64_t index_of(const struct call *call, size_t argument)
+{
+    double index = call->value[argument].number;
+
+    return index >= 0 && index < 1e15 ? (int64_t)index : -1;
+}
+
+FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"))
+{
+    struct owner *owner = free_one(call);
+
+    return owner ? answered(call, stream_decide(owner->stream, index_of(call, 0), index_of(call, 1),
+                                                call->value[2].number))
+                 : NULL;
+}
+
+FUNCTION(look, NUMBER("due"))
+{
+    struct owner *owner = free_one(call);
+
+    return owner ? answered(call, stream_look(owner->stream, index_of(call, 0))) : NULL;
 }
 
 static PyMethodDef methods[] = {
-    {"enter", enter, METH_VARARGS, NULL},
-    {"give", give, METH_VARARGS, NULL},
-    {"wait", (PyCFunction)(void (*)(void))wait, METH_FASTCALL, NULL},
-    {"leave", leave, METH_NOARGS, NULL},
-    {"counts", told_counts, METH_NOARGS, NULL},
-    {0},
+    ENTRY(describe), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end), ENTRY(next),
+    ENTRY(place),    ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
 };
 
 static PyType_Slot slots[] = {
-    {Py_tp_new, make_steady},
+    {Py_tp_new, Stream},
     {Py_tp_dealloc, drop_holder},
     {Py_tp_methods, methods},
     {0},
 };
 
-PyType_Spec steady_spec = {
-    .name = "tactile_cdma._kernel.Steady",
+PyType_Spec stream_spec = {
+    .name = "tactile_cdma._kernel.Stream",
     .basicsize = sizeof(struct holder),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
     .slots = slots,

@@ -19,7 +19,7 @@ from .errors import ParameterError
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 9
+VERSION = 10
 """Of the functions that this package expects in the kernel."""
 
 
