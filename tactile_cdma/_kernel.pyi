@@ -243,9 +243,7 @@ class Stream:
         read.
         """
 
-    def place(
-        self, answer: int, origin: int, anew: bool, mean: float, variance: float, /
-    ) -> bool:
+    def place(self, answer: int, origin: int, anew: bool, mean: float, variance: float, /) -> bool:
         """Whether a frame was cut short."""
 
     def open(self, due: int, /) -> None: ...
