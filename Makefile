@@ -10,12 +10,13 @@
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
 # make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes
 # make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
+# make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file
 # make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
 # make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
-# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -crest, -pressure, -contact,
-#              -pictures, -stuck, -body, -pareto, -boards, -sensor (prints only)
+# make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -pressure, -contact, -pictures,
+#              -body, -pareto
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
@@ -37,6 +38,8 @@ WEB ?=
 SECONDS ?=
 FIRMWARE ?=
 ONLY ?=
+NODES ?=
+CHIP_US ?=
 SEED ?= 1
 COUNT ?= 1000000
 SINCE ?= HEAD~1
@@ -46,7 +49,7 @@ CORE = base code places wire words framing clocks readings config views driver s
 export LC_ALL ?= C.UTF-8
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY SEED COUNT SINCE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY NODES CHIP_US SEED COUNT SINCE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
@@ -56,7 +59,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools spice boards scope
+.PHONY: help run example-grip check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools amplifier spice boards scope
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -110,6 +113,9 @@ firmware-test: firmware
 
 firmware-thousand: firmware
 	@"$(BIN)/python" firmware/sim/thousand.py $(if $(filter-out 0,$(QUICK)),--quick)
+
+amplifier: setup
+	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%")
 
 spice: firmware-tools
 	@"$(BIN)/python" firmware/analog/spice.py

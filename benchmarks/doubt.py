@@ -473,6 +473,7 @@ def main() -> None:
          "wrong not flagged", "invented not flagged", "lost", "rail silent", "phantom", "tied",
          "silent", "silent but flagged"],
         [[name, *tally] for name, tally in tallies.items()],
+        keep=False,
     )  # fmt: skip
     if ONLY:
         for job, (_, complaints) in zip(jobs, results, strict=True):

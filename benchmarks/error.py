@@ -279,6 +279,7 @@ def main() -> None:
         ["nodes", "condition", "ρ dB", "frames", "lost", "bit errors", "rate", "± 95 %", "Q(ρ)",
          "word error rate", "1−(1−Q)^k"],
         [row(*key, tally) for key, tally in sums.items()],
+        keep=False,
     )  # fmt: skip
     losses = {
         (name, condition): loss_db(

@@ -38,7 +38,7 @@ from tactile_cdma.readings.baseline import LOOK_S, Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.drift import DriftTracker, nodes_beside
-from tactile_cdma.readings.dynamics import Compensator, Dynamics
+from tactile_cdma.readings.dynamics import Compensator, Dynamics, Hysteresis, Lag
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.readings.tare import take_tare
 from tactile_cdma.readings.taxels import Readings
@@ -46,10 +46,11 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS, Sensor, SensorModel
 
-from .other_sensors import KINDS, Distortion, apparent
 from .report import QUICK, Report, medians_s
 
 Floats = NDArray[np.float64]
+Distortion = Callable[[Floats, float], Floats]
+"""(true pressures (n,), Pa, their duration, s) → apparent pressures (n,), Pa."""
 
 ADC = AdcScale()
 PERIOD_S = 12.8e-3
@@ -71,6 +72,9 @@ STEADY_S = 300.0 if QUICK else 3600.0
 RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1e3, release_pa=500.0)
 MATCHED = "as identified"
 OTHER_SKINS = 1 if QUICK else 4
+HIGHEST_PA = 140e3
+PARTS = 2
+"""Steps from one frame to the next."""
 
 
 def quantised(voltage_v: Floats) -> Floats:
@@ -143,6 +147,95 @@ def _over_quantisation(
 def truth_pressure_of(curves: Curves, voltage_v: float) -> Floats:
     """(n,) Pa at one voltage."""
     return curves.pressure(np.full(len(curves), voltage_v, dtype=np.float32)).astype(np.float64)
+
+
+# Sensor models that the compensation does not assume, beside the one that it does
+
+
+class Paper:
+    """Lag and Prandtl–Ishlinskii plays, as the compensation assumes."""
+
+    def __init__(self, sensors: int) -> None:
+        self._lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
+        self._hysteresis = Hysteresis(PAPER_DYNAMICS, sensors)
+
+    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
+        return self._hysteresis.update(self._lag.update(pressure_pa, passed_s))
+
+
+class Relays:
+    """The same lag, then a classical Preisach operator, whose loops are others at every load.
+
+    I. D. Mayergoyz, "Mathematical Models of Hysteresis and Their Applications" (2003), chapter 1.
+    """
+
+    LEVELS = 100
+    SHARE = 0.2
+    """Share of the reading that relays make; the rest follows at once."""
+
+    def __init__(self, sensors: int) -> None:
+        self._lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
+        levels_pa = (np.arange(self.LEVELS) + 0.5) * HIGHEST_PA / self.LEVELS
+        up, down = np.tril_indices(self.LEVELS)
+        self._up_pa, self._down_pa = levels_pa[up, None], levels_pa[down, None]
+        # Most relays are narrow, and wide ones belong to high loads.
+        weights = np.exp(-4 * (1 - levels_pa[down] / levels_pa[up])) * np.sqrt(levels_pa[up])
+        self._weights_pa = self.SHARE * HIGHEST_PA * weights / weights.sum()
+        self._on = np.zeros((len(up), sensors), dtype=bool)
+        self._ends_pa = np.arange(self.LEVELS + 1) * HIGHEST_PA / self.LEVELS
+        risen_pa = np.append(0.0, np.cumsum(np.bincount(up, self._weights_pa)))
+        self._shown_pa = (1 - self.SHARE) * self._ends_pa + risen_pa
+
+    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
+        pressure_pa = self._lag.update(pressure_pa, passed_s)
+        self._on |= pressure_pa >= self._up_pa
+        self._on &= pressure_pa > self._down_pa
+        shown_pa = (1 - self.SHARE) * pressure_pa + self._weights_pa @ self._on
+        return np.asarray(np.interp(shown_pa, self._shown_pa, self._ends_pa))
+
+
+class Creep:
+    """A generalised Kelvin–Voigt solid: shares of a load show at once, in 0.15 s, and in 4 s."""
+
+    TIMES_S = np.array([0.15, 4.0])[:, None]
+    SHARES = np.array([0.25, 0.1])[:, None]
+
+    def __init__(self, sensors: int) -> None:
+        self._crept_pa = np.zeros((len(self.TIMES_S), sensors))
+
+    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
+        missing_pa = self.SHARES * pressure_pa - self._crept_pa
+        self._crept_pa -= missing_pa * np.expm1(-passed_s / self.TIMES_S)
+        return np.asarray((1 - self.SHARES.sum()) * pressure_pa + self._crept_pa.sum(axis=0))
+
+
+class Quick:
+    """Neither lag nor loops: nothing to compensate."""
+
+    def __init__(self, sensors: int) -> None:
+        pass
+
+    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
+        return pressure_pa
+
+
+KINDS: dict[str, Callable[[int], Distortion]] = {
+    "the paper's": Paper,
+    "relays": Relays,
+    "creep": Creep,
+    "quick": Quick,
+}
+
+
+def apparent(kind: Callable[[int], Distortion], loads_pa: Floats, period_s: float) -> Floats:
+    """Apparent pressure at every frame, (m, n) Pa, under loads (m, n), Pa, linear in between."""
+    sensors, before_pa, shown = kind(loads_pa.shape[1]), loads_pa[0], []
+    for load_pa in loads_pa:
+        for part in range(1, PARTS + 1):
+            shown_pa = sensors(before_pa + (load_pa - before_pa) * part / PARTS, period_s / PARTS)
+        before_pa = load_pa
+        shown.append(shown_pa)
+    return np.array(shown)
 
 
 # Dynamics

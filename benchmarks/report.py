@@ -2,9 +2,9 @@
 
 """Shared by all benchmarks: timing of calls, and the report of what was measured.
 
-A report is tables on the terminal, a figure NAME.png, an entry of results.json with tables and
-machine, and a last line of key=value pairs. Full runs write docs/, which is tracked and quoted by
-the documents; QUICK=1 writes build/benchmarks/, which is ignored.
+A report is tables on the terminal, a figure NAME.png, a last line of key=value pairs, and an entry
+of results.json: those pairs, the tables that documents quote, machine, day and commit. Full runs
+write docs/, which is tracked; QUICK=1 writes build/benchmarks/, which is ignored.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import statistics
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,18 +36,21 @@ class Report:
     def __init__(self, name: str, title: str, quick: bool = QUICK) -> None:
         """name: of the make target and of the files. title: one line, above the tables."""
         self.name, self.title, self.quick = name, title, quick
-        self._tables: list[dict[str, Any]] = []
+        self._tables: list[list[list[Any]]] = []
         self._started = time.monotonic()
         print(f"{title}{' (quick)' if quick else ''}")
 
-    def table(self, headers: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Print a table and keep it for results.json."""
+    def table(
+        self, headers: Sequence[str], rows: Sequence[Sequence[object]], keep: bool = True
+    ) -> None:
+        """Print a table. keep: in results.json, for documents have figures of it."""
         cells = [list(headers)] + [[_text(value) for value in row] for row in rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         for row in cells:
             print("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
         print()
-        self._tables.append({"headers": list(headers), "rows": [list(row) for row in rows]})
+        if keep:
+            self._tables.append([list(headers), *(list(map(_short, row)) for row in rows)])
 
     def finish(self, figure: Figure, **results: float | int | str) -> None:
         """Write figure and JSON; print the results as the last line."""
@@ -59,11 +64,12 @@ class Report:
             "quick": self.quick,
             "seconds": round(time.monotonic() - self._started, 1),
             "machine": machine(),
+            "date": time.strftime("%Y-%m-%d"),
+            "commit": commit(),
+            "results": {key: _short(value) for key, value in results.items()},
             "tables": self._tables,
-            "results": results,
         }
-        text = json.dumps(content, indent=1, default=_plain, ensure_ascii=False)
-        kept.write_text(text + "\n", encoding="utf-8")
+        kept.write_text(_json(content) + "\n", encoding="utf-8")
         print(f"written: {picture}, {kept}")
         print(" ".join(f"{key}={_text(value)}" for key, value in results.items()))
 
@@ -83,6 +89,15 @@ def machine() -> dict[str, str | int | None]:
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
+
+
+def commit() -> str:
+    """What was measured: the commit checked out, with a + if files differ from it; or nothing."""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True).stdout.strip()
+    except OSError:
+        return ""
 
 
 def medians_s(
@@ -117,8 +132,14 @@ def _text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _plain(value: object) -> object:
-    """Convert numpy scalars and arrays for json."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} cannot be written to JSON")
+def _short(value: Any) -> Any:
+    """A figure as it is kept: five digits, and of numpy's types the plain one."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+def _json(value: object) -> str:
+    """JSON with one line for each list of plain values, as rows of tables are."""
+    text = json.dumps(value, indent=1, ensure_ascii=False)
+    return re.sub(r"\[\n[^][{}]*\]", lambda found: re.sub(r"\n *", " ", found[0]), text)

@@ -6,19 +6,25 @@ Three processes, as in use: this one is the digitizer behind a pseudo-terminal, 
 driver node, the third subscribes to ~/tactile. All read one monotonic clock. A frame's time begins
 when the last byte of the packet with its last sample is written (raw frames: with the last sample
 that line timing waits for), and ends in the subscriber's callback. So it holds reading, decoding,
-publishing, DDS and the subscriber's deserialisation, and no code time. "bare" is what a process
-takes that does nothing but publish finished messages of 16 taxels at the same rate: the floor.
-"CPU" is that of the whole driver process, or of the one that only publishes. A run of its own, in
-which the driver notes the time as a frame passes, tells how the latency divides into stages.
+publishing, DDS and the subscriber's deserialisation, and no code time.
+
+"Floor" is what this takes at least: in place of the driver, a process reads the same bytes from
+the same digitizer and publishes a finished message of the same size after the last byte of each
+frame, which it counts up to without looking at any. "CPU" is that of the driver's, or of this
+process.
+
+A run that loses frames, or does not get so far, ends with one line that says so, and exit code 1.
 """
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import pty
+import queue
+import re
 import select
+import struct
 import subprocess
 import sys
 import tempfile
@@ -26,10 +32,13 @@ import threading
 import time
 import tty
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event as EventType
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,15 +46,15 @@ from matplotlib.ticker import LogLocator
 
 from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.steady import Waited
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import TAIL_CHIPS
 from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
+from tactile_cdma.wire.port import READ_SIZE
 
 from .report import QUICK, ROOT, Report
+from .scale import streaming
 
 CASES: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
@@ -64,10 +73,17 @@ CASES: dict[int, dict[str, Value]] = {
 SIZES = (16, 4096) if QUICK else tuple(CASES)
 SECONDS = 2.5 if QUICK else 30.0
 WARM_UP_S = 1.0
-DOMAIN = 77
-PAPER_PERIOD_US = 12_800
+START_S = 30.0
+"""Longest time until the first message arrives."""
+DOMAIN = 20 + os.getpid() % 80
+"""Of its own, so that two runs on one machine do not hear each other."""
 CHUNK = 65_536
-STAGES = ("bytes → read", "→ separated", "→ decoded", "→ received", "of it publishing")
+MOST_FRAMES = 8192
+FLOOR, DRIVER = "floor", "driver"
+
+
+class RunError(Exception):
+    """A run that did not measure what it should; the message is for whoever started it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,157 +99,98 @@ class Result:
     def p50_ms(self) -> float:
         return float(np.median(self.latency_ms))
 
+    @property
+    def p99_ms(self) -> float:
+        return float(np.percentile(self.latency_ms, 99))
+
+
+class End(NamedTuple):
+    """Where a frame ends: after so many bytes of the stream. middle_us: its device time."""
+
+    bytes: int
+    middle_us: int
+
+
+Results = dict[tuple[str, int], Result]
+
 
 def main() -> None:
     report = Report("ros", "Last byte of a frame in → subscriber's callback in another process")
     os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    bare = measure_bare()
-    results: dict[int | str, Result] = {nodes: measure(CASES[nodes]) for nodes in SIZES}
-    named = {"bare": bare, **results}
+    found = {(who, nodes): measure(who, nodes) for nodes in SIZES for who in (FLOOR, DRIVER)}
     report.table(
-        ["nodes", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max", "p50 − bare", "CPU %"],
-        [row(name, some, bare) for name, some in named.items()],
+        ["nodes", "", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max", "CPU %"],
+        [
+            [nodes, who, some.sent, some.lost, *spread_ms(some), 100 * some.cpu]
+            for (who, nodes), some in found.items()
+        ],
     )
-    report.table(
-        ["nodes", *(f"{stage}, ms" for stage in STAGES)],
-        [[nodes, *stages_ms(CASES[nodes])] for nodes in (SIZES[:1] if QUICK else SIZES)],
-    )
+    lost = sum(some.lost for some in found.values())
     report.finish(
-        picture(named),
-        p50_ms_bare=bare.p50_ms,
-        p50_ms_16=results[16].p50_ms,
-        p50_ms_4096=results[4096].p50_ms,
-        p99_ms_16=float(np.percentile(results[16].latency_ms, 99)),
-        p99_ms_4096=float(np.percentile(results[4096].latency_ms, 99)),
-        cpu_bare=round(bare.cpu, 4),
-        cpu_node_16=round(results[16].cpu, 4),
-        cpu_node_4096=round(results[4096].cpu, 4),
-        lost=sum(some.lost for some in (bare, *results.values())),
+        picture(found),
+        p50_ms_floor_16=found[FLOOR, 16].p50_ms,
+        p50_ms_16=found[DRIVER, 16].p50_ms,
+        p50_ms_floor_4096=found[FLOOR, 4096].p50_ms,
+        p50_ms_4096=found[DRIVER, 4096].p50_ms,
+        p99_ms_16=found[DRIVER, 16].p99_ms,
+        p99_ms_4096=found[DRIVER, 4096].p99_ms,
+        cpu_floor_16=round(found[FLOOR, 16].cpu, 4),
+        cpu_node_16=round(found[DRIVER, 16].cpu, 4),
+        cpu_floor_4096=round(found[FLOOR, 4096].cpu, 4),
+        cpu_node_4096=round(found[DRIVER, 4096].cpu, 4),
+        lost=lost,
     )
+    if lost:
+        raise RunError(f"{lost} of {sum(some.sent for some in found.values())} frames were lost")
 
 
-def row(name: int | str, some: Result, bare: Result) -> list[object]:
-    """A row of the table."""
-    times_ms = np.percentile(some.latency_ms, [5, 50, 90, 99, 100]).round(3)
-    beyond_ms = round(some.p50_ms - bare.p50_ms, 3)
-    return [name, some.sent, some.lost, *times_ms.tolist(), beyond_ms, 100 * some.cpu]
+def spread_ms(some: Result) -> list[float]:
+    """The 5th, 50th, 90th and 99th percentile, and the largest."""
+    spread: list[float] = np.percentile(some.latency_ms, [5, 50, 90, 99, 100]).round(3).tolist()
+    return spread
 
 
-def measure(values: dict[str, Value]) -> Result:
-    """Measure a live skin for SECONDS."""
-    sent, received, cpu = live(values)
-    return match(sent, received, SkinConfig.of(values).spec.frame_period_s * 1e6, cpu)
-
-
-def stages_ms(values: dict[str, Value]) -> list[float]:
-    """Median duration of every stage, ms."""
-    with tempfile.TemporaryDirectory() as folder:
-        notes = Path(folder) / "stages.json"
-        sent, received, _ = live(values, notes)
-        passed = np.array(json.loads(notes.read_text()))
-    arrived = dict(received)
-    sent_us = np.array(list(sent))
-    times = []
-    for middle_us, read, separated, decoded, published in passed[
-        passed[:, 0] > passed[0, 0] + WARM_UP_S * 1e6
-    ]:
-        nearest_us = int(sent_us[np.argmin(np.abs(sent_us - middle_us))])
-        if int(middle_us) in arrived:
-            begun = sent[nearest_us]
-            # The subscriber may be served before publishing returns.
-            received_s = arrived[int(middle_us)] - decoded
-            times.append(
-                [
-                    read - begun,
-                    separated - read,
-                    decoded - separated,
-                    received_s,
-                    published - decoded,
-                ]
-            )
-    medians: list[float] = np.median(times, axis=0).tolist()
-    return [round(1e3 * seconds, 3) for seconds in medians]
-
-
-def live(
-    values: dict[str, Value], notes: Path | None = None
-) -> tuple[dict[int, float], list[tuple[int, float]], float]:
-    """Run a live skin for SECONDS: what was sent, what was received, the driver's share of a core.
-
-    notes: file for the times of stages; None: the driver as it is.
-    """
-    config = SkinConfig.of(values)
+def measure(who: str, nodes: int) -> Result:
+    """Measure the driver, or the floor, on a live skin for SECONDS."""
     context = multiprocessing.get_context("spawn")
-    stop, receiving = context.Event(), context.Event()
-    queue = context.Queue()
-    subscriber = context.Process(target=subscribe, args=(stop, receiving, queue), daemon=True)
-    subscriber.start()
+    config = SkinConfig.of(CASES[nodes])
+    ends = context.RawArray("q", 2 * MOST_FRAMES)
+    stop, receiving, arrivals = context.Event(), context.Event(), context.Queue()
     with tempfile.TemporaryDirectory() as folder:
-        digitizer = Digitizer(config, Path(folder) / "skin")
-        with digitizer, driver(values, digitizer.path, Path(folder), notes) as pid:
-            assert receiving.wait(30), "no frame arrived"
+        digitizer = Digitizer(config, Path(folder) / "skin", ends)
+        subscriber = context.Process(target=subscribe, args=(stop, receiving, arrivals))
+        if who == DRIVER:
+            publisher = driver(CASES[nodes], digitizer.path, Path(folder) / "driver.log")
+        else:
+            floor = context.Process(target=publish, args=(nodes, str(digitizer.path), ends))
+            publisher = process(floor)
+        with process(subscriber), digitizer, publisher as pid:
+            if not receiving.wait(START_S):
+                raise RunError(f"nothing arrived from the {who} of {nodes} nodes in {START_S:g} s")
             time.sleep(WARM_UP_S)
             cpu = cpu_share(pid)
-    time.sleep(0.3)
-    stop.set()
-    received = sorted(queue.get(timeout=20))
-    subscriber.join(10)
-    return digitizer.sent, received, cpu
-
-
-def measure_bare() -> Result:
-    """Measure messages of a process that does nothing but publish."""
-    context = multiprocessing.get_context("spawn")
-    stop, receiving, ended = context.Event(), context.Event(), context.Event()
-    queue, sent = context.Queue(), context.Queue()
-    subscriber = context.Process(target=subscribe, args=(stop, receiving, queue), daemon=True)
-    publisher = context.Process(target=publish, args=(ended, sent), daemon=True)
-    subscriber.start()
-    publisher.start()
-    assert receiving.wait(30), "no message arrived"
-    time.sleep(WARM_UP_S)
-    assert publisher.pid is not None
-    cpu = cpu_share(publisher.pid)
-    ended.set()
-    published = dict(sent.get(timeout=20))
-    time.sleep(0.3)
-    stop.set()
-    received = sorted(queue.get(timeout=20))
-    subscriber.join(10)
-    publisher.join(10)
-    return match(published, received, PAPER_PERIOD_US, cpu)
+            stop.set()
+            try:
+                received = sorted(arrivals.get(timeout=20))
+            except queue.Empty:
+                raise RunError("the subscriber ended without its times") from None
+    return match(digitizer.sent, received, config.spec.frame_period_s * 1e6, cpu)
 
 
 def cpu_share(pid: int) -> float:
     """Share of a core that a process takes during SECONDS from now on."""
 
     def spent_s() -> float:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        try:
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            raise RunError("the measured process ended by itself") from None
         return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")  # utime, stime
 
     begin_s, before_s = time.monotonic(), spent_s()
     time.sleep(SECONDS)
     return (spent_s() - before_s) / (time.monotonic() - begin_s)
-
-
-def publish(ended: EventType, sent: multiprocessing.Queue[object]) -> None:
-    """Publish finished messages at the paper's rate; note (device time, µs; monotonic s)."""
-    import rclpy
-    from rclpy.qos import qos_profile_sensor_data
-
-    from tactile_cdma.msg import TactileArray
-
-    rclpy.init()
-    node = rclpy.create_node("skin")
-    publisher = node.create_publisher(TactileArray, "/skin/tactile", qos_profile_sensor_data)
-    message = TactileArray(pressure=array("f", [0.0] * 16), status=array("B", [0] * 16))
-    times: list[tuple[int, float]] = []
-    while not ended.wait(PAPER_PERIOD_US * 1e-6):
-        message.device_time_us += PAPER_PERIOD_US
-        times.append((message.device_time_us, time.monotonic()))
-        publisher.publish(message)
-    sent.put(times)
 
 
 def match(
@@ -252,23 +209,25 @@ def match(
             nearest = int(np.argmin(np.abs(middles_us - us)))
             if abs(middles_us[nearest] - us) < period_us / 4:
                 latency_ms.append(1e3 * (received[nearest][1] - t_sent))
-    assert latency_ms, "no frame of those sent was received"
+    if not latency_ms:
+        raise RunError(f"none of {count} frames was received in time")
     return Result(np.array(latency_ms), count, count - len(latency_ms), cpu)
 
 
 class Digitizer:
     """The virtual digitizer on a pty, which notes when the last byte of each frame was written.
 
-    sent: monotonic time, s, for each frame's middle in device time, µs.
+    sent: monotonic time, s, for each frame's middle in device time, µs. ends: shared memory for
+    MOST_FRAMES of End, in which each stands before the frame's last byte is written.
     """
 
-    def __init__(self, config: SkinConfig, path: Path) -> None:
+    def __init__(self, config: SkinConfig, path: Path, ends: Any) -> None:
         self.path = path
         self.sent: dict[int, float] = {}
-        self._config = config
+        self._config, self._ends, self._frames = config, ends, 0
         self._digitizer = VirtualDigitizer(SimOptions.from_url("sim://?scene=all&threshold=0"))
         self._parser = PacketParser()
-        self._end: int | None = None  # index of the last sample of the awaited frame
+        self._last: int | None = None  # index of the last sample of the awaited frame
         self._middle_us = 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -288,10 +247,12 @@ class Digitizer:
         os.close(self._device)
 
     def _run(self) -> None:
-        outgoing = b""
+        outgoing, written, waiting = b"", 0, list[End]()
         while not self._stop.is_set():
             wait_s = self._digitizer.advance(CHUNK)
-            outgoing = outgoing or self._digitizer.take(CHUNK)
+            if not outgoing:
+                outgoing = self._digitizer.take(CHUNK)
+                waiting += self._frame_ends(outgoing, written)
             readable, writable, _ = select.select(
                 [self._host], [self._host] if outgoing else [], [], min(wait_s, 0.1)
             )
@@ -300,93 +261,94 @@ class Digitizer:
             if writable:
                 now = time.monotonic()  # before, as the reader may be served before write returns
                 count = os.write(self._host, outgoing)
-                for packet in self._parser.feed(outgoing[:count]):
-                    if isinstance(packet, Samples):
-                        self._note(packet, now)
-                outgoing = outgoing[count:]
+                outgoing, written = outgoing[count:], written + count
+                while waiting and waiting[0].bytes <= written:
+                    self.sent[waiting.pop(0).middle_us] = now
 
-    def _note(self, packet: Samples, now: float) -> None:
+    def _frame_ends(self, outgoing: bytes, begin: int) -> Iterator[End]:
+        """Note and yield the ends of frames among bytes that follow the first `begin` ones."""
+        for piece in re.findall(rb"[^\0]*\0|[^\0]+", outgoing):
+            begin += len(piece)
+            for packet in self._parser.feed(piece):
+                if isinstance(packet, Samples) and self._ends_frame(packet):
+                    at = 2 * self._frames
+                    self._ends[at : at + 2] = end = End(begin, self._middle_us)
+                    self._frames += 1
+                    yield end
+
+    def _ends_frame(self, packet: Samples) -> bool:
         spec, per_chip = self._config.spec, self._config.samples_per_chip
         if packet.sync:
             tail = TAIL_CHIPS if per_chip > 1 else 0
-            self._end = packet.first_index + (spec.span_chips + tail) * per_chip - 1
+            self._last = packet.first_index + (spec.span_chips + tail) * per_chip - 1
             self._middle_us = packet.device_time_us + round(spec.frame_s / 2 * 1e6)
-        if self._end is not None and packet.first_index + len(packet.counts) > self._end:
-            self.sent[self._middle_us] = now
-            self._end = None
+        if self._last is None or packet.first_index + len(packet.counts) <= self._last:
+            return False
+        self._last = None
+        return True
 
 
-class driver:  # noqa: N801  # used like a function
-    """The driver node in its own process."""
-
-    def __init__(
-        self, values: dict[str, Value], port: Path, folder: Path, notes: Path | None
-    ) -> None:
-        program = [str(ROOT / "scripts" / "skin_driver")]
-        if notes is not None:
-            program = ["-m", "benchmarks.ros", str(notes)]
-        command = [sys.executable, *program, "--ros-args"]
-        for name, value in {**values, "port": str(port)}.items():
-            command += ["-p", f"{name}:={value}"]
-        self._log = (folder / "driver.log").open("w+")
-        self._command = command
-
-    def __enter__(self) -> int:
-        """Start it; returns its process id."""
-        self._process = subprocess.Popen(
-            self._command, cwd=ROOT, stdout=self._log, stderr=self._log
-        )
-        return self._process.pid
-
-    def __exit__(self, *_: object) -> None:
-        alive = self._process.poll() is None
-        self._process.terminate()
-        self._process.wait(10)
-        self._log.seek(0)
-        log = self._log.read()
-        self._log.close()
-        assert alive, f"the driver ended by itself:\n{log}"
-
-
-def noting_driver(notes: Path) -> None:
-    """Run the driver node, and write when each frame passed each stage.
-
-    notes: rows of device time of the frame's middle, µs, then monotonic times, s.
-    """
-    from tactile_cdma.ros.driver.node import SkinNode
-    from tactile_cdma.ros.driver.node import main as run
-
-    rows: list[list[float]] = []
-    read = separated = 0.0
-    feed, wait, publish_frame = Pipeline.feed, Pipeline.wait, SkinNode._publish_frame
-
-    def noting_feed(
-        self: Pipeline, data: bytes, t_host: float, backlog: bool = False
-    ) -> list[TactileFrame]:
-        nonlocal read, separated
-        read = separated = t_host  # the stages are not told apart
-        return feed(self, data, t_host, backlog)
-
-    def noting_wait(self: Pipeline, file: int, timeout_ms: int) -> Waited:
-        nonlocal read, separated
-        waited = wait(self, file, timeout_ms)
-        read, separated = waited.t_host, time.monotonic()
-        return waited
-
-    def noting_publish(self: SkinNode, frame: TactileFrame) -> None:
-        decoded = time.monotonic()
-        publish_frame(self, frame)
-        rows.append([round(1e6 * frame.t_middle), read, separated, decoded, time.monotonic()])
-
-    Pipeline.feed, Pipeline.wait = noting_feed, noting_wait  # type: ignore[method-assign]
-    SkinNode._publish_frame = noting_publish  # type: ignore[method-assign]
+@contextmanager
+def process(started: BaseProcess) -> Iterator[int]:
+    """Start a process, give its number, and end it."""
+    started.start()
+    assert started.pid is not None
     try:
-        run()
+        yield started.pid
     finally:
-        notes.write_text(json.dumps(rows))
+        started.terminate()
+        started.join()
 
 
-def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queue[object]) -> None:
+@contextmanager
+def driver(values: dict[str, Value], port: Path, log: Path) -> Iterator[int]:
+    """Start the driver node in a process of its own, give its number, and end it."""
+    command = [sys.executable, str(ROOT / "scripts" / "skin_driver"), "--ros-args"]
+    for name, value in {**values, "port": str(port)}.items():
+        command += ["-p", f"{name}:={value}"]
+    with log.open("w") as output:
+        started = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=output)
+    try:
+        yield started.pid
+    finally:
+        ended = started.poll() is not None
+        started.terminate()
+        started.wait(10)
+        if ended:
+            said = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            raise RunError(f"the driver ended by itself: {said[-1] if said else 'it said nothing'}")
+
+
+def publish(nodes: int, path: str, ends: Any) -> None:
+    """Read the digitizer's bytes, and publish a finished message after those of each frame.
+
+    ends: see Digitizer.
+    """
+    import rclpy
+    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.serialization import serialize_message
+    from rclpy.signals import SignalHandlerOptions
+
+    from tactile_cdma.msg import TactileArray
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # ends when it is told to
+    node = rclpy.create_node("skin")
+    publisher = node.create_publisher(TactileArray, "/skin/tactile", qos_profile_sensor_data)
+    message = TactileArray(pressure=array("f", [0.0] * nodes), status=array("B", [0] * nodes))
+    message.header.frame_id, message.device_time_us = "skin", 0x0123456789ABCDEF
+    content = bytearray(serialize_message(message))
+    at, length, frames = content.index(struct.pack("<q", message.device_time_us)), 0, 0
+    with streaming(SkinConfig.of(CASES[nodes]), path) as (port, poll):
+        while True:
+            poll.poll()
+            length += len(os.read(port, READ_SIZE))
+            while 0 < ends[2 * frames] <= length:
+                struct.pack_into("<q", content, at, ends[2 * frames + 1])
+                publisher.publish(bytes(content))
+                frames += 1
+
+
+def subscribe(stop: EventType, receiving: EventType, arrivals: multiprocessing.Queue[Any]) -> None:
     """Note the arrival of every array: (device time of the frame's middle in µs, monotonic s)."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -409,19 +371,17 @@ def subscribe(stop: EventType, receiving: EventType, queue: multiprocessing.Queu
         executor.spin_once(timeout_sec=0.1)
         if received:
             receiving.set()
-    queue.put(received)
+    arrivals.put(received)
 
 
-def picture(results: Mapping[int | str, Result]) -> Figure:
+def picture(results: Results) -> Figure:
     figure = Figure(figsize=(7, 4))
     axes = figure.add_subplot()
-    for name, result in results.items():
+    for (who, nodes), result in results.items():
         share = np.arange(1, result.latency_ms.size + 1) / result.latency_ms.size
-        axes.plot(
-            np.sort(result.latency_ms),
-            100 * share,
-            label=name if name == "bare" else f"{name} nodes",
-        )
+        style = ":" if who == FLOOR else "-"
+        colour, label = f"C{SIZES.index(nodes)}", f"{who}, {nodes} nodes"
+        axes.plot(np.sort(result.latency_ms), 100 * share, style, color=colour, label=label)
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
@@ -434,7 +394,9 @@ def picture(results: Mapping[int | str, Result]) -> Figure:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        noting_driver(Path(sys.argv.pop(1)))
-    else:
+    try:
         main()
+    except RunError as error:
+        load = f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+        print(f"bench-ros: {error}; other programs keep this machine busy? (load {load})")
+        sys.exit(1)

@@ -26,7 +26,7 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
@@ -135,10 +135,10 @@ def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> 
     return Recording(config, tuple(reads), count)
 
 
-def pressed(share: float) -> Callable[[float, Skin], NDArray[np.float64]]:
+def pressed(share: float) -> Callable[[float, SkinGeometry], NDArray[np.float64]]:
     """A scene: this share of the taxels, here and there, under pressures that change."""
 
-    def scene(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         count = len(skin.positions_m)
         chosen = np.random.default_rng(1).permutation(count)[: round(share * count)]
         pressure_pa = np.zeros(count)

@@ -2,7 +2,7 @@
 
 """The analog chain as a netlist for ngspice: firmware/README.md's circuit, from pin to converter.
 
-Op-amps have the slowest bandwidth and slew rate that `tactile-cdma amplifier` allows, a second pole
+Op-amps have the slowest bandwidth and slew rate that `make amplifier` allows, a second pole
 at SECOND_POLE times their bandwidth, an output resistance, input capacitances and voltage noise;
 wires have capacitance.
 
@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.hardware.amplifier import INPUT_F, FrontEnd, Stage
+from amplifier import INPUT_F, FrontEnd, Stage
 
 EDGE_S = 10e-9
 """Rise and fall of a pin, s: an AVR's into some pF."""

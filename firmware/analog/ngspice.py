@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from amplifier import FrontEnd
 from circuit import level_points, netlist, noise_netlist, steps_of
-from tactile_cdma.hardware.amplifier import FrontEnd
 
 
 class SpiceError(RuntimeError):

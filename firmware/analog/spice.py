@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The analog chain in SPICE against what `tactile-cdma amplifier` computed: `make spice`.
+"""The analog chain in SPICE against what `make amplifier` computed: `make spice`.
 
 For each skin a frame in which all nodes send random words goes through the circuit, is sampled and
 quantised as the RP2040 does that, and decoded by the driver's pipeline.
@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from amplifier import RAIL_V, FrontEnd, design
 from ngspice import SpiceError, noise_v, waveform
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.hardware.amplifier import RAIL_V, FrontEnd, design
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import FrameLayout, Info, Packet, Samples
 from tactile_cdma.wire.packets import PacketWriter

@@ -6,7 +6,7 @@
     python firmware/boards/generate_boards.py --check    lists stale ones, exit code 1 if any
     python firmware/boards/generate_boards.py --draw     with kicad-cli checks and draws them, too
 
-Values come from tactile_cdma.hardware.amplifier, part numbers and prices from parts.py.
+Values come from firmware/analog/amplifier.py, part numbers and prices from parts.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 """The boards of a skin, drawn: node, strip of nodes, digitizer, and for fast nodes the group board.
 
-Values are those that `tactile-cdma amplifier` computes. Slow boards are for 16 nodes; where 64 need
+Values are those that `make amplifier` computes. Slow boards are for 16 nodes; where 64 need
 another value, the part says so.
 """
 
@@ -18,9 +18,9 @@ import symbols as s
 from drawing import Placed, Point, Sheet, Symbol
 from parts import part
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.amplifier import FrontEnd, Stage, design
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "analog"))
+from amplifier import FrontEnd, Stage, design
 from circuit import HALF_F, HALF_OHM
 from spice import SKINS
 

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "firmware" / folder) for folder in ("analog", "sim")]
+from amplifier import FrontEnd, design  # noqa: E402
 from emulated import EmulatedNodes  # noqa: E402
 from ngspice import transient, waveform  # noqa: E402
 from schematics import SYNC_OHM  # noqa: E402
 from skin import Spread, reference_nodes  # noqa: E402
 from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
-from tactile_cdma.hardware.amplifier import FrontEnd, design  # noqa: E402
 from tactile_cdma.hardware.node_memory import FAST  # noqa: E402
 from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_RESTART, SYNC_UNIT_US  # noqa: E402
 

@@ -16,7 +16,7 @@ from emulated import Amplifier, EmulatedNodes, Node
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import check_timing, node_memory
-from tactile_cdma.sim.scene import Scene, Skin
+from tactile_cdma.sim.scene import Scene, SkinGeometry
 
 IMAGES = Path(__file__).resolve().parents[1] / "build" / "node"
 SUPPLY_V = 3.3
@@ -126,7 +126,7 @@ class PressedSkin:
         self._config, self._scene = config, scene
         self._nodes, self._digitizer = nodes, digitizer
         self._supplies_v = np.array([node.supply_v for node in nodes.nodes])
-        self._place = Skin.of(config.layout, config.spec.nodes)
+        self._place = SkinGeometry.of(config.layout, config.spec.nodes)
         self._pressed_ns: list[int] = []
         self._codes: list[NDArray[np.int64]] = []
         self._next_ns = 0

@@ -28,7 +28,7 @@ from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import FAST
 from tactile_cdma.recording.recording_file import Recorder
-from tactile_cdma.sim.scene import Skin
+from tactile_cdma.sim.scene import SkinGeometry
 from trial import Trial, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "thousand_skin.yaml"
@@ -51,7 +51,9 @@ class RandomPresses:
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
 
-    def __call__(self, t_s: float, skin: Skin) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def __call__(
+        self, t_s: float, skin: SkinGeometry
+    ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         """Pressures at a time: (n,) Pa."""
         return self._rng.uniform(0, HEAVIEST_PA, len(skin.positions_m))
 

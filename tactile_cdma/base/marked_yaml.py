@@ -8,7 +8,6 @@ contents by aliases.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Collection, Iterator
@@ -20,6 +19,7 @@ import yaml
 
 from .errors import TactileError
 from .named_file import read_named
+from .suggest import suggestion
 
 MOST_BYTES = 1 << 24
 """Bytes of a file; chosen."""
@@ -35,7 +35,7 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class MarkedFile:
     """The file that values come from, and the type of error to refuse it with."""
 
     path: Path
@@ -54,22 +54,22 @@ class Marked:
     content: str | list[Marked] | dict[str, Marked]
     line: int
     quoted: bool
-    origin: Origin
+    file: MarkedFile
 
     def refuse(self, text: str) -> TactileError:
         """The error to raise about this value."""
-        return self.origin.refuse(text, self.line)
+        return self.file.refuse(text, self.line)
 
     @property
     def is_null(self) -> bool:
         """Whether the value is left out: null or ~."""
         return self.content in ("", "~", "null") and not self.quoted
 
-    def mapping(self, what: str) -> Mapping:
+    def mapping(self, what: str) -> Keys:
         """Keys with values."""
         if not isinstance(self.content, dict):
             raise self.refuse(f"{what} is {self._kind}; it must be keys with values")
-        return Mapping(what, self, self.content)
+        return Keys(what, self, self.content)
 
     def items(self, what: str, least: int = 0, most: int = MOST_EVENTS) -> list[Marked]:
         """A list, of least to most entries."""
@@ -130,7 +130,7 @@ class Marked:
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class Keys:
     """Keys with values. what: its name in messages."""
 
     what: str
@@ -141,9 +141,8 @@ class Mapping:
         """Refuse a key that is not known."""
         for name, value in self.entries.items():
             if name not in known:
-                close = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-                raise value.refuse(f"unknown key {name!r} in {self.what}; {hint}")
+                hint = suggestion(name, known, f"known: {', '.join(known)}")
+                raise value.refuse(f"unknown key {name!r} in {self.what}{hint}")
 
     def check_schema(self, schema: str, version: int) -> None:
         """Refuse a file of another kind or version, by its keys schema and version."""
@@ -186,63 +185,63 @@ def read_marked(path: Path, error: type[TactileError]) -> Marked:
     Raises error, naming file and line, for a file that cannot be read, is not YAML, or has aliases,
     duplicate keys or too many levels of nesting.
     """
-    origin = Origin(path, error)
+    file = MarkedFile(path, error)
     try:
         raw = read_named(path, MOST_BYTES)
     except OSError as problem:
         # The absolute path: the working folder may be the mistake.
-        raise Origin(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
+        raise MarkedFile(path.absolute(), error).refuse(problem.strerror or str(problem)) from None
     try:
         events = yaml.parse(raw.decode(encoding="utf-8"), Loader=_LOADER)
-        return _document(_bounded(events, origin), origin)
+        return _document(_bounded(events, file), file)
     except UnicodeDecodeError:
-        raise origin.refuse("not a text file in UTF-8") from None
+        raise file.refuse("not a text file in UTF-8") from None
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         said = getattr(problem, "problem", None) or " ".join(str(problem).split())
         line = mark.line + 1 if mark else None
         if "nesting depth" in said:  # newer parsers look ahead, and refuse it before _value does
-            raise origin.refuse(_TOO_DEEP, line) from None
-        raise origin.refuse(f"not a YAML file: {said}", line) from None
+            raise file.refuse(_TOO_DEEP, line) from None
+        raise file.refuse(f"not a YAML file: {said}", line) from None
 
 
-def _bounded(events: Iterator[yaml.Event], origin: Origin) -> Iterator[yaml.Event]:
+def _bounded(events: Iterator[yaml.Event], file: MarkedFile) -> Iterator[yaml.Event]:
     """Refuse files that would fill the memory: a value takes some hundred bytes."""
     for number, event in enumerate(events):
         if number > MOST_EVENTS:
-            raise origin.refuse(f"holds more than {MOST_EVENTS} values", _line(event))
+            raise file.refuse(f"holds more than {MOST_EVENTS} values", _line(event))
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > MOST_TEXT:
-            raise origin.refuse(f"a text of more than {MOST_TEXT} characters", _line(event))
+            raise file.refuse(f"a text of more than {MOST_TEXT} characters", _line(event))
         yield event
 
 
-def _document(events: Iterator[yaml.Event], origin: Origin) -> Marked:
+def _document(events: Iterator[yaml.Event], file: MarkedFile) -> Marked:
     value = None
     for event in events:
         if isinstance(event, yaml.DocumentStartEvent):
             if value:
-                raise origin.refuse("a second document begins here", _line(event))
-            value = _value(next(events), events, origin, 0)
+                raise file.refuse("a second document begins here", _line(event))
+            value = _value(next(events), events, file, 0)
     if value is None:
-        raise origin.refuse("the file is empty")
+        raise file.refuse("the file is empty")
     return value
 
 
-def _value(event: yaml.Event, events: Iterator[yaml.Event], origin: Origin, depth: int) -> Marked:
+def _value(event: yaml.Event, events: Iterator[yaml.Event], file: MarkedFile, depth: int) -> Marked:
     line = _line(event)
     if depth > MOST_DEPTH:
-        raise origin.refuse(_TOO_DEEP, line)
+        raise file.refuse(_TOO_DEEP, line)
     if isinstance(event, yaml.ScalarEvent):
         # Without libyaml plain scalars have no style, with it an empty one.
-        return Marked(event.value, line, bool(event.style), origin)
+        return Marked(event.value, line, bool(event.style), file)
     if isinstance(event, yaml.SequenceStartEvent):
         values = []
         while not isinstance(event := next(events), yaml.SequenceEndEvent):
-            values.append(_value(event, events, origin, depth + 1))
-        return Marked(values, line, False, origin)
+            values.append(_value(event, events, file, depth + 1))
+        return Marked(values, line, False, file)
     if isinstance(event, yaml.MappingStartEvent):
-        return Marked(_mapping(events, origin, depth + 1), line, False, origin)
-    raise origin.refuse("anchors and aliases (& and *) are not supported here; write it out", line)
+        return Marked(_mapping(events, file, depth + 1), line, False, file)
+    raise file.refuse("anchors and aliases (& and *) are not supported here; write it out", line)
 
 
 def _line(event: yaml.Event) -> int:
@@ -250,12 +249,12 @@ def _line(event: yaml.Event) -> int:
     return int(event.start_mark.line) + 1
 
 
-def _mapping(events: Iterator[yaml.Event], origin: Origin, depth: int) -> dict[str, Marked]:
+def _mapping(events: Iterator[yaml.Event], file: MarkedFile, depth: int) -> dict[str, Marked]:
     values: dict[str, Marked] = {}
     while not isinstance(event := next(events), yaml.MappingEndEvent):
-        key = _value(event, events, origin, depth)
+        key = _value(event, events, file, depth)
         name = key.text("a key")
         if name in values:
             raise key.refuse(f"{name!r} again; it stands in line {values[name].line} already")
-        values[name] = _value(next(events), events, origin, depth)
+        values[name] = _value(next(events), events, file, depth)
     return values

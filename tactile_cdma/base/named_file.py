@@ -9,12 +9,12 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
 from pathlib import Path
 from typing import BinaryIO
 
 from .errors import ParameterError, TactileError
 from .shipped import shipped
+from .suggest import closest
 
 
 def existing(path: Path, kind: str = "parameter file") -> Path:
@@ -23,8 +23,8 @@ def existing(path: Path, kind: str = "parameter file") -> Path:
         return path
     path = path.absolute()
     beside = {file.stem: file for file in path.parent.glob(f"*{path.suffix}")}
-    near = get_close_matches(path.stem, beside, n=1)
-    meant = shipped(f"config/{path.name}") or (beside[near[0]] if near else None)
+    near = closest(path.stem, beside)
+    meant = shipped(f"config/{path.name}") or (beside[near] if near else None)
     raise ParameterError(f"no {kind} {path}" + (f"; did you mean {meant}?" if meant else ""))
 
 

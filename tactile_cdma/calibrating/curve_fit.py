@@ -41,7 +41,7 @@ _RIDGE = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CurveFit:
     """Curves of n sensors with p pieces, and how they fit m points each.
 
     corner_pa, corner_v: (n, p + 1), Pa and V: the first corner at 0, the last at the largest load.
@@ -58,13 +58,13 @@ class Fit:
     sigma_v: Floats
     knee_found: Bools
 
-    def sensor(self, index: int, points: int) -> Fit:
+    def sensor(self, index: int, points: int) -> CurveFit:
         """The fit of one sensor to its first points, without the axis n."""
-        row = Fit(**{name: values[index] for name, values in vars(self).items()})
+        row = CurveFit(**{name: values[index] for name, values in vars(self).items()})
         return replace(row, residual_v=row.residual_v[:points], used=row.used[:points])
 
 
-def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) -> Fit:
+def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: float) -> CurveFit:
     """Fit n sensors at once; a few thousand points at a time are fastest.
 
     pressure_pa, voltage_v: (n, m), Pa and V, NaN where a sensor has fewer than m points. Each
@@ -86,7 +86,7 @@ def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: flo
     last = np.max(load, axis=1, where=used, initial=0.0)
     corners = np.column_stack((np.zeros(len(given)), knees, last))
     beta, residual = points.solve(knees, used)
-    return Fit(
+    return CurveFit(
         corner_pa=corners * scale_pa,
         corner_v=(_design(corners, knees) @ beta[:, :, None])[:, :, 0],
         residual_v=np.where(given, residual, np.nan),

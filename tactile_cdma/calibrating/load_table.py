@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats
 from ..base.errors import CalibrationError
 from ..base.named_file import naming
+from ..base.suggest import suggestion
 
 MOST_BYTES = 256 << 20
 """Size of a table, bytes; chosen: minutes of a reference at kHz, and far from filling a memory."""
@@ -147,9 +147,8 @@ def _unknown(cell: str, kind: str) -> str:
     if kind in UNITS:
         units = ", ".join(heading for heading in known if heading.startswith(kind))
         return f"column {cell!r} has no unit that is known; use {units}"
-    close = difflib.get_close_matches(cell.lower(), known, n=1, cutoff=0.8)
-    hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-    return f"unknown column {cell!r}; {hint}"
+    hint = suggestion(cell, known, f"known are {', '.join(known)}", alike=0.8)
+    return f"unknown column {cell!r}{hint}"
 
 
 def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
@@ -163,5 +162,5 @@ def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
         except ValueError:
             values.append(np.nan)
         if not abs(values[-1]) < MOST:  # NaN is not, either
-            raise ValueError(f"{cell[:_SHOWN]!r} is no number for {heading}")
+            raise ValueError(f"{cell[:_SHOWN]!r} is not a number for {heading}")
     return values

@@ -15,7 +15,7 @@ from ..base.arrays import Bools, Floats, Indices
 from ..base.errors import CalibrationError
 from ..readings.calibration import AdcScale, PressureCurve
 from ..readings.calibration_file import HEADROOM
-from .curve_fit import LEAST_LEVELS, Fit, fit_curves, levels_of
+from .curve_fit import LEAST_LEVELS, CurveFit, fit_curves, levels_of
 from .load_points import LoadPoints, directions
 
 FIRST_LOAD = 0.25
@@ -174,7 +174,7 @@ def _unfit(
     return None
 
 
-def _unsound(points: LoadPoints, own: Indices, fit: Fit, adc: AdcScale) -> str | None:
+def _unsound(points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale) -> str | None:
     """Why the best fit to a node's rows is none to rely on, or None."""
     corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):

@@ -16,7 +16,6 @@ from .. import __version__
 from ..base.errors import TactileError
 from ..doctor import command as doctor
 from . import (
-    amplifier,
     calibrate,
     completion,
     decode,
@@ -36,7 +35,6 @@ SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "export": (export, "write frames as NPZ, CSV, Parquet, LeRobotDataset or bag"),
     "simulate": (simulate, "run a virtual digitizer behind a real tty"),
     "node": (node, "write or read the EEPROM contents of sensing nodes"),
-    "amplifier": (amplifier, "choose the parts between nodes and digitizer"),
     "ports": (ports, "list serial ports and the digitizers on them"),
     "doctor": (doctor, "check this installation or a port, and report problems"),
     "layout": (layout, "check a layout file and draw it with node numbers"),

@@ -23,7 +23,7 @@ from ..datasets.lerobot import INFO
 from ..datasets.lerobot.export import Plan, write_lerobot
 from ..datasets.parquet_table import write_parquet
 from ..datasets.progress import Progress
-from ..datasets.samples import Source, patches_of
+from ..datasets.samples import SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
 from ..datasets.tables import about_path, taxels_path, write_csv, write_npz
@@ -225,7 +225,7 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     return 0
 
 
-def _write(frames: PatchFrames, sources: Sequence[Source], path: Path) -> tuple[int, int]:
+def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> tuple[int, int]:
     """Write one patch; returns how many frames and taxels. Raises CaptureError for no frame."""
     with naming(path, CaptureError):
         rows = iter(frames)

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..base.errors import BodyError, ParameterError
-from ..base.marked_yaml import Mapping as Keys
-from ..base.marked_yaml import Marked, read_marked
+from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import existing, expanded
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, REPLAY, SIMULATION, Value, Values, check_marked, read_file
@@ -143,7 +142,7 @@ def _parameters(content: Keys) -> dict[str, Value]:
 def _path(value: Marked, text: str) -> Path:
     """A path relative to the file's folder or, with ~, the home folder."""
     try:
-        return (value.origin.path.parent / expanded(text)).absolute()
+        return (value.file.path.parent / expanded(text)).absolute()
     except ValueError as error:
         raise value.refuse(f"{text}: {error}") from None
 

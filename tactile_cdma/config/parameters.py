@@ -8,7 +8,6 @@ from it, and parameter files are checked against it. docs/parameters.md is gener
 
 from __future__ import annotations
 
-import difflib
 import re
 import reprlib
 from array import array
@@ -20,6 +19,7 @@ from typing import Any
 
 from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
+from ..base.suggest import suggestion
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
 
 Value = bool | int | float | str | tuple[float, ...]
@@ -32,6 +32,8 @@ SIMULATION = "sim://"
 REPLAY = "replay://"
 """Prefix of ports that are recordings."""
 LINE, GAP = "line", "gap"
+TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
+"""Words for true and false, in lower case, as in YAML 1.1."""
 STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Name prefixes of the parameters that every ROS 2 node has."""
 
@@ -223,8 +225,7 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
 
 def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
     """The message for an unknown name, with the closest known one."""
-    close = difflib.get_close_matches(name.lower(), list(known), n=1)
-    return f"unknown {kind} {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+    return f"unknown {kind} {name!r}{suggestion(name, known)}"
 
 
 def read_file(path: Path, node: str | None = None) -> dict[str, Value]:
@@ -301,9 +302,8 @@ def _typed(value: Marked) -> object:
         return int(text, 16 if "x" in text else 10)
     if _NUMBER.fullmatch(text):
         return float(text)
-    return _TRUTH.get(text.lower(), text)
+    return TRUTH.get(text.lower(), text)
 
 
 _INTEGER = re.compile("[-+]?(0|[1-9][0-9]{0,17}|0x[0-9a-fA-F]{1,15})")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]{1,3})?")
-_TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}

@@ -4,15 +4,15 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from typing import Any
 from urllib.parse import parse_qsl
 
 from ..base.errors import ParameterError, SpecError
-from .parameters import NATURAL_SIGNS, Parameter, Value
+from ..base.suggest import suggestion
+from .parameters import NATURAL_SIGNS, TRUTH, Parameter, Value
 
-_TRUTH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+_TRUTH = TRUTH | {"1": True, "0": False}
 
 
 def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict[str, Any]:
@@ -23,11 +23,8 @@ def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict
     known, values = {option.name: option for option in options}, dict[str, Any]()
     for name, text in parse_qsl(query, keep_blank_values=True):
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=2)
-            hint = (
-                f"did you mean {' or '.join(close)}?" if close else f"options: {', '.join(known)}"
-            )
-            raise SpecError(f"{scheme} has no option {name!r}; {hint}")
+            hint = suggestion(name, known, f"options: {', '.join(known)}")
+            raise SpecError(f"{scheme} has no option {name!r}{hint}")
         if name in values:
             raise SpecError(f"option {name!r} is given twice")
         values[name] = check_option(known[name], _typed(known[name], text))
@@ -39,8 +36,7 @@ def check_option(option: Parameter, value: Value) -> Value:
     try:
         return option.check(value)
     except ParameterError as error:
-        close = difflib.get_close_matches(str(value), map(str, option.choices), n=1)
-        hint = f"; did you mean {close[0]}?" if close else ""
+        hint = suggestion(str(value), map(str, option.choices))
         raise SpecError(f"option {error}{hint}") from None
 
 

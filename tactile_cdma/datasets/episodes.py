@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 from ..base.errors import CaptureError, ParameterError
-from .samples import NANO, Source
+from .samples import NANO, SampleSource
 
 EMPTY = "std_msgs/msg/Empty"
 MARKS = ("std_msgs/msg/Bool", "std_msgs/msg/String", EMPTY)
@@ -41,7 +41,7 @@ def parse_interval(text: str) -> tuple[float, float]:
 
 
 def find_episodes(
-    source: Source,
+    source: SampleSource,
     task: str,
     intervals: Sequence[tuple[float, float]] = (),
     marks: str | None = None,

@@ -12,9 +12,9 @@ from .progress import Progress, fraction
 from .samples import (
     NANO,
     Completeness,
-    Patch,
+    PatchInfo,
+    SampleSource,
     SkinFrame,
-    Source,
     Stream,
     check_patches,
     check_same,
@@ -39,16 +39,16 @@ class PatchFrames:
 
     def __init__(
         self,
-        sources: Sequence[Source],
+        sources: Sequence[SampleSource],
         name: str,
-        episodes: Callable[[Source], Sequence[Episode]],
+        episodes: Callable[[SampleSource], Sequence[Episode]],
         progress: Progress,
         from_first_complete: bool = False,
     ) -> None:
         self._sources, self._name, self._progress = sources, name, progress
         self._episodes, self._from_first_complete = episodes, from_first_complete
         self.left_out = self.missing = 0
-        self.patch: Patch | None = None
+        self.patch: PatchInfo | None = None
         self.notes: list[str] = []
 
     def __iter__(self) -> Iterator[tuple[int, SkinFrame]]:
@@ -67,11 +67,11 @@ class PatchFrames:
                 self.notes.append(f"{source.path}: no frame of {self._name} in its episodes")
             before += len(episodes)
 
-    def _stream(self, source: Source) -> Stream:
+    def _stream(self, source: SampleSource) -> Stream:
         return next(stream for stream in patches_of(source) if stream.feature == self._name)
 
     def _of(
-        self, source: Source, key: str, episodes: Sequence[Episode], before: int
+        self, source: SampleSource, key: str, episodes: Sequence[Episode], before: int
     ) -> Iterator[tuple[int, SkinFrame]]:
         """Frames of one file; before: number of its first episode."""
         seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp

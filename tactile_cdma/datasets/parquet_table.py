@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base.whole_file import replacing
 from .arrow import array_column, array_type, pyarrow
-from .samples import Patch
+from .samples import PatchInfo
 from .tables import PER_FRAME, PER_TAXEL, Frames, column_type, columns, known, places
 
 GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
@@ -86,7 +86,7 @@ class ParquetTable:
             self._rows = []
 
 
-def write_parquet(path: Path, frames: Frames, patch: Patch, about: Mapping[str, Any]) -> int:
+def write_parquet(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
     """All frames, one per row; returns how many. Raises MissingPackageError, OSError."""
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         name: (column_type(name).str, ()) for name in PER_FRAME

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
+from ..base.listing import listed
 from ..readings.stages import Status
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
@@ -32,7 +33,7 @@ TACTILE, CONTACTS, WRENCH, STATE, ACTION, IMAGE = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patch:
+class PatchInfo:
     """What is the same in all frames of one skin patch with t taxels.
 
     name: as features are called, [a-z0-9_]. topic: of its frames; empty for a recording.
@@ -117,7 +118,7 @@ class Stream:
     feature: str
     shape: tuple[int, ...]
     names: tuple[str, ...] = ()
-    patch: Patch | None = field(default=None, compare=False)
+    patch: PatchInfo | None = field(default=None, compare=False)
 
     @property
     def topic(self) -> str:
@@ -125,7 +126,7 @@ class Stream:
         return self.key.removeprefix(f"{self.kind}:")
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """A recording or a bag.
 
     streams: by key. begin_ns, end_ns: Unix time of its first and last data, as recorded; the end
@@ -155,7 +156,7 @@ class Source(Protocol):
         ...
 
 
-def patches_of(source: Source) -> list[Stream]:
+def patches_of(source: SampleSource) -> list[Stream]:
     """The source's skin patches, in order."""
     return [stream for stream in source.streams.values() if stream.kind == TACTILE]
 
@@ -194,25 +195,21 @@ class Completeness:
             return []
         return np.flatnonzero(self._wanted & ~self._read).tolist()
 
+    @property
+    def unread(self) -> str:
+        """The missing taxels, for people: the first ones of many; "any taxel" before a frame."""
+        return listed(self.missing, "taxel", MOST_SHOWN) if self.missing else "any taxel"
+
     def check(self, path: Path, patch: str) -> None:
         """Raises CaptureError, naming the taxels, where some never had a valid reading."""
         if not self.is_complete:
             raise CaptureError(
                 f"{path}: patch {patch} is never complete: no valid reading of "
-                f"{shown_taxels(self.missing)}; mask them, or drop --from-first-complete"
+                f"{self.unread}; mask them, or drop --from-first-complete"
             )
 
 
-def shown_taxels(taxels: list[int]) -> str:
-    """Numbers of taxels for people, the first ones of many."""
-    if not taxels:
-        return "any taxel"
-    more = f" and {len(taxels) - MOST_SHOWN} more" if len(taxels) > MOST_SHOWN else ""
-    word = "taxel" if len(taxels) == 1 else "taxels"
-    return f"{word} {', '.join(map(str, taxels[:MOST_SHOWN]))}{more}"
-
-
-def check_patches(first: Source, other: Source) -> None:
+def check_patches(first: SampleSource, other: SampleSource) -> None:
     """Raises CaptureError where one of two files has patches that the other has not."""
     mine, its = (sorted(stream.feature for stream in patches_of(one)) for one in (first, other))
     if mine != its:
@@ -222,7 +219,7 @@ def check_patches(first: Source, other: Source) -> None:
         )
 
 
-def check_taxels(first: Patch, other: Patch, path: Path) -> None:
+def check_taxels(first: PatchInfo, other: PatchInfo, path: Path) -> None:
     """Raises CaptureError where a patch's taxels differ from those in the first file.
 
     path: of the file that holds the other one.
@@ -245,7 +242,7 @@ def check_taxels(first: Patch, other: Patch, path: Path) -> None:
             )
 
 
-def check_same(first: Patch, other: Patch, path: Path) -> None:
+def check_same(first: PatchInfo, other: PatchInfo, path: Path) -> None:
     """Raises CaptureError where one table cannot hold both: other taxels, origin, calibration."""
     check_taxels(first, other, path)
     for difference in differences(other.name, first.about, other.about):

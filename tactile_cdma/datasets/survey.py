@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..readings.stages import Status
-from .samples import Completeness, SkinFrame, missing_between, shown_taxels
+from .samples import Completeness, SkinFrame, missing_between
 
 
 class FrameSurvey:
@@ -91,7 +91,7 @@ class FrameSurvey:
 
     def _complete(self) -> str:
         if self._complete_s is None:
-            return f"never: no valid reading of {shown_taxels(self._completeness.missing)}"
+            return f"never: no valid reading of {self._completeness.unread}"
         if not self._complete_s:
             return "from the first frame on"
         return (

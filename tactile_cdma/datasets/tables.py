@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.whole_file import replacing
-from .samples import Patch, SkinFrame
+from .samples import PatchInfo, SkinFrame
 
 Frames = Iterator[tuple[int, SkinFrame]]
 """Frames, each with the number of its episode."""
@@ -32,7 +32,7 @@ PER_FRAME = {
 PER_TAXEL = {"pressure_pa": "<f4", "voltage_v": "<f4", "status": "|u1"}
 
 
-def write_npz(path: Path, frames: Frames, patch: Patch, about: Mapping[str, Any]) -> int:
+def write_npz(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
     """All frames, at least one, as numpy arrays by columns; returns how many. Raises OSError.
 
     about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
@@ -58,7 +58,7 @@ def write_npz(path: Path, frames: Frames, patch: Patch, about: Mapping[str, Any]
     return count
 
 
-def write_csv(path: Path, frames: Frames, patch: Patch, about: Mapping[str, Any]) -> int:
+def write_csv(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
     """One row per frame; beside it NAME.taxels.csv, one row per taxel, and NAME.about.json.
 
     Returns how many frames. Raises OSError.
@@ -107,7 +107,7 @@ def column_type(name: str) -> np.dtype[Any]:
     return np.dtype({**PER_FRAME, **PER_TAXEL}[name])
 
 
-def places(patch: Patch) -> dict[str, NDArray[Any]]:
+def places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
     """Arrays that are the same in all frames."""
     return {
         "shape": np.array([patch.rows, patch.columns], dtype=np.uint16),
@@ -123,7 +123,7 @@ def known(values: NDArray[Any]) -> Any:
     return values.tolist() if np.isfinite(values).all() else None
 
 
-def _taxels(patch: Patch) -> str:
+def _taxels(patch: PatchInfo) -> str:
     found = places(patch)
     lines = ["taxel,node,x_m,y_m,z_m,normal_x,normal_y,normal_z,area_m2"]
     for taxel, node in enumerate(found["node"]):

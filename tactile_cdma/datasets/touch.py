@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats32
 from ..base.errors import ParameterError
-from .samples import NANO, Completeness, Patch, SkinFrame
+from .samples import NANO, Completeness, PatchInfo, SkinFrame
 
 WINDOW, MEAN, LAST = "window", "mean", "last"
 MODES = (WINDOW, MEAN, LAST)
@@ -22,7 +22,7 @@ MOST_SLOTS = 1000
 """Samples of a patch per tick; chosen: 12 s of frames that come every 12.8 ms."""
 
 
-def slots(patch: Patch, fps: float, mode: str) -> int:
+def slots(patch: PatchInfo, fps: float, mode: str) -> int:
     """How many samples of a patch one tick holds: with WINDOW, the most that an interval can.
 
     Raises ParameterError for more than MOST_SLOTS.

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from ..base.errors import ParameterError
 from ..base.shipped import CHECKOUT, shipped
-from .report import Check, Verdict, ok, problem, warning
+from .report import Check, Grade, ok, problem, warning
 
 RULES = "60-tactile-cdma.rules"
 RULES_FOLDERS = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d")
@@ -275,4 +275,4 @@ def _reported(text: str) -> Iterator[Check]:
     for entry in text.splitlines():
         with suppress(ValueError, KeyError, TypeError):
             values = json.loads(entry)
-            yield Check(Verdict(values["verdict"]), values["subject"], values["text"])
+            yield Check(Grade(values["verdict"]), values["subject"], values["text"])

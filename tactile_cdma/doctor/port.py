@@ -20,7 +20,7 @@ from ..wire.discovery import leave_alone_if_open
 from ..wire.introduction import described_info, introduction
 from ..wire.port import Port
 from .report import Check, ok, problem, warning
-from .stream import Stream, judge
+from .stream import RawStream, judge
 
 START_S = 3.5
 START_FRAMES = 4
@@ -80,7 +80,7 @@ def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Ite
     yield from judge(_listen(port, config, configure, seconds), config, seconds)
 
 
-def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> Stream:
+def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> RawStream:
     """Listen to the stream for so long, asking for it as the driver does.
 
     configure: set the digitizer to these parameters; else it stays as it is.
@@ -111,4 +111,4 @@ def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> 
     finally:
         pipeline.close()
         port.write(session.close())
-    return Stream(chunks, pipeline.problem or session.problem if not begin_s else None)
+    return RawStream(chunks, pipeline.problem or session.problem if not begin_s else None)

@@ -10,7 +10,7 @@ from enum import StrEnum
 from functools import partial
 
 
-class Verdict(StrEnum):
+class Grade(StrEnum):
     """Nothing to do; may cause trouble; will not work."""
 
     OK = "ok"
@@ -22,14 +22,14 @@ class Verdict(StrEnum):
 class Check:
     """One thing that was checked. text: what was found and, unless all is well, what to do."""
 
-    verdict: Verdict
+    verdict: Grade
     subject: str
     text: str
 
 
-ok = partial(Check, Verdict.OK)
-warning = partial(Check, Verdict.WARNING)
-problem = partial(Check, Verdict.PROBLEM)
+ok = partial(Check, Grade.OK)
+warning = partial(Check, Grade.WARNING)
+problem = partial(Check, Grade.PROBLEM)
 
 
 def line(check: Check) -> str:
@@ -39,16 +39,16 @@ def line(check: Check) -> str:
 
 def summary(checks: Sequence[Check]) -> str:
     """The last line."""
-    count = {verdict: sum(c.verdict is verdict for c in checks) for verdict in Verdict}
+    count = {verdict: sum(c.verdict is verdict for c in checks) for verdict in Grade}
     return (
-        f"{_counted(count[Verdict.PROBLEM], 'problem')}, "
-        f"{_counted(count[Verdict.WARNING], 'warning')}, {count[Verdict.OK]} ok"
+        f"{_counted(count[Grade.PROBLEM], 'problem')}, "
+        f"{_counted(count[Grade.WARNING], 'warning')}, {count[Grade.OK]} ok"
     )
 
 
 def exit_code(checks: Sequence[Check]) -> int:
     """1 where there is a problem."""
-    return int(any(check.verdict is Verdict.PROBLEM for check in checks))
+    return int(any(check.verdict is Grade.PROBLEM for check in checks))
 
 
 def _counted(number: int, what: str) -> str:

@@ -24,21 +24,21 @@ from ..words.health import NodeHealth, NodeState
 from ..words.stages import DOUBLE_SHARE, LOW_RHO
 from .report import Check, ok, problem, warning
 
-SLOW = 0.95
+FULL_RATE = 0.95
 """Share of the expected frame rate below which frames are missed. Chosen: in 3 s of 78 frames per
 second the rate is known to 1 in 234."""
 OTHER_AMPLITUDE = 0.2
 """Relative difference of amplitudes that resistors of 5 % and their supply do not explain."""
 MANY_BEYOND, FEW_BEYOND = 0.25, 0.02
-"""Shares of all words, chosen: with more beyond the sensors' range and fewer of their opposites
-beyond it, the line is inverted."""
+"""Shares of all words. The line is taken to be inverted if more than MANY_BEYOND of them are beyond
+the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
-    """What was heard. chunks: bytes and the host's monotonic time, s, when they were read.
+class RawStream:
+    """What was decoded. chunks: bytes and the host's monotonic time, s, when they were read.
 
     problem: why there are no frames.
     """
@@ -48,7 +48,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class DecodedStream:
     """m frames of n nodes, and the verdict on the nodes.
 
     arrived_s: (m,) float64, on the host's monotonic clock. active: (m, n) bool, words that stand
@@ -70,7 +70,7 @@ class Heard:
         return float(np.median(amplitude_v[self.active]))
 
 
-def judge(stream: Stream, config: SkinConfig, seconds: float) -> Iterator[Check]:
+def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Check]:
     """All checks of a stream; amplitudes are measured before they are compared with config's.
 
     seconds: how long it was to be listened to.
@@ -81,30 +81,30 @@ def judge(stream: Stream, config: SkinConfig, seconds: float) -> Iterator[Check]
     if stream.problem:
         yield problem("frames", stream.problem)
         return
-    heard = _heard(stream, config, None)
-    yield from _rate(heard, config)
-    clipped = float(np.mean([frame.clipped for frame in heard.frames]))
+    decoded = _decoded(stream, config, None)
+    yield from _rate(decoded, config)
+    clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     yield from _range(clipped)
-    if not heard.active.any():
-        unclear = any((frame.words.active | frame.words.doubtful).any() for frame in heard.frames)
+    if not decoded.active.any():
+        unclear = any((frame.words.active | frame.words.doubtful).any() for frame in decoded.frames)
         text = "frames arrive, but no node speaks: is the skin powered?"
-        noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in heard.frames]))
+        noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in decoded.frames]))
         if unclear or silence_hidden(clipped, noise_v, config.spec):
             text = "something is sent, but no word is clear: who spoke cannot be told on this line"
         yield problem("nodes", text)
-        yield from _left_out(heard, 0.0)
+        yield from _left_out(decoded, 0.0)
         return
-    measured_v = heard.typical_v
-    heard = _heard(stream, config, measured_v)
-    yield from _left_out(heard, measured_v)
-    yield from _noise(heard)
+    measured_v = decoded.typical_v
+    decoded = _decoded(stream, config, measured_v)
+    yield from _left_out(decoded, measured_v)
+    yield from _noise(decoded)
     if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
         yield from _amplitude(measured_v, config)
-    yield from _polarity(heard, config)
-    yield from _nodes(heard, seconds)
+    yield from _polarity(decoded, config)
+    yield from _nodes(decoded, seconds)
 
 
-def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
+def _decoded(stream: RawStream, config: SkinConfig, swing_v: float | None) -> DecodedStream:
     """Decoded with this amplitude of a node's code; None: learnt from every frame.
 
     From one value per chip, silence can't be told without an amplitude: there it is the stated one.
@@ -135,23 +135,24 @@ def _heard(stream: Stream, config: SkinConfig, swing_v: float | None) -> Heard:
     info = pipeline.digitizer.info
     left_out_v = info.quiet_uv * 1e-6 if info else 0.0
     arrived = np.array(arrived_s)
-    return Heard(frames, arrived, active, pipeline.health, left_out_v, pipeline.rejections)
+    return DecodedStream(frames, arrived, active, pipeline.health, left_out_v, pipeline.rejections)
 
 
-def _left_out(heard: Heard, swing_v: float) -> Iterator[Check]:
+def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
     """Whether words of this amplitude, V, may be among the samples that are left out.
 
     A word turns by twice its amplitude.
     """
-    if heard.left_out_v > 2 * ACTIVE_SHARE * swing_v:
+    if decoded.left_out_v > 2 * ACTIVE_SHARE * swing_v:
         yield warning(
             "quiet",
-            f"the digitizer leaves out what differs by less than {heard.left_out_v * 1e3:.0f} mV, "
-            "in which nodes may speak: name the parameters (--params) to examine all",
+            "the digitizer leaves out what differs by less than "
+            f"{decoded.left_out_v * 1e3:.0f} mV, in which nodes may speak: name "
+            "the parameters (--params) to examine all",
         )
 
 
-def _link(stream: Stream) -> Iterator[Check]:
+def _link(stream: RawStream) -> Iterator[Check]:
     parser, reports = PacketParser(), []
     for data, _ in stream.chunks:
         reports += [packet for packet in parser.feed(data) if isinstance(packet, Status)]
@@ -178,23 +179,23 @@ def _link(stream: Stream) -> Iterator[Check]:
             )
 
 
-def _rate(heard: Heard, config: SkinConfig) -> Iterator[Check]:
-    frames = heard.frames
+def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
+    frames = decoded.frames
     expected_hz = 1 / config.spec.frame_period_s
     if len(frames) < 2:
         yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
         return
     # What waited before it was listened to arrives at once.
-    arriving_s = heard.arrived_s[-1] - heard.arrived_s[0]
+    arriving_s = decoded.arrived_s[-1] - decoded.arrived_s[0]
     span_s = max(arriving_s, frames[-1].t_start - frames[0].t_start)
     rate_hz = (len(frames) - 1) / max(span_s, config.spec.frame_period_s)
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
-    refused = heard.rejections
+    refused = decoded.rejections
     if refused.total > REJECTED_SHARE * (refused.total + len(frames)):
         text = f"{text}; {refused.total} refused, mostly {REJECTED_FOR[refused.leading]}"
         yield warning("frames", text)
-    elif lost or rate_hz < SLOW * expected_hz:
+    elif lost or rate_hz < FULL_RATE * expected_hz:
         yield warning("frames", f"{text}: is the link, or this computer, too slow for the samples?")
     else:
         yield ok("frames", text)
@@ -206,14 +207,14 @@ def _range(clipped: float) -> Iterator[Check]:
         yield what(
             "range",
             f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
-            "(tactile-cdma amplifier), or row signs (sign_seed)",
+            "(make amplifier), or row signs (sign_seed)",
         )
 
 
-def _noise(heard: Heard) -> Iterator[Check]:
-    noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in heard.frames]))
-    rho = np.where(heard.active, [frame.words.rho for frame in heard.frames], np.nan)
-    rho = rho[:, heard.active.any(axis=0)]
+def _noise(decoded: DecodedStream) -> Iterator[Check]:
+    noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in decoded.frames]))
+    rho = np.where(decoded.active, [frame.words.rho for frame in decoded.frames], np.nan)
+    rho = rho[:, decoded.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
     text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {decibels(weakest):.0f} dB"
     if weakest < 2 * LOW_RHO:
@@ -239,9 +240,9 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
     )
 
 
-def _polarity(heard: Heard, config: SkinConfig) -> Iterator[Check]:
+def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
     """Inverted, nodes at rest read beyond the sensors' range, and nothing reads as if at rest."""
-    codes = np.array([frame.words.codes for frame in heard.frames])[heard.active]
+    codes = np.array([frame.words.codes for frame in decoded.frames])[decoded.active]
     lowest = config.adc.code(config.curve.voltage_v[-1])
     beyond = float((codes < lowest).mean())
     opposite_beyond = float((2**config.spec.bits - 1 - codes < lowest).mean())
@@ -253,8 +254,8 @@ def _polarity(heard: Heard, config: SkinConfig) -> Iterator[Check]:
         )
 
 
-def _nodes(heard: Heard, seconds: float) -> Iterator[Check]:
-    spoke = heard.active.any(axis=0)
+def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
+    spoke = decoded.active.any(axis=0)
     total = f"{np.count_nonzero(spoke)} of {spoke.size} spoke"
     if spoke.all():
         yield ok("nodes", total)
@@ -266,6 +267,6 @@ def _nodes(heard: Heard, seconds: float) -> Iterator[Check]:
             f"only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
         )
     for state, text in UNSOUND.items():
-        if numbers := heard.health.nodes(state):
+        if numbers := decoded.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem
             yield what("nodes", text.format(listed(numbers, "node")))

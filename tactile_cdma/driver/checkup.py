@@ -33,7 +33,7 @@ REJECTED_FOR = {
     INCOMPLETE: "cut off: are samples lost, or is frame_period_ms too short?",
     ABSURD: "not numbers, or absurd volts: is volts_per_count right?",
     AT_RAIL: "with the line at a rail, where nobody is heard: centre the amplifier's offset, or "
-    "lower its gain (tactile-cdma amplifier)",
+    "lower its gain (make amplifier)",
     NOISY: "with noise that would hide words: look for what disturbs the line, or raise the "
     "amplitude",
     MISFIT: "explained by no words: check chip_us, order and bits, noise on the line, and whether "
@@ -107,7 +107,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
     if window.clipped > CLIPPED_SHARE:
         text = (
             f"{window.clipped:.0%} of the samples are at a rail: lower the amplifier's gain "
-            "(tactile-cdma amplifier), or centre its offset"
+            "(make amplifier), or centre its offset"
         )
         yield Finding(text, key="clipped")
     if latest is not None:

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is soldered and programmed: a node's memory, its programmer, the summing amplifier."""
+"""What a node is programmed with: its memory, and the programmer."""

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import LayoutError, SpecError
-from ..base.marked_yaml import Mapping, Marked, read_marked
+from ..base.marked_yaml import Keys, Marked, read_marked
 from .layout import Layout
-from .layout_nodes import MOST_TAXELS, Place, Wiring, check_nodes, node_of_entry, nodes_of_grid
+from .layout_nodes import MOST_TAXELS, TaxelNode, Wiring, check_nodes, node_of_entry, nodes_of_grid
 from .layout_shapes import OVERLAP, Surface, cylinder, plane, seen_from_outside, sphere
 from .proximity import beside, usual_distance_m
 
@@ -80,7 +80,7 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
     )
 
 
-def _size(content: Mapping) -> tuple[int, int]:
+def _size(content: Keys) -> tuple[int, int]:
     """Rows and columns."""
     rows, columns = (content.whole(key, 1, MOST_TAXELS) for key in ("rows", "columns"))
     if rows * columns > MOST_TAXELS:
@@ -91,7 +91,7 @@ def _size(content: Mapping) -> tuple[int, int]:
     return rows, columns
 
 
-def _regular(content: Mapping, shape: str, rows: int, columns: int) -> tuple[Surface, float]:
+def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surface, float]:
     """Rows and columns on a plane, a cylinder or a sphere; and the pitch, m."""
     dimensions_m = [_pitch_m(content)]
     if "radius_mm" in _KEYS[shape]:
@@ -108,7 +108,7 @@ def _regular(content: Mapping, shape: str, rows: int, columns: int) -> tuple[Sur
     return surface, dimensions_m[0]
 
 
-def _listed(content: Mapping, first_row: int) -> tuple[Surface, float, list[Place]]:
+def _listed(content: Keys, first_row: int) -> tuple[Surface, float, list[TaxelNode]]:
     """Taxels given one by one; the pitch, m; and the taxels' places in the file."""
     entries = content["taxels"].items("taxels", 1, MOST_TAXELS)
     taxels = [_taxel(value, index, first_row) for index, value in enumerate(entries)]
@@ -125,7 +125,7 @@ def _listed(content: Mapping, first_row: int) -> tuple[Surface, float, list[Plac
 
 def _taxel(
     value: Marked, index: int, first_row: int
-) -> tuple[Place, list[float], list[float], float | None]:
+) -> tuple[TaxelNode, list[float], list[float], float | None]:
     """An entry of a list: its place, position (mm), normal and area (mm²; None: pitch squared)."""
     what = f"taxel {index}"
     entry = value.mapping(what)
@@ -147,11 +147,11 @@ def _vector(value: Marked, what: str, most: float, unit: str = "") -> list[float
     return value.numbers(what, -most, most, unit, 3, 3)
 
 
-def _pitch_m(content: Mapping) -> float:
+def _pitch_m(content: Keys) -> float:
     return content.number("pitch_mm", _LEAST_MM, _MOST_PITCH_MM, "mm") * 1e-3
 
 
-def _pitch_of_list_m(content: Mapping, positions_m: Floats, normals: Floats) -> float:
+def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> float:
     """The pitch as given, or else the median distance from a taxel to its nearest neighbour."""
     if content.get("pitch_mm"):
         return _pitch_m(content)
@@ -169,7 +169,7 @@ def _pitch_of_list_m(content: Mapping, positions_m: Floats, normals: Floats) -> 
     return distance_m
 
 
-def _check_same_place(positions_m: Floats, places: list[Place]) -> None:
+def _check_same_place(positions_m: Floats, places: list[TaxelNode]) -> None:
     _, first, which = np.unique(positions_m, axis=0, return_index=True, return_inverse=True)
     earlier = first[which.ravel()]
     again = np.flatnonzero(earlier != np.arange(len(places)))
@@ -178,7 +178,7 @@ def _check_same_place(positions_m: Floats, places: list[Place]) -> None:
         raise place.value.refuse(f"{place.taxel} is at the same place as {other.taxel}")
 
 
-def _check_apart(content: Mapping, surface: Surface, pitch_m: float, places: list[Place]) -> None:
+def _check_apart(content: Keys, surface: Surface, pitch_m: float, places: list[TaxelNode]) -> None:
     """Refuse taxels so close to each other that one of them must be wrong."""
     real = np.flatnonzero([place.node for place in places])
     try:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.listing import listed
-from ..base.marked_yaml import Mapping, Marked
+from ..base.marked_yaml import Keys, Marked
 
 MOST_TAXELS = 65_535
 """Largest count that TactileSkinInfo can hold: 16 bits."""
@@ -34,7 +34,7 @@ class Wiring:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TaxelNode:
     """A taxel and its node in the file.
 
     taxel: its name in messages. node: 1-based; 0: none. value: where the file states the node.
@@ -45,16 +45,16 @@ class Place:
     value: Marked
 
 
-def node_of_entry(entry: Mapping, first_row: int) -> Place:
+def node_of_entry(entry: Keys, first_row: int) -> TaxelNode:
     """The node of a taxel in a list, from its key node or code_row."""
     node, code_row = entry.get("node"), entry.get("code_row")
     value = node or code_row
     if not value or (node and code_row):
         raise entry.value.refuse(f"{entry.what} needs a node or a code_row, and not both")
-    return _place(entry.what, value, None if node else first_row)
+    return _taxel_node(entry.what, value, None if node else first_row)
 
 
-def nodes_of_grid(content: Mapping, rows: int, columns: int, first_row: int) -> list[Place]:
+def nodes_of_grid(content: Keys, rows: int, columns: int, first_row: int) -> list[TaxelNode]:
     """Row-major, from the matrix of nodes or of code_rows; without either 1, 2, 3 and so on."""
     nodes, code_rows = content.get("nodes"), content.get("code_rows")
     if nodes and code_rows:
@@ -66,15 +66,15 @@ def nodes_of_grid(content: Mapping, rows: int, columns: int, first_row: int) -> 
     ]
     if nodes:
         cells = zip(taxels, _matrix(nodes, "nodes", rows, columns), strict=True)
-        return [Place(t, 0, v) if v.content == "0" else _place(t, v) for t, v in cells]
+        return [TaxelNode(t, 0, v) if v.content == "0" else _taxel_node(t, v) for t, v in cells]
     if code_rows:
         cells = zip(taxels, _matrix(code_rows, "code_rows", rows, columns), strict=True)
-        return [Place(t, 0, v) if v.is_null else _place(t, v, first_row) for t, v in cells]
-    return [Place(taxel, node, content["shape"]) for node, taxel in enumerate(taxels, start=1)]
+        return [TaxelNode(t, 0, v) if v.is_null else _taxel_node(t, v, first_row) for t, v in cells]
+    return [TaxelNode(taxel, node, content["shape"]) for node, taxel in enumerate(taxels, start=1)]
 
 
 def check_nodes(
-    content: Mapping, places: list[Place], wiring: Wiring
+    content: Keys, places: list[TaxelNode], wiring: Wiring
 ) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
     """The nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
@@ -110,8 +110,8 @@ def check_nodes(
     return nodes_of_taxels, tuple(sorted(masked)), tuple(sorted(unplaced))
 
 
-def _by_node(places: Iterable[Place]) -> dict[int, Place]:
-    placed: dict[int, Place] = {}
+def _by_node(places: Iterable[TaxelNode]) -> dict[int, TaxelNode]:
+    placed: dict[int, TaxelNode] = {}
     for place in places:
         if place.node in placed:
             other = placed[place.node]
@@ -132,17 +132,17 @@ def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
     return [cell for line in lines for cell in line.items(f"a row of {what}", columns, columns)]
 
 
-def _place(taxel: str, value: Marked, first_row: int | None = None) -> Place:
+def _taxel_node(taxel: str, value: Marked, first_row: int | None = None) -> TaxelNode:
     """A taxel with its node, which is given by number or, with first_row, by its code row."""
     if first_row is None:
-        return Place(taxel, value.whole(f"the node of {taxel}", 1, MOST_TAXELS), value)
+        return TaxelNode(taxel, value.whole(f"the node of {taxel}", 1, MOST_TAXELS), value)
     code_row = value.whole(f"the code row of {taxel}", 0, first_row + MOST_TAXELS - 1)
     if code_row < first_row:
         raise value.refuse(f"{taxel} has code row {code_row}, but node 1 has row {first_row}")
-    return Place(taxel, code_row - first_row + 1, value)
+    return TaxelNode(taxel, code_row - first_row + 1, value)
 
 
-def _numbers(content: Mapping, key: str) -> dict[int, Marked]:
+def _numbers(content: Keys, key: str) -> dict[int, Marked]:
     """A list of node numbers, each with its place in the file."""
     listing, numbers = content.get(key), dict[int, Marked]()
     for value in listing.items(key) if listing else ():

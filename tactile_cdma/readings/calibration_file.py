@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-import collections.abc
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ import yaml
 
 from ..base.errors import CalibrationError, SpecError
 from ..base.listing import listed
-from ..base.marked_yaml import Mapping, Marked, read_marked
+from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import naming
 from ..base.whole_file import replace_file
 from .calibration import AdcScale, Calibration, PressureCurve
@@ -56,7 +56,7 @@ class CalibrationContent:
     skin: str
     nodes: int
     adc: AdcScale
-    curves: collections.abc.Mapping[int, PressureCurve]
+    curves: Mapping[int, PressureCurve]
     dynamics: Dynamics | None = None
     source: str = ""
 
@@ -246,7 +246,7 @@ def _dynamics(value: Marked) -> Dynamics:
         raise entries[_PLAYS[0]].refuse(str(error)) from None
 
 
-def _check_complete(root: Mapping, content: CalibrationContent) -> None:
+def _check_complete(root: Keys, content: CalibrationContent) -> None:
     """Refuse nodes that neither have a curve nor are listed as uncalibrated, or both."""
     without: set[int] = set()
     for item in root["uncalibrated"].items("uncalibrated"):

@@ -13,7 +13,7 @@ import yaml
 
 from ..base.arrays import Floats32
 from ..base.errors import RestError
-from ..base.marked_yaml import Mapping, read_marked
+from ..base.marked_yaml import Keys, read_marked
 from ..base.named_file import expanded, naming
 from ..base.whole_file import replace_file
 
@@ -146,7 +146,7 @@ _YES, _NO = "yes", "no"
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # 10 times as fast, where available
 
 
-def _array(file: Mapping, name: str, nodes: int) -> Floats32 | None:
+def _array(file: Keys, name: str, nodes: int) -> Floats32 | None:
     if file[name].is_null:
         return None
     numbers = file[name].numbers(name, -_MOST_V, _MOST_V, "V", nodes, nodes)

@@ -83,7 +83,7 @@ class Chunk:
 
 
 @dataclass(frozen=True, slots=True)
-class End:
+class EndRecord:
     """What the last record says.
 
     time_ns: length of the recording, ns. position: where the record begins in the file.
@@ -182,7 +182,7 @@ class RecordingParser:
     def __init__(self, resumed: bool = False) -> None:
         """resumed: the bytes begin with a record in the middle of the file."""
         self.description: Description | None = None
-        self.end: End | None = None
+        self.end: EndRecord | None = None
         self.damaged = self.lost_bytes = 0
         self.chunks = self.bytes = 0
         self._held = bytearray()
@@ -288,7 +288,7 @@ class RecordingParser:
             (position,) = POSITION.unpack(content[-POSITION.size :])
             said = json.loads(content[: -POSITION.size])
             index = tuple((_count(time), _count(place)) for time, place in said["index"])
-            end = End(time_ns, position, str(said["sha256"]), index)
+            end = EndRecord(time_ns, position, str(said["sha256"]), index)
             if self.description is None:
                 self.description = _description(said["description"])
             self.end = end

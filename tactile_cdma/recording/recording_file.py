@@ -23,7 +23,7 @@ from .container import (
     SUFFIX,
     Chunk,
     Description,
-    End,
+    EndRecord,
     RecordingEncoder,
     RecordingParser,
     losses,
@@ -146,7 +146,7 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
         raise CaptureError(f"{path}: {error}") from None
 
 
-def read_end(path: Path) -> End | None:
+def read_end(path: Path) -> EndRecord | None:
     """The last record, without reading the others; None where it is missing or damaged."""
     with naming(path, CaptureError), open_named(path) as file:
         size = file.seek(0, 2)

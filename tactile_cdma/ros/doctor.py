@@ -20,7 +20,7 @@ from importlib import metadata, util
 from pathlib import Path
 
 from ..base.shipped import CHECKOUT
-from ..doctor.report import Check, Verdict, ok, problem, warning
+from ..doctor.report import Check, Grade, ok, problem, warning
 
 INTERFACES = (
     "diagnostic_msgs",
@@ -59,7 +59,7 @@ def examination() -> Iterator[Check]:
     yield from messages()
     domain = list(environment())
     yield from domain
-    if not any(check.verdict is Verdict.PROBLEM for check in domain):
+    if not any(check.verdict is Grade.PROBLEM for check in domain):
         yield from meeting()
 
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .scene import Scene, Skin
+from .scene import Scene, SkinGeometry
 
 _RISING_KPA = (*range(0, 60, 5), *range(60, 141, 10))
 STEPS_KPA = (*_RISING_KPA, *_RISING_KPA[-2:0:-1])
@@ -23,12 +23,12 @@ TURN_S = 2.0
 """Duration of each swing, s."""
 
 
-def steps(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def steps(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """The loads STEPS_KPA one after the other, DWELL_S each."""
     return _everywhere(skin, STEPS_KPA[int(t_s / DWELL_S) % len(STEPS_KPA)])
 
 
-def cycles(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def cycles(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """Half a cosine in TURN_S from each load of TURNS_KPA to the next."""
     turn, share = divmod(t_s / TURN_S, 1.0)
     begin, end = _SWINGS[int(turn) % len(_SWINGS)]
@@ -40,5 +40,5 @@ LOADS: dict[str, Scene] = {"steps": steps, "cycles": cycles}
 _SWINGS = tuple(pairwise((*TURNS_KPA, TURNS_KPA[0])))
 
 
-def _everywhere(skin: Skin, load_kpa: float) -> NDArray[np.float64]:
+def _everywhere(skin: SkinGeometry, load_kpa: float) -> NDArray[np.float64]:
     return np.full(len(skin.positions_m), load_kpa * 1e3)

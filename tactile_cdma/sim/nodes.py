@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..clocks.node_clocks import NodeClocks
 from ..code.frame import FrameSpec
 from ..readings.calibration import AdcScale
-from .scene import Scene, Skin
+from .scene import Scene, SkinGeometry
 from .sensor import WANDER_S, Sensor, SensorModel
 
 
@@ -103,7 +103,7 @@ class NodeRules:
 def node_frames(
     spec: FrameSpec,
     scene: Scene,
-    skin: Skin,
+    skin: SkinGeometry,
     rules: NodeRules,
     sensors: SensorModel | None = None,
     start_phase: float = 0.0,

@@ -24,7 +24,7 @@ from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
 from .loads import LOADS
 from .nodes import ClockModel, NodeRules
-from .scene import EXTERNAL, SCENES, Skin
+from .scene import EXTERNAL, SCENES, SkinGeometry
 from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
@@ -204,14 +204,14 @@ class SimOptions:
             heartbeat = usual_heartbeat(spec.frame_period_s)
         return NodeRules(self.threshold, heartbeat)
 
-    def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> Skin:
+    def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> SkinGeometry:
         """The taxels; raises SpecError where layout, or rows and columns, do not fit the nodes."""
         pitch_m = self.pitch_mm * 1e-3
         if self.layout:
             layout = self._read_layout(nodes, first_row)
         else:
             layout = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
-        return Skin.of(layout, nodes, self.seed)
+        return SkinGeometry.of(layout, nodes, self.seed)
 
     def _read_layout(self, nodes: int | None, first_row: int) -> Layout:
         if self.rows or self.columns:

@@ -27,7 +27,7 @@ when it begins. Chosen: a tare wants every node to be heard, once per s, and the
 
 
 @dataclass(frozen=True)
-class Skin:
+class SkinGeometry:
     """What a scene presses on: the nodes under a skin, unrolled.
 
     positions_m: (n, 2) float64, place of every node about the centre of the skin, m.
@@ -42,7 +42,7 @@ class Skin:
     seed: int = 0
 
     @classmethod
-    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> Skin:
+    def of(cls, layout: Layout, nodes: int, seed: int = 0) -> SkinGeometry:
         """The nodes 1…n at the places that a layout gives them.
 
         What a node without a place feels nobody sees: it is put where the first taxel's is.
@@ -82,7 +82,7 @@ class Skin:
         ]
 
 
-Scene = Callable[[float, Skin], NDArray[np.float64]]
+Scene = Callable[[float, SkinGeometry], NDArray[np.float64]]
 """(t_s, skin) → (n,) float64, Pa: pressure on every taxel t_s seconds after START."""
 
 
@@ -94,32 +94,32 @@ class External:
 
     def __init__(self) -> None:
         self._objects: tuple[Indenter, ...] = ()
-        self._pressed: tuple[Skin, NDArray[np.float64]] | None = None
+        self._pressed: tuple[SkinGeometry, NDArray[np.float64]] | None = None
 
     def press(self, objects: Sequence[Indenter]) -> None:
         """From now on these touch the skin, and no others."""
         self._objects, self._pressed = tuple(objects), None
 
-    def __call__(self, t_s: float, skin: Skin) -> NDArray[np.float64]:
+    def __call__(self, t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         """Pressures at present, whatever t_s is; a Scene."""
         if self._pressed is None or self._pressed[0] is not skin:
             self._pressed = skin, skin.cover.pressure_pa(self._objects)
         return self._pressed[1]
 
 
-def idle(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def idle(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """Nothing touches the skin."""
     return np.zeros(len(skin.positions_m))
 
 
-def press(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def press(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """A fingertip on the node nearest the centre, 2 s on and 2 s off."""
     nearest = np.argmin(np.square(skin.positions_m).sum(axis=1))
     peak_pa = PEAK_PA * _on_off(t_s / 4.0)
     return _bump(skin, skin.positions_m[nearest], 0.9 * skin.pitch_m, peak_pa)
 
 
-def presses(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def presses(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """Several contacts of different size and force, each coming and going at its own pace."""
     return _strongest(
         _bump(
@@ -132,7 +132,7 @@ def presses(t_s: float, skin: Skin) -> NDArray[np.float64]:
     )
 
 
-def moving(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def moving(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """One contact wandering over the whole skin on a Lissajous figure, its force breathing."""
     swing = 0.85 * skin.half_extent_m
     centre = swing * [math.sin(2 * math.pi * t_s / 5.0), math.sin(2 * math.pi * t_s / 7.0 + 1.0)]
@@ -140,19 +140,19 @@ def moving(t_s: float, skin: Skin) -> NDArray[np.float64]:
     return _bump(skin, centre, radius_m, PEAK_PA * (0.8 + 0.2 * math.sin(2 * math.pi * t_s / 3.0)))
 
 
-def demo(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def demo(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """One contact wandering over the skin, which rests at first and again, so it can be tared."""
     since_s = (t_s + BEGUN_S) % EVERY_S
     return idle(t_s, skin) if since_s < REST_S else moving(since_s - REST_S, skin)
 
 
-def all_taxels(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def all_taxels(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """Every taxel pressed by 15 to 115 kPa: a slow wave that crosses the skin."""
     x = skin.positions_m[:, 0] / max(2 * float(skin.half_extent_m[0]), skin.pitch_m)
     return 65e3 + 50e3 * np.sin(2 * np.pi * (x - t_s / 8.0))
 
 
-def hand(t_s: float, skin: Skin) -> NDArray[np.float64]:
+def hand(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     """A resting hand, life-size: most of a small skin, palm and five fingers on a large one."""
     load_pa = PEAK_PA * (0.75 + 0.25 * math.sin(2 * math.pi * t_s / 4.0))
     palm = 0.6 * _profile(_radius_m(skin.positions_m / _PALM_M))
@@ -196,7 +196,7 @@ _FINGERS_M = (
 
 
 def _bump(
-    skin: Skin, centre_m: NDArray[np.float64], radius_m: float, peak_pa: float
+    skin: SkinGeometry, centre_m: NDArray[np.float64], radius_m: float, peak_pa: float
 ) -> NDArray[np.float64]:
     """Pressure under a round contact, (n,) Pa."""
     return peak_pa * _profile(_radius_m(skin.positions_m - centre_m) / radius_m)

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from amplifier import FrontEnd, Stage, design
 from drawing import Sheet
 from kicad import BOARDS, KicadError, check
 from kicad import netlist as kicads_netlist
@@ -22,7 +23,6 @@ from parts import OPAMPS, TYPICAL, part
 from schematics import FAST_SYNC_OHM, SYNC_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.amplifier import FrontEnd, Stage, design
 from test.support.firmware import FIRMWARE
 
 ROOT = FIRMWARE.parent

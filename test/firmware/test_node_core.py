@@ -21,7 +21,7 @@ from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
-from tactile_cdma.sim.scene import Skin
+from tactile_cdma.sim.scene import SkinGeometry
 from tactile_cdma.wire.messages import WIRE
 from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, load
 
@@ -204,13 +204,13 @@ def test_rules_are_those_of_the_simulator(
     pressures = np.abs(np.cumsum(steps, axis=0)) * 1e3 * rng.choice([0, 1], (60, nodes))
     calls = RollCalls()
 
-    def scene(t_s: float, skin: Skin) -> NDArray[np.float64]:
+    def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         return pressures[min(59, round(t_s / spec.frame_period_s))]
 
     truth = node_frames(
         spec,
         scene,
-        Skin.of(Layout.grid(nodes, 1, nodes, 1e-3, 1e-3), nodes),
+        SkinGeometry.of(Layout.grid(nodes, 1, nodes, 1e-3, 1e-3), nodes),
         NodeRules(threshold, heartbeat),
         roll_calls=calls,
     )

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from amplifier import LATE_SAMPLE, SETTLED, design
 from ngspice import noise_v, waveform
 from spice import simulate
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.amplifier import LATE_SAMPLE, SETTLED, design
 
 pytestmark = pytest.mark.skipif(
     shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"

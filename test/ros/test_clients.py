@@ -31,7 +31,7 @@ from tactile_cdma.msg import SimObjects, TactileArray
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.driver.objects import sim_objects
 from tactile_cdma.sim import Box, Sphere
-from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.skin_client import Client, running, wait_sending
 from test.support.waiting import wait_for
 
@@ -85,7 +85,7 @@ class GrippedThing:
     def slides(self) -> bool:
         return 0.0 < self.peak_pa < self.needed_pa
 
-    def __call__(self, t_s: float, skin: Skin) -> NDArray[np.float64]:
+    def __call__(self, t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         if self.slides:
             self.centre_m += self.speed_m_s * (t_s - self._t_s)
             if abs(self.centre_m) > self.MOST_M:  # and back, for the skin is small

@@ -20,7 +20,7 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import write_calibration
 from tactile_cdma.ros.driver.node import APART_NODES
-from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Tare
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
@@ -36,7 +36,7 @@ def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
     load_pa = [0.0]
 
-    def scene(t_s: float, skin: Skin) -> np.ndarray:
+    def scene(t_s: float, skin: SkinGeometry) -> np.ndarray:
         return np.full(len(skin.positions_m), load_pa[0])
 
     def mount(pressure_pa: float) -> None:

@@ -9,9 +9,10 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks import pareto, report
+from benchmarks import pareto, report, ros
 
 
 class Figure:
@@ -29,13 +30,15 @@ def test_quick_runs_write_nothing_that_is_tracked(
 ) -> None:
     monkeypatch.setattr(report, "ROOT", tmp_path)
     benchmark = report.Report("speed", "Run time", quick)
-    benchmark.table(["order", "us"], [[16, 1.5]])
+    benchmark.table(["order", "us"], [[16, np.float64(1.5)]])
+    benchmark.table(["N"], [[256]], keep=False)
     benchmark.finish(Figure(), us_16=1.5)  # type: ignore[arg-type]
     written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")}
     assert written == {f"{folder}/img/speed.png", f"{folder}/results.json"}
     report.Report("skip", "Silence", quick).finish(Figure(), us_1024=2.5)  # type: ignore[arg-type]
     kept = json.loads((tmp_path / folder / "results.json").read_text())
-    assert kept["speed"]["tables"] == [{"headers": ["order", "us"], "rows": [[16, 1.5]]}]
+    assert kept["speed"]["tables"] == [[["order", "us"], [16, 1.5]]]
+    assert kept["speed"].keys() >= {"machine", "date", "commit"}
     assert (kept["speed"]["quick"], kept["speed"]["results"]) == (quick, {"us_16": 1.5})
     assert kept["skip"]["results"] == {"us_1024": 2.5}
 
@@ -76,3 +79,14 @@ def test_pareto_counts_exactly_the_words_and_frames_that_are_wrong(
     assert blind.lost >= 5  # all but one that the warm-up left to be flushed
     assert blind.bit_errors == 160 * blind.lost
     assert blind.unflagged == 0
+
+
+def test_ros_counts_the_frames_that_did_not_arrive() -> None:
+    sent = {1_000_000 + 20_000 * n: 10.0 + 0.02 * n for n in range(200)}
+    arrived = [(us + 3, t_s + 1e-3) for us, t_s in sent.items()]
+    whole = ros.match(sent, arrived, 20_000, 0.1)
+    assert (whole.sent, whole.lost) == (149, 0)  # but for a second of warm-up
+    assert whole.p50_ms == pytest.approx(1.0)
+    assert ros.match(sent, arrived[:100] + arrived[103:], 20_000, 0.1).lost == 3
+    with pytest.raises(ros.RunError, match="none of 0 frames"):
+        ros.match({}, arrived, 20_000, 0.1)

@@ -51,7 +51,7 @@ marked = (LINE, CHIPS)
 
 KINDS = (
     Kind("dead nodes", nodes.dead, count=3),
-    Kind("node stuck", nodes.stuck, flagged=False),  # found within minutes: make bench-stuck
+    Kind("node stuck", nodes.stuck, flagged=False),  # found within minutes
     # With quiet nodes it takes four heartbeats of 20 frames each, and a verdict or two.
     Kind("two nodes on a row", nodes.doubled(1), length=160),
     Kind("three nodes on a row", nodes.doubled(2), length=160),

@@ -26,12 +26,11 @@ from ..samples import (
     NANO,
     TACTILE,
     WRENCH,
-    Source,
+    SampleSource,
     Stream,
     check_taxels,
     differences,
     patches_of,
-    shown_taxels,
 )
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
@@ -134,7 +133,7 @@ def write_lerobot(
     return outcome
 
 
-def _lacking(sources: Sequence[Source], clock: str | None) -> dict[str, Path]:
+def _lacking(sources: Sequence[SampleSource], clock: str | None) -> dict[str, Path]:
     """Columns of contacts and wrench, but for the clock's, that a file does not have: which one."""
     columns = [{column(stream) for stream in source.streams.values()} for source in sources]
     derived = {
@@ -166,7 +165,7 @@ class _Layout:
     fps: int
 
     @classmethod
-    def of(cls, source: Source, plan: Plan, lacking: Collection[str]) -> _Layout:
+    def of(cls, source: SampleSource, plan: Plan, lacking: Collection[str]) -> _Layout:
         streams = _streams(source, lacking)
         clock = _clock(source, streams, plan)
         fps = plan.fps or _rate(source, str(clock))
@@ -180,7 +179,7 @@ class _Layout:
         by_feature = {patches[key].feature: count for key, count in counts.items()}
         return cls(streams, lacking, by_feature, features, fps)
 
-    def check(self, source: Source) -> None:
+    def check(self, source: SampleSource) -> None:
         """Raises CaptureError for a file whose streams differ."""
         mine, its = (
             {column(stream): stream.shape for stream in streams.values()}
@@ -208,7 +207,7 @@ class _Layout:
 
 
 def _export(
-    source: Source,
+    source: SampleSource,
     plan: Plan,
     layout: _Layout,
     writer: DatasetWriter,
@@ -254,8 +253,8 @@ def _export(
         name = source.streams[key].feature
         if plan.from_first_complete:
             one.completeness.check(source.path, name)
-        elif missing := one.completeness.missing:
-            taxels = shown_taxels(missing)
+        elif one.completeness.missing:
+            taxels = one.completeness.unread
             outcome.notes.append(f"{source.path}: {name}: no valid reading of {taxels} at any time")
     for topic, rows in repeated.items():
         outcome.notes.append(
@@ -271,13 +270,13 @@ def _export(
     ]
 
 
-def _streams(source: Source, lacking: Collection[str]) -> dict[str, Stream]:
+def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, Stream]:
     """The streams of a file, but for columns that another file lacks."""
     return {key: one for key, one in source.streams.items() if column(one) not in lacking}
 
 
 def _rows(
-    source: Source,
+    source: SampleSource,
     streams: Collection[str],
     aligner: Aligner,
     episodes: Sequence[Episode],
@@ -303,7 +302,7 @@ def _rows(
         yield row, False
 
 
-def _clock(source: Source, streams: Mapping[str, Stream], plan: Plan) -> str | None:
+def _clock(source: SampleSource, streams: Mapping[str, Stream], plan: Plan) -> str | None:
     """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
     if plan.clock is None:
         return None
@@ -314,7 +313,7 @@ def _clock(source: Source, streams: Mapping[str, Stream], plan: Plan) -> str | N
     return keys[plan.clock]
 
 
-def _rate(source: Source, key: str) -> int:
+def _rate(source: SampleSource, key: str) -> int:
     """Ticks per s of a stream, from the first of its stamps; raises CaptureError."""
     until_ns = source.begin_ns + round(RATE_S * NANO)
     stamps = [

@@ -21,7 +21,7 @@ from ..samples import (
     TACTILE,
     WRENCH,
     RawImage,
-    Source,
+    SampleSource,
     Stream,
 )
 from ..sources.images import check_size, encoded
@@ -91,7 +91,7 @@ def column(stream: Stream) -> str:
     return f"observation.{group}.{stream.feature}"
 
 
-def obstacle(row: Row, streams: Iterable[Stream], source: Source, policy: str) -> str | None:
+def obstacle(row: Row, streams: Iterable[Stream], source: SampleSource, policy: str) -> str | None:
     """Why a row has to be left out, in words; None if it is whole.
 
     Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.

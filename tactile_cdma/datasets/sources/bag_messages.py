@@ -12,7 +12,7 @@ import numpy as np
 from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...driver.digitizer import Origin
-from ..samples import NANO, Patch, SkinFrame, feature_name
+from ..samples import NANO, PatchInfo, SkinFrame, feature_name
 
 ARRAY, INFO = "tactile_cdma/msg/TactileArray", "tactile_cdma/msg/TactileSkinInfo"
 CONTACTS_TYPE, WRENCH_TYPE = "tactile_cdma/msg/TactileContacts", "geometry_msgs/msg/WrenchStamped"
@@ -37,7 +37,7 @@ def patch_name(topic: str) -> str:
     return feature_name("_".join(parts[:-1] if parts[-1] == "skin" and parts[1:] else parts))
 
 
-def skin_frame(message: Any, time_ns: int, patch: Patch) -> SkinFrame:
+def skin_frame(message: Any, time_ns: int, patch: PatchInfo) -> SkinFrame:
     """A TactileArray of a patch; time_ns: its stamp. Raises CaptureError for another skin's."""
     pressure, voltage, taxels = message.pressure, message.voltage, len(patch)
     for name, values in (("pressure", pressure), ("status", message.status), ("voltage", voltage)):
@@ -57,7 +57,7 @@ def skin_frame(message: Any, time_ns: int, patch: Patch) -> SkinFrame:
     )
 
 
-def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
+def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
     """A patch from its first frame and, if the bag holds it, its info."""
     taxels = len(array.pressure)
     if not taxels:
@@ -80,7 +80,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
             "frame_id": info.header.frame_id,
             _TARED: bool(len(info.tare)),
         }
-    return Patch(
+    return PatchInfo(
         name=patch_name(topic),
         topic=topic,
         rows=int(array.height),
@@ -94,7 +94,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> Patch:
     )
 
 
-def with_later(first: Patch, info: Any, later: Any) -> tuple[Patch, list[str]]:
+def with_later(first: PatchInfo, info: Any, later: Any) -> tuple[PatchInfo, list[str]]:
     """A patch of which a bag holds another info: about names both, as does each of the notes.
 
     Its taxels stay those of the first info.

@@ -50,7 +50,7 @@ _Take: TypeAlias = Callable[[Any, int], Value]
 
 
 class BagSource:
-    """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.Source.
+    """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
 
     topics: arrays to read, all if empty. derived: contacts and wrench, too. cameras: image topics
     to read; None: all that are no picture of a skin. state, action: topics of vectors, or None.

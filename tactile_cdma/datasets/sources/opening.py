@@ -12,7 +12,7 @@ from ...base.errors import CaptureError, ParameterError
 from ...base.optional import needed_for
 from ...config.parameters import Value
 from ...recording.recording_file import is_recording
-from ..samples import MOST_SHOWN, Source
+from ..samples import MOST_SHOWN, SampleSource
 from .recording_source import RecordingSource, check_bytes
 
 
@@ -33,7 +33,7 @@ class Wanted:
     action: str | None = None
 
 
-def open_source(path: Path, wanted: Wanted) -> Source:
+def open_source(path: Path, wanted: Wanted) -> SampleSource:
     """A source for what a path names. Raises CaptureError."""
     if is_bag(path):
         with needed_for("a bag", "rosbags"):

@@ -26,7 +26,7 @@ from ..samples import (
     TACTILE,
     WRENCH,
     WRENCH_NAMES,
-    Patch,
+    PatchInfo,
     Sample,
     SkinFrame,
     Stream,
@@ -35,7 +35,7 @@ from ..samples import (
 
 
 class RecordingSource:
-    """A recording, or a port's raw bytes; see samples.Source. Raw bytes have no wall time."""
+    """A recording, or a port's raw bytes; see samples.SampleSource. Raw bytes have no wall time."""
 
     def __init__(self, path: Path, asked: dict[str, Value], derived: bool) -> None:
         """asked: parameters that override the file's. derived: contacts and wrench, too."""
@@ -60,11 +60,11 @@ class RecordingSource:
         return {stream.key: stream for stream in found}
 
     @property
-    def patch(self) -> Patch:
+    def patch(self) -> PatchInfo:
         """The skin, as far as the file has been decoded: its digitizer introduces itself there."""
         config, source = self.capture.config, self.capture.source
         layout = config.layout
-        return Patch(
+        return PatchInfo(
             name=self.name,
             topic="",
             rows=layout.rows,

@@ -26,7 +26,7 @@ from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
-from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.simulated import record
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -236,7 +236,7 @@ class Press:
     pressure_pa: float = 0.0
     moving_pa_s: float = 0.0
 
-    def __call__(self, t_s: float, skin: Skin) -> np.ndarray:
+    def __call__(self, t_s: float, skin: SkinGeometry) -> np.ndarray:
         return np.full(len(skin.positions_m), self.pressure_pa + self.moving_pa_s * t_s)
 
 

@@ -24,7 +24,7 @@ from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 from test.support.simulated import record
 
@@ -42,7 +42,7 @@ BEHIND_S = 500.0
 """Clock of the reference, behind that of the digitizer."""
 
 
-def unseen(t_s: float, skin: Skin) -> np.ndarray:
+def unseen(t_s: float, skin: SkinGeometry) -> np.ndarray:
     """Loads that are in neither recording: from one random turn to the next, some held."""
     rng = np.random.default_rng(11)
     turns_s = np.cumsum(rng.uniform(0.3, 2.5, 60))
@@ -52,9 +52,9 @@ def unseen(t_s: float, skin: Skin) -> np.ndarray:
     return np.full(len(skin.positions_m), np.interp(t_s, turns_s, loads))
 
 
-def reference(path: Path, scene: Callable[[float, Skin], np.ndarray], end_s: float) -> Path:
+def reference(path: Path, scene: Callable[[float, SkinGeometry], np.ndarray], end_s: float) -> Path:
     """Readings of a reference sensor, 50 per second, with a clock of its own."""
-    one = Skin.of(Layout.grid(1, 1, 1, 1e-3, 1e-3), 1)
+    one = SkinGeometry.of(Layout.grid(1, 1, 1, 1e-3, 1e-3), 1)
     times_s = np.arange(0.5, end_s, 0.02)
     rows = [f"{t - BEHIND_S:.3f},{scene(t, one)[0] / 1e3:.4f}" for t in times_s.tolist()]
     path.write_text("time_s,pressure_kpa\n" + "\n".join(rows) + "\n")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.calibrating.curve_fit import Fit, fit_curves, levels_of
+from tactile_cdma.calibrating.curve_fit import CurveFit, fit_curves, levels_of
 from tactile_cdma.readings.calibration import AdcScale, Curves, PressureCurve
 
 ADC = AdcScale()
@@ -41,7 +41,7 @@ def quantised(voltage_v: np.ndarray) -> np.ndarray:
     return ADC.voltage(ADC.code(voltage_v))
 
 
-def fit(voltage_v: np.ndarray, pieces: int = 2, loads_pa: np.ndarray = LOADS_PA) -> Fit:
+def fit(voltage_v: np.ndarray, pieces: int = 2, loads_pa: np.ndarray = LOADS_PA) -> CurveFit:
     return fit_curves(np.broadcast_to(loads_pa, voltage_v.shape), voltage_v, pieces, NOISE_V)
 
 

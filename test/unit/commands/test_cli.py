@@ -138,7 +138,8 @@ def test_what_the_system_refuses_is_one_clear_error(
 
 def test_a_terminal_of_another_alphabet_is_served() -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    run = subprocess.run([*COMMAND, "amplifier"], cwd=ROOT, env=environment, capture_output=True)
+    words = [*COMMAND, "decode", "--help"]
+    run = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True)
     assert run.returncode == 0
     assert b"\\xb5s" in run.stdout and run.stderr == b""
 
@@ -268,9 +269,7 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(
     assert "moving" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "command", ["decode", "record", "info", "export", "simulate", "node", "amplifier"]
-)
+@pytest.mark.parametrize("command", ["decode", "record", "info", "export", "simulate", "node"])
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])

@@ -18,7 +18,7 @@ from tactile_cdma.base import kernel, shipped
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor import installation
-from tactile_cdma.doctor.report import Verdict, exit_code
+from tactile_cdma.doctor.report import Grade, exit_code
 from tactile_cdma.wire.messages import FrameLayout, Info
 from tactile_cdma.wire.packets import PacketWriter, wrap
 from tactile_cdma.wire.port import Port
@@ -168,15 +168,15 @@ def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.Mo
     assert wanted == [
         line for line in (root / "requirements.txt").read_text().splitlines() if line[0] != "#"
     ]
-    assert {check.verdict for check in installation.packages()} == {Verdict.OK}
+    assert {check.verdict for check in installation.packages()} == {Grade.OK}
     (tmp_path / "package.xml").touch()
     (tmp_path / "requirements.txt").write_text("numpy>=99\nno-such-package>=1\n???\n")
     monkeypatch.setattr(shipped, "CHECKOUT", tmp_path)
     old, missing, wrong = installation.packages()
     assert (old.verdict, missing.verdict, wrong.verdict) == (
-        Verdict.WARNING,
-        Verdict.PROBLEM,
-        Verdict.WARNING,
+        Grade.WARNING,
+        Grade.PROBLEM,
+        Grade.WARNING,
     )
     assert "outside of the tested >=99" in old.text
     assert exit_code([old]) == 0
@@ -221,17 +221,17 @@ def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:
     (tmp_path / "run" / "udev" / "control").touch()
     (tmp_path / "proc" / "12").mkdir(parents=True)
     (tmp_path / "proc" / "12" / "comm").write_text("ModemManager\n")
-    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.WARNING]
-    assert [f.verdict for f in installation.modem_manager(tmp_path)] == [Verdict.WARNING]
+    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Grade.WARNING]
+    assert [f.verdict for f in installation.modem_manager(tmp_path)] == [Grade.WARNING]
     rules = tmp_path / "etc" / "udev" / "rules.d"
     rules.mkdir(parents=True)
     rule = rules / installation.RULES
     rule.write_bytes((shipped.CHECKOUT / "config" / installation.RULES).read_bytes())
-    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Verdict.OK]
+    assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Grade.OK]
     assert list(installation.modem_manager(tmp_path)) == []
     rule.write_text("# of last year\n")
     [old] = installation.udev_rule(tmp_path)
-    assert old.verdict is Verdict.WARNING
+    assert old.verdict is Grade.WARNING
     assert "is not that of this version" in old.text
 
 
@@ -241,14 +241,14 @@ def test_a_segment_without_a_size_is_named(tmp_path: Path) -> None:
         (tmp_path / name).write_text(content)
     port = tmp_path / "fastdds_port7413"
     port.touch()
-    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Verdict.PROBLEM]
+    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Grade.PROBLEM]
     for path in tmp_path.iterdir():
         os.utime(path, (0, 0))
     [found] = installation.shared_memory(tmp_path)
-    assert found.verdict is Verdict.PROBLEM
+    assert found.verdict is Grade.PROBLEM
     assert found.text.startswith(f"{port}: ")
     port.unlink()
-    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Verdict.PROBLEM]
+    assert [f.verdict for f in installation.shared_memory(tmp_path)] != [Grade.PROBLEM]
 
 
 def test_a_program_without_our_packages_says_what_is_missing(tmp_path: Path) -> None:

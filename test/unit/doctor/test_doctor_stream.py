@@ -17,8 +17,8 @@ from tactile_cdma.base.errors import PortError
 from tactile_cdma.code.frame import UNIPOLAR
 from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.doctor.report import Check, Verdict
-from tactile_cdma.doctor.stream import Stream, judge
+from tactile_cdma.doctor.report import Check, Grade
+from tactile_cdma.doctor.stream import RawStream, judge
 from tactile_cdma.driver.session import Session
 from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -45,14 +45,14 @@ def packets_of(url: str, asked: SkinConfig | None = None) -> list[Packet]:
     return [packet for packet in packets if isinstance(packet, Packet)]
 
 
-def stream_of(packets: list[Packet]) -> Stream:
+def stream_of(packets: list[Packet]) -> RawStream:
     """The same packets on a port, each read when its samples were taken."""
     writer, t_host, chunks = PacketWriter(), 100.0, []
     for packet in packets:
         if isinstance(packet, Samples | Quiet):
             t_host = 100.0 + packet.device_time_us * 1e-6
         chunks.append((writer.encode(packet), t_host))
-    return Stream(chunks, None)
+    return RawStream(chunks, None)
 
 
 def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
@@ -100,7 +100,7 @@ def node_5() -> list[Packet]:
 def test_a_sound_skin_has_nothing_to_complain_of(sound: list[Packet]) -> None:
     found = checks(sound)
     verdicts = {check.verdict for subject in found.values() for check in subject}
-    assert verdicts == {Verdict.OK}
+    assert verdicts == {Grade.OK}
     assert found["nodes"][0].text == "16 of 16 spoke"
     assert float(found["noise"][0].text.split()[0]) == pytest.approx(5.0, rel=0.1)  # of 4 samples
 
@@ -151,7 +151,7 @@ def test_nothing_is_wrong_with_a_sound_skin(
     url = f"sim://?scene={scene}&amplitude_mv={amplitude_mv!r}&noise={amplitude_mv / 6e4!r}&{more}"
     packets = packets_of(f"{url}&threshold={int(not always)}&heartbeat=20&seed={seed}", config)
     found = checks(packets, **{**parameters, "amplitude_mv": parameters["amplitude_mv"] * named})
-    wrong = [c for about in found.values() for c in about if c.verdict is not Verdict.OK]
+    wrong = [c for about in found.values() for c in about if c.verdict is not Grade.OK]
     assert not wrong
     nodes = config.spec.nodes
     assert found["nodes"][0].text == f"{nodes} of {nodes} spoke"
@@ -163,8 +163,8 @@ def test_what_the_digitizer_leaves_out_is_told() -> None:
     for scene in ("idle", "press"):  # nodes that speak together are sent
         hidden = packets_of(f"sim://?scene={scene}&amplitude_mv=50&heartbeat=20", strong)
         found = checks(hidden, amplitude_mv=0.0)
-        assert found["nodes"][0].verdict is not Verdict.OK
-        assert found["quiet"][0].verdict is Verdict.WARNING
+        assert found["nodes"][0].verdict is not Grade.OK
+        assert found["quiet"][0].verdict is Grade.WARNING
         assert "differs by less than 135 mV" in found["quiet"][0].text
 
 
@@ -172,13 +172,13 @@ def test_what_the_digitizer_leaves_out_is_told() -> None:
 def test_a_line_on_which_no_word_is_clear_is_not_called_unpowered(line: str) -> None:
     found = checks(packets_of(f"sim://?scene=all&threshold=0&{line}&seed=3"))
     told = [check for about in found.values() for check in about]
-    assert any(check.verdict is not Verdict.OK for check in told)
+    assert any(check.verdict is not Grade.OK for check in told)
     assert not any("powered" in check.text for check in told)
 
 
 def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
     [nodes] = checks(without_5)["nodes"]
-    assert nodes.verdict is Verdict.WARNING
+    assert nodes.verdict is Grade.WARNING
     assert "15 of 16 spoke, not heard: node 5:" in nodes.text
     assert f"--seconds {2 * SECONDS:g} listens longer" in nodes.text
 
@@ -193,7 +193,7 @@ def test_silence_in_one_value_per_chip_is_told_by_the_stated_amplitude() -> None
 def test_frames_that_waited_do_not_come_faster_than_they_were_sent() -> None:
     chunks = stream_of(packets_of(ALL_TALK)).chunks
     late_s = chunks[len(chunks) // 2][1]
-    waited = Stream([(data, max(t_host, late_s)) for data, t_host in chunks], None)
+    waited = RawStream([(data, max(t_host, late_s)) for data, t_host in chunks], None)
     found = {check.subject: check for check in judge(waited, SkinConfig.of({}), SECONDS)}
     assert found["frames"].text == "78.1 of 78.1 per s, 0 lost"
 
@@ -201,7 +201,7 @@ def test_frames_that_waited_do_not_come_faster_than_they_were_sent() -> None:
 def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> None:
     heard, weak = checks(with_node(without_5, node_5, 0.4))["nodes"]
     assert heard.text == "16 of 16 spoke"
-    assert weak.verdict is Verdict.WARNING
+    assert weak.verdict is Grade.WARNING
     assert "weaker on the line than they should be: node 5;" in weak.text
 
 
@@ -210,7 +210,7 @@ def test_two_nodes_of_one_number_are_named(
     sound: list[Packet], node_5: list[Packet], share: float
 ) -> None:
     _, doubled = checks(with_node(sound, node_5, share))["nodes"]
-    assert doubled.verdict is Verdict.PROBLEM
+    assert doubled.verdict is Grade.PROBLEM
     assert "two nodes speak on one code row: node 5;" in doubled.text
 
 
@@ -218,15 +218,15 @@ def test_two_nodes_of_one_number_are_named_though_they_seldom_speak() -> None:
     at_rest, others = "sim://?scene=idle&heartbeat=20", set(range(1, 17)) - {5}
     alone = packets_of(f"{at_rest}&seed=2&dead={','.join(map(str, others))}")
     _, doubled = checks(with_node(packets_of(f"{at_rest}&seed=1"), alone, 1.0))["nodes"]
-    assert doubled.verdict is Verdict.PROBLEM
+    assert doubled.verdict is Grade.PROBLEM
     assert "two nodes speak on one code row: node 5;" in doubled.text
 
 
 @pytest.mark.parametrize(
     ("stated_mv", "verdict"),
-    [(300.0, Verdict.OK), (260.0, Verdict.OK), (212.0, Verdict.WARNING), (900.0, Verdict.PROBLEM)],
+    [(300.0, Grade.OK), (260.0, Grade.OK), (212.0, Grade.WARNING), (900.0, Grade.PROBLEM)],
 )
-def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, verdict: Verdict) -> None:
+def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, verdict: Grade) -> None:
     [amplitude] = checks(sound, amplitude_mv=stated_mv)["amplitude_mv"]
     assert amplitude.verdict is verdict
     assert f"{stated_mv:g}" in amplitude.text
@@ -235,7 +235,7 @@ def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, verdic
 
 def test_half_amplitudes_of_unipolar_nodes_are_no_fault() -> None:
     found = checks(packets_of(f"{ALL_TALK}&drive=unipolar"))
-    assert found["amplitude_mv"][0].verdict is Verdict.OK
+    assert found["amplitude_mv"][0].verdict is Grade.OK
     assert "polarity" not in found
 
 
@@ -254,45 +254,45 @@ def test_a_line_turned_upside_down_is_told(scene: str) -> None:
         for p in packets
     ]
     [polarity] = checks(inverted)["polarity"]
-    assert polarity.verdict is Verdict.PROBLEM
+    assert polarity.verdict is Grade.PROBLEM
     assert "set polarity to -1" in polarity.text
 
 
 def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:
     found = checks(packets_of("sim://?scene=all&threshold=0&rail=1.2"))
-    assert found["range"][0].verdict is Verdict.PROBLEM
+    assert found["range"][0].verdict is Grade.PROBLEM
     assert "amplitude_mv" not in found
 
 
 def test_lost_packets_are_told(sound: list[Packet]) -> None:
     stream = stream_of(sound)
-    torn = Stream([c for i, c in enumerate(stream.chunks) if i % 20 != 19], None)
+    torn = RawStream([c for i, c in enumerate(stream.chunks) if i % 20 != 19], None)
     found = {check.subject: check for check in judge(torn, SkinConfig.of({}), SECONDS)}
-    assert found["link"].verdict is Verdict.WARNING
-    assert found["frames"].verdict is Verdict.WARNING
+    assert found["link"].verdict is Grade.WARNING
+    assert found["frames"].verdict is Grade.WARNING
 
 
 def test_broken_bytes_are_told(sound: list[Packet]) -> None:
     chunks = stream_of(sound).chunks
-    noisy = Stream(
+    noisy = RawStream(
         [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)],
         None,
     )
     found = {check.subject: check for check in judge(noisy, SkinConfig.of({}), SECONDS)}
-    assert found["link"].verdict is Verdict.WARNING
+    assert found["link"].verdict is Grade.WARNING
     assert "0 broken" not in found["link"].text
 
 
 def test_a_dead_skin_is_told() -> None:
     dead = ",".join(str(node) for node in range(1, 17))
     [nodes] = checks(packets_of(f"{ALL_TALK}&dead={dead}"))["nodes"]
-    assert nodes.verdict is Verdict.PROBLEM
+    assert nodes.verdict is Grade.PROBLEM
     assert "no node speaks" in nodes.text
 
 
 def test_bytes_without_frames_are_an_error_and_no_verdict() -> None:
     with pytest.raises(PortError):
-        list(judge(Stream([(b"\0abc\0", 1.0)], None), SkinConfig.of({}), SECONDS))
+        list(judge(RawStream([(b"\0abc\0", 1.0)], None), SkinConfig.of({}), SECONDS))
 
 
 @settings(max_examples=12, deadline=None)
@@ -306,6 +306,6 @@ def test_whatever_comes_there_is_a_verdict_or_a_reason(
     hit = rng.random(len(data)) < share
     data[hit] = rng.integers(0, 256, np.count_nonzero(hit))
     parts = np.array_split(data, 50)
-    stream = Stream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
+    stream = RawStream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
     with suppress(PortError):
         assert {check.subject for check in judge(stream, SkinConfig.of({}), SECONDS)} >= {"link"}

@@ -20,7 +20,7 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.calibration_file import write_calibration
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import SCENES, Skin
+from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.wire.messages import GetInfo, Start
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.simulated import configuration
@@ -99,7 +99,7 @@ def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
     load_pa = [0.0]
 
-    def scene(t_s: float, skin: Skin) -> np.ndarray:
+    def scene(t_s: float, skin: SkinGeometry) -> np.ndarray:
         return np.full(len(skin.positions_m), load_pa[0])
 
     monkeypatch.setitem(SCENES, "idle", scene)

@@ -98,8 +98,8 @@ def test_pinned_sampling_wins() -> None:
 @pytest.mark.parametrize(
     ("query", "words"),
     [
-        ("scene=pres", ["scene", "'pres'", "idle, press, presses", "did you mean press"]),
-        ("noize=1", ["'noize'", "did you mean noise"]),
+        ("scene=pres", ["scene", "'pres'", "idle, press, presses", "did you mean 'press'"]),
+        ("noize=1", ["'noize'", "did you mean 'noise'"]),
         ("qqq=1", ["'qqq'", "options: scene, nodes"]),
         ("stretch=0.5", ["stretch is 0.5", "0…0.11"]),
         ("nodes=many", ["nodes is 'many'", "an integer"]),
@@ -114,7 +114,7 @@ def test_pinned_sampling_wins() -> None:
         ("nodes=64&frame_period_ms=12.8", ["12.8 ms"]),
         ("stretch=0.1&chip_us=60&frame_period_ms=12.8", ["stretched by 0.1", "12.8 ms"]),
         ("first_row=0&drive=unipolar", ["row 0"]),
-        ("sensor=papr", ["'papr'", "ideal, paper", "did you mean paper"]),
+        ("sensor=papr", ["'papr'", "ideal, paper", "did you mean 'paper'"]),
         ("mismatch=0.2", ["mismatch is 0.2", "0…0.1"]),
         ("dead=3;4", ["dead is '3;4'", "commas"]),
         ("stuck=0", ["stuck is 0", "1…65535"]),

@@ -19,7 +19,7 @@ from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.stages import Status
 from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import BEGUN_S, EVERY_S, PEAK_PA, REST_S, SCENES, Skin
+from tactile_cdma.sim.scene import BEGUN_S, EVERY_S, PEAK_PA, REST_S, SCENES, SkinGeometry
 from test.support.simulated import run, stream
 
 SPEC = FrameSpec()
@@ -27,7 +27,7 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 SECONDS = np.arange(0, 20, 0.05)
 
 
-def skin(nodes: int = 16, seed: int = 1) -> Skin:
+def skin(nodes: int = 16, seed: int = 1) -> SkinGeometry:
     return SimOptions(seed=seed).skin(nodes)
 
 
@@ -68,7 +68,7 @@ def test_scenes_are_what_they_are_called() -> None:
 def frames_of(pulses: dict[int, float], rules: NodeRules, count: int) -> list[NodeFrame]:
     """Frames in which node 0 feels some pressure (Pa) during some frames."""
 
-    def scene(t_s: float, taxels: Skin) -> np.ndarray:
+    def scene(t_s: float, taxels: SkinGeometry) -> np.ndarray:
         field = np.zeros(len(taxels.positions_m))
         field[0] = pulses.get(round(t_s / SPEC.frame_period_s), 0.0)
         return field

@@ -20,7 +20,7 @@ are wired in groups with an amplifier each, and another one adds up these, throu
 Rs ∥ Cs: it inverts once more, so the polarity is +1, and A = node level · Rf/Rin · Rs/Rg.
 
 The sum of n nodes with random row signs has a peak of CREST·√n·A in the scenes that occur
-(`benchmarks/crest.py`), with natural signs n·A. A is as large as the converter has room for that,
+(test_amplifier.py), with natural signs n·A. A is as large as the converter has room for that,
 with a margin for the rest of the line, which parts are not exact enough to keep at half the supply.
 `make spice` simulates the circuit; its figures are in docs/results.md.
 """
@@ -34,11 +34,11 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from ..base.errors import SpecError, check_limits
-from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.base.errors import SpecError, check_limits
+from tactile_cdma.code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
 
 CREST = 5.5
-"""Peak of the sum in √n·A with random signs: above all that bench-crest has seen (5.4)."""
+"""Peak of the sum in √n·A with random signs: above that of all simulated scenes (5.4)."""
 RAIL_V = 0.05
 """Distance that a rail-to-rail output keeps from its rails, V; chosen."""
 NODE_LEVEL_V = DEFAULT_AMPLITUDE_V

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma amplifier`: parts of the analog front end and their effect."""
+"""Parts of the analog front end and their effect: `make amplifier NODES=64`."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -16,11 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..code.encode import line_chips
-from ..code.frame import FrameSpec
-from ..config.arguments import add_skin_options, given
-from ..config.skin_config import SkinConfig
-from ..hardware.amplifier import (
+from amplifier import (
     ADC_HZ,
     BIAS_TOLERANCE,
     EXACT,
@@ -30,15 +27,20 @@ from ..hardware.amplifier import (
     design,
     largest_sum,
 )
-from ..hardware.tolerance import scatter
-from ..sim.nodes import NodeRules, node_frames
-from ..sim.options import SimOptions
-from ..sim.scene import SCENES
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.config.arguments import add_skin_options, given
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.sim.nodes import NodeRules, node_frames
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import SCENES
+from tolerance import scatter
 
 LOSS = 1.02
-"""Noise power with a sensible converter over that without: 0.09 dB, as in bench-crest."""
+"""Noise power with a sensible converter over that without: 0.09 dB; chosen."""
 LEAST_RHO = 3.0
-"""ρ of the noisiest line that a sensible converter is chosen for, as in bench-crest."""
+"""ρ of the noisiest line that a sensible converter suffices for; chosen."""
 DRAWS = 200
 """Frames of random codes in the estimate of clipping; chosen."""
 FRAMES = 12
@@ -49,8 +51,9 @@ SCENE_STEP_S = 0.37
 """s; chosen, so that FRAMES of them span a period of most scenes."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Design the front end and print it; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="design_amplifier.py", description=__doc__)
     parser.add_argument("--json", action="store_true", help="as one JSON object")
     for name, kind, default, text in (
         ("--supply", float, 3.3, "supply of nodes and amplifier [V] (3.3)"),
@@ -61,10 +64,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         parser.add_argument(name, type=kind, default=default, help=text)
     add_skin_options(parser, "the driver's; the frame period has no effect")
+    arguments = parser.parse_args(argv)
+    try:
+        spec, front = _designed(arguments)
+    except TactileError as error:
+        print(f"design_amplifier.py: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(report(spec, front)) if arguments.json else describe(spec, front))
+    return 0
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Design the front end and print it; returns the exit code."""
+def _designed(arguments: argparse.Namespace) -> tuple[FrameSpec, FrontEnd]:
     longest_ms = 1e5  # or the default period would refuse larger skins
     config = SkinConfig.of({**given(arguments), "frame_period_ms": longest_ms})
     front = design(
@@ -76,10 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         adc_hz=arguments.adc_rate * 1e3,
         active=arguments.active,
     )
-    print(
-        json.dumps(report(config.spec, front)) if arguments.json else describe(config.spec, front)
-    )
-    return 0
+    return config.spec, front
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,3 +276,7 @@ def _si(value: float) -> str:
     """A value with the prefix of its unit: 27000 is "27 k"."""
     power = min(max(math.floor(math.log10(value * EXACT) / 3), -4), 2)
     return f"{value / 1000.0**power:.3g} {'pnµm kM'[power + 4].strip()}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

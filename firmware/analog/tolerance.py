@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Floats
-from .amplifier import BIAS_TOLERANCE, CREST, RAIL_V, TOLERANCE, FrontEnd
+from amplifier import BIAS_TOLERANCE, CREST, RAIL_V, TOLERANCE, FrontEnd
+from tactile_cdma.base.arrays import Floats
 
 SKINS = 1000
 """Skins that are drawn; chosen: shares are known to 1 to 2 %."""
