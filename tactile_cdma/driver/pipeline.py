@@ -87,12 +87,10 @@ class Pipeline:
         chain = PressureChain(config.calibration, Baseline(nodes), tracker, config.compensator())
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self._background, self._most_repeated = background, most_repeated
-        self._frames_wanted = frames
-        is_compiled = compiled and kernel.compiled is not None
-        self._new_stream: type[Stream] = CompiledStream if is_compiled else NumpyStream
+        self._compiled, self._frames_wanted = compiled, frames
         self._earlier_packets = Counters()
         self._description: Description | None = None  # while the digitizer can be decoded
-        self.stream = self._new_stream(PacketParser(most_repeated), self.decisions)
+        self.stream = self._new_stream()
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
         """Decode bytes that were read at t_host (monotonic, s). Any split gives the same frames.
@@ -145,7 +143,7 @@ class Pipeline:
         self._earlier_packets = self.packet_counts
         self.close()
         self._description = None
-        self.stream = self._new_stream(PacketParser(self._most_repeated), self.decisions)
+        self.stream = self._new_stream()
         self.digitizer, self.problem = DigitizerState(), None
         self.timeline.reconnected()
         self.taxels.forget()
@@ -194,6 +192,12 @@ class Pipeline:
     def can_call_roll(self) -> bool:
         """Whether a roll call can be evaluated now."""
         return self._description is not None and self._description.can_call_roll
+
+    def _new_stream(self) -> Stream:
+        parser = PacketParser(self._most_repeated)
+        if self._compiled and kernel.compiled is not None:
+            return CompiledStream(parser, self.decisions)
+        return NumpyStream(parser, self.decisions)
 
     def _place(self, arrival: Arrival) -> None:
         """Tell the stream where a packet of samples belongs."""

@@ -185,21 +185,11 @@ class NumpyStream:
         packet, description = arrival.packet, self._description
         assert description is not None, "packets of an unknown digitizer are not accepted"
         index, self._last = packet.first_index - self._origin, packet
-        self._passed.append(
-            (
-                index,
-                packet.device_time_us,
-                sample_count(packet),
-                packet.sequence,
-                arrival.t_host,
-                arrival.backlog,
-            )
-        )
+        entry = (index, packet.device_time_us, sample_count(packet), packet.sequence)
+        self._passed.append((*entry, arrival.t_host, arrival.backlog))
         if self._frames_wanted:
-            block = description.block(index, packet)
-            timing = description.timing
-            is_samples = isinstance(block, SampleBlock)
-            self._add(timing.feed(block) if is_samples else timing.quiet(block))
+            block, timing = description.block(index, packet), description.timing
+            self._add(timing.feed(block) if isinstance(block, SampleBlock) else timing.quiet(block))
 
     def _add(self, frames: list[FrameLevels]) -> None:
         self._frames.extend(frames)

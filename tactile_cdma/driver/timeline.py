@@ -34,8 +34,8 @@ class AcceptedPacket(NamedTuple):
 AnySamples: TypeAlias = Samples | Quiet | AcceptedPacket
 
 PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
-"""An accepted packet: index in the stream, device time (µs), number of samples, sequence, t_host (s)
-and backlog; see Arrival."""
+"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
+an Arrival t_host (s) and backlog."""
 
 CLOCK_SLACK_S = 0.05
 """s; device time and sample count that differ by more are not those of one stream. Chosen: far
