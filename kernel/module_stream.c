@@ -265,7 +265,7 @@ FUNCTION(end)
 
     if (!owner)
         return NULL;
-    stream_end(owner->stream);
+    stream_conclude(owner->stream);
     Py_RETURN_NONE;
 }
 

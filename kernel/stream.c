@@ -588,7 +588,7 @@ size_t stream_left(const struct stream *stream)
     return stream->left;
 }
 
-void stream_end(struct stream *stream)
+void stream_conclude(struct stream *stream)
 {
     if (stream->stage == NEXT)
         stream->stage = ENDING;

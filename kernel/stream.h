@@ -106,7 +106,7 @@ void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, doubl
 /* How many are not used up. */
 size_t stream_left(const struct stream *stream);
 /* No more samples will follow: the frame in progress is decided by those there are. */
-void stream_end(struct stream *stream);
+void stream_conclude(struct stream *stream);
 
 /* Goes on up to the next event. */
 enum stream_event stream_next(struct stream *stream);
