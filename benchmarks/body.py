@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 
 from tactile_cdma.places.layout import Layout
 
-from .report import QUICK, Report
+from .report import QUICK, Report, be_alone
 
 PATCHES, RATE_HZ = 8, 50.0
 CONTACTS, TAXELS_OF_CONTACT = 4, 20
@@ -40,7 +40,6 @@ LOADS: dict[str, tuple[bool, int]] = {
 """Whether contacts are subscribed to, and the number of taxels of a patch."""
 SECONDS = 4.0 if QUICK else 20.0
 WARM_UP_S = 1.0
-DOMAIN = 79
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "skin_body"
 PATCH_NAMES = [f"/p{i}/skin" for i in range(PATCHES)]
 
@@ -55,8 +54,7 @@ class Result:
 
 
 def main() -> None:
-    os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    be_alone()
     report = Report("body", f"A body's node: {PATCHES} patches at {RATE_HZ:g} Hz")
     found = {load: measure(load, *asked) for load, asked in LOADS.items()}
     rows = []

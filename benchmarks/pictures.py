@@ -13,7 +13,6 @@ Following the contacts is `make bench-contact`'s.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -36,7 +35,7 @@ from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.views.cloud import POINT, Cloud
 from tactile_cdma.views.heatmap import heatmap, pressure_raster
 
-from .report import QUICK, Report, medians_s
+from .report import QUICK, Report, be_alone, medians_s
 
 SIZES = (16, 256, 1024, 4096)
 ROUNDS = 7 if QUICK else 31
@@ -47,7 +46,6 @@ MAX_PA = 1e3 * DEFAULTS["colour_max_kpa"]
 PIXELS = DEFAULTS["heatmap_pixels"]
 HEATMAP, IMAGE, POINTS = "heatmap", "pressure_image", "points"
 CONTACTS, SQUARES = "markers, contacts alone", "markers with squares"
-DOMAIN = 78
 
 Frame = tuple[NDArray[np.float32], Contacts]
 Times = dict[tuple[int, str], tuple[float, float]]
@@ -55,8 +53,7 @@ Times = dict[tuple[int, str], tuple[float, float]]
 
 
 def main() -> None:
-    os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    be_alone()
     report = Report("pictures", "Drawing and publishing pictures of the skin")
     found = times(report)
     report.finish(

@@ -91,6 +91,12 @@ def machine() -> dict[str, str | int | None]:
     }
 
 
+def be_alone() -> None:
+    """Give the ROS nodes of this run a domain of their own, on this machine only."""
+    os.environ["ROS_DOMAIN_ID"] = str(20 + os.getpid() % 80)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
 def commit() -> str:
     """What was measured: the commit checked out, with a + if files differ from it; or nothing."""
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]

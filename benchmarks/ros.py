@@ -53,7 +53,7 @@ from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
 from tactile_cdma.wire.reader import READ_SIZE
 
-from .report import QUICK, ROOT, Report
+from .report import QUICK, ROOT, Report, be_alone
 from .scale import streaming
 
 CASES: dict[int, dict[str, Value]] = {
@@ -74,9 +74,7 @@ SIZES = (16, 4096) if QUICK else tuple(CASES)
 SECONDS = 2.5 if QUICK else 30.0
 WARM_UP_S = 1.0
 START_S = 30.0
-"""Longest time until the first message arrives."""
-DOMAIN = 20 + os.getpid() % 80
-"""Of its own, so that two runs on one machine do not hear each other."""
+"""Longest time until the first message arrives, s."""
 CHUNK = 65_536
 MOST_FRAMES = 8192
 FLOOR, DRIVER = "floor", "driver"
@@ -84,6 +82,14 @@ FLOOR, DRIVER = "floor", "driver"
 
 class RunError(Exception):
     """A run that did not measure what it should; the message is for whoever started it."""
+
+
+class LateError(RunError):
+    """Frames did not arrive, or not in time; says how busy the machine is."""
+
+    def __str__(self) -> str:
+        load = f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+        return f"{super().__str__()}; other programs keep this machine busy? (load {load})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +122,7 @@ Results = dict[tuple[str, int], Result]
 
 def main() -> None:
     report = Report("ros", "Last byte of a frame in → subscriber's callback in another process")
-    os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    be_alone()
     found = {(who, nodes): measure(who, nodes) for nodes in SIZES for who in (FLOOR, DRIVER)}
     report.table(
         ["nodes", "", "frames", "lost", "p5 ms", "p50", "p90", "p99", "max", "CPU %"],
@@ -142,7 +147,7 @@ def main() -> None:
         lost=lost,
     )
     if lost:
-        raise RunError(f"{lost} of {sum(some.sent for some in found.values())} frames were lost")
+        raise LateError(f"{lost} of {sum(some.sent for some in found.values())} frames were lost")
 
 
 def spread_ms(some: Result) -> list[float]:
@@ -166,8 +171,11 @@ def measure(who: str, nodes: int) -> Result:
             floor = context.Process(target=publish, args=(nodes, str(digitizer.path), ends))
             publisher = process(floor)
         with process(subscriber), digitizer, publisher as pid:
-            if not receiving.wait(START_S):
-                raise RunError(f"nothing arrived from the {who} of {nodes} nodes in {START_S:g} s")
+            until_s = time.monotonic() + START_S
+            while not receiving.wait(0.5):
+                cpu_s(pid)  # is it alive?
+                if time.monotonic() > until_s:
+                    raise LateError(f"nothing arrived from the {who} of {nodes} nodes")
             time.sleep(WARM_UP_S)
             cpu = cpu_share(pid)
             stop.set()
@@ -180,17 +188,19 @@ def measure(who: str, nodes: int) -> Result:
 
 def cpu_share(pid: int) -> float:
     """Share of a core that a process takes during SECONDS from now on."""
-
-    def spent_s() -> float:
-        try:
-            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            raise RunError("the measured process ended by itself") from None
-        return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")  # utime, stime
-
-    begin_s, before_s = time.monotonic(), spent_s()
+    begin_s, before_s = time.monotonic(), cpu_s(pid)
     time.sleep(SECONDS)
-    return (spent_s() - before_s) / (time.monotonic() - begin_s)
+    return (cpu_s(pid) - before_s) / (time.monotonic() - begin_s)
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of a process so far, s; raises RunError where it has ended."""
+    state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    if state == "Z":
+        raise RunError(
+            f"process {pid}, which was to be measured, ended by itself; what it said is above"
+        )
+    return sum(map(int, fields[10:12])) / os.sysconf("SC_CLK_TCK")  # utime, stime
 
 
 def match(
@@ -210,7 +220,7 @@ def match(
             if abs(middles_us[nearest] - us) < period_us / 4:
                 latency_ms.append(1e3 * (received[nearest][1] - t_sent))
     if not latency_ms:
-        raise RunError(f"none of {count} frames was received in time")
+        raise LateError(f"none of {count} frames was received in time")
     return Result(np.array(latency_ms), count, count - len(latency_ms), cpu)
 
 
@@ -353,10 +363,11 @@ def subscribe(stop: EventType, receiving: EventType, arrivals: multiprocessing.Q
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from rclpy.signals import SignalHandlerOptions
 
     from tactile_cdma.msg import TactileArray
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("subscriber")
     received: list[tuple[int, float]] = []
     node.create_subscription(
@@ -397,6 +408,5 @@ if __name__ == "__main__":
     try:
         main()
     except RunError as error:
-        load = f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-        print(f"bench-ros: {error}; other programs keep this machine busy? (load {load})")
+        print(f"bench-ros: {error}")
         sys.exit(1)

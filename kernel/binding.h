@@ -33,7 +33,7 @@
 
 #include "scanner.h"
 
-#define BINDING_MOST 24 /* arguments of a function */
+#define BINDING_MOST 20 /* arguments of a function */
 
 /* ---- arguments --------------------------------------------------------------------------------- */
 
@@ -96,16 +96,17 @@ PyObject *make(const char *name, const struct argument *takes, size_t count, bod
 
 #define FUNCTION(function, ...)                                                                     \
     static body run_##function;                                                                     \
-    static PyObject *function(PyObject *self, PyObject *const *given, Py_ssize_t number)            \
+    static PyObject *call_##function(PyObject *self, PyObject *const *given, Py_ssize_t number)     \
     {                                                                                               \
         static const struct argument takes[] = {__VA_ARGS__};                                       \
+        _Static_assert(sizeof takes / sizeof *takes <= BINDING_MOST, "more arguments");             \
         return run(#function, takes, sizeof takes / sizeof *takes, run_##function, self, given,     \
                    number);                                                                         \
     }                                                                                               \
     static PyObject *run_##function(struct call *call)
 
 /* Its entry in a table of methods. */
-#define ENTRY(function) {#function, (PyCFunction)(void (*)(void))function, METH_FASTCALL, NULL}
+#define ENTRY(function) {#function, (PyCFunction)(void (*)(void))call_##function, METH_FASTCALL, NULL}
 
 /* Makes an object of a class; call->self is the type. */
 #define CONSTRUCTOR(function, ...)                                                                  \
@@ -113,6 +114,7 @@ PyObject *make(const char *name, const struct argument *takes, size_t count, bod
     static PyObject *function(PyTypeObject *type, PyObject *given, PyObject *keywords)              \
     {                                                                                               \
         static const struct argument takes[] = {__VA_ARGS__};                                       \
+        _Static_assert(sizeof takes / sizeof *takes <= BINDING_MOST, "more arguments");             \
         return make(#function, takes, sizeof takes / sizeof *takes, run_##function, type, given,    \
                     keywords);                                                                      \
     }                                                                                               \
@@ -166,7 +168,8 @@ PyObject *counts_dict(const struct scanner_counts *seen);
 PyObject *file_error(int failure);
 
 /* The types of the module, each in a file of its own or in module.c. */
-extern PyType_Spec stream_spec;
+extern PyType_Spec stream_spec, code_spec;
+extern PyMethodDef burst_functions[];
 #define STREAM_LAYOUTS 2
 extern const struct layout stream_layouts[STREAM_LAYOUTS];
 

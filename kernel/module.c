@@ -6,15 +6,17 @@
 #include <errno.h>
 #include <math.h>
 
+#include "burst.h"
 #include "contacts.h"
+#include "judge.h"
 #include "reader.h"
-#include "readings.h"
+#include "readout.h"
 #include "samples.h"
 #include "scanner.h"
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 10 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 12 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -29,40 +31,71 @@ static const struct field frame_fields[] = {
     FIELD(words_frame, spoken_over),
 };
 
-static const struct field reading_fields[] = {
-    FIELD(words_reading, threshold),        FIELD(words_reading, faint_share),
-    FIELD(words_reading, sound_share),      FIELD(words_reading, most_square),
-    FIELD(words_reading, a_chip),           FIELD(words_reading, few_share),
-    FIELD(words_reading, few),              FIELD(words_reading, parity),
-    FIELD(words_reading, limits.low_rho),   FIELD(words_reading, limits.low_margin),
-    FIELD(words_reading, limits.shared),    FIELD(words_reading, limits.two),
-    FIELD(words_reading, limits.clear_rho), FIELD(words_reading, limits.lower),
+#define OF_READOUT(member) FIELD(readout_settings, member)
+
+static const struct field readout_fields[] = {
+    OF_READOUT(frame.bits),
+    OF_READOUT(frame.order),
+    OF_READOUT(frame.first),
+    OF_READOUT(frame.nodes),
+    OF_READOUT(frame.unipolar),
+    OF_READOUT(frame.swing),
+    OF_READOUT(frame.loudest_share),
+    OF_READOUT(frame.active_share),
+    OF_READOUT(frame.spoken_over),
+    OF_READOUT(reading.threshold),
+    OF_READOUT(reading.faint_share),
+    OF_READOUT(reading.sound_share),
+    OF_READOUT(reading.most_square),
+    OF_READOUT(reading.a_chip),
+    OF_READOUT(reading.few_share),
+    OF_READOUT(reading.few),
+    OF_READOUT(reading.parity),
+    OF_READOUT(reading.limits.low_rho),
+    OF_READOUT(reading.limits.low_margin),
+    OF_READOUT(reading.limits.shared),
+    OF_READOUT(reading.limits.two),
+    OF_READOUT(reading.limits.clear_rho),
+    OF_READOUT(reading.limits.lower),
+    OF_READOUT(lateness.late_share),
+    OF_READOUT(lateness.leaked),
+    OF_READOUT(lateness.by_chance),
+    OF_READOUT(bits.silent),
+    OF_READOUT(bits.low_snr),
+    OF_READOUT(bits.stale),
+    OF_READOUT(bits.saturated),
+    OF_READOUT(bits.uncalibrated),
+    OF_READOUT(bits.masked),
+    OF_READOUT(weak_v),
+    OF_READOUT(weak_rho),
+    OF_READOUT(scrambled),
+    OF_READOUT(spare),
+    OF_READOUT(spare_count),
+    OF_READOUT(codes),
+    OF_READOUT(pieces),
+    OF_READOUT(taxels),
 };
 
-static const struct field lateness_fields[] = {
-    FIELD(words_lateness, late_share),
-    FIELD(words_lateness, leaked),
-    FIELD(words_lateness, by_chance),
+static const struct field votes_fields[] = {
+    FIELD(judge_limits, distortion), FIELD(judge_limits, most), FIELD(judge_limits, most_deviations),
+    FIELD(judge_limits, vote),       FIELD(judge_limits, blur),
 };
 
-static const struct field bits_fields[] = {
-    FIELD(readings_bits, silent),    FIELD(readings_bits, low_snr),
-    FIELD(readings_bits, stale),     FIELD(readings_bits, saturated),
-    FIELD(readings_bits, uncalibrated), FIELD(readings_bits, masked),
-};
-
-static const struct field limits_fields[] = {
-    FIELD(readings_limits, weak_v),     FIELD(readings_limits, weak_rho),
-    FIELD(readings_limits, low_margin), FIELD(readings_limits, low_rho),
-    FIELD(readings_limits, suspected_frames),
+static const struct field burst_fields[] = {
+    FIELD(burst_search, half),      FIELD(burst_search, window),       FIELD(burst_search, group),
+    FIELD(burst_search, low),       FIELD(burst_search, high),         FIELD(burst_search, bit),
+    FIELD(burst_search, width),     FIELD(burst_search, gap_size),     FIELD(burst_search, side),
+    FIELD(burst_search, nodes),     FIELD(burst_search, chip),         FIELD(burst_search, snr_floor),
+    FIELD(burst_search, loud),      FIELD(burst_search, no_power),     FIELD(burst_search, bias),
+    FIELD(burst_search, newest),    FIELD(burst_search, calmer),       FIELD(burst_search, drifting),
+    FIELD(burst_search, median),    FIELD(burst_search, beside_level), FIELD(burst_search, beside),
 };
 
 static const struct layout layouts[] = {
     LAYOUT(words_frame, frame_fields),
-    LAYOUT(words_reading, reading_fields),
-    LAYOUT(words_lateness, lateness_fields),
-    LAYOUT(readings_bits, bits_fields),
-    LAYOUT(readings_limits, limits_fields),
+    LAYOUT(readout_settings, readout_fields),
+    LAYOUT(judge_limits, votes_fields),
+    LAYOUT(burst_search, burst_fields),
 };
 
 /* ---- Transform --------------------------------------------------------------------------------- */
@@ -250,16 +283,6 @@ static bool are_of(const struct call *call, const struct words_frame *frame)
     return fit;
 }
 
-/* The same, and of arrays (n,), that these are of its nodes. */
-static bool are_of_nodes(const struct call *call, const struct words_frame *frame)
-{
-    size_t nodes = axis(call, 'n');
-
-    if (nodes != frame->nodes)
-        return refuse(call, "%zu nodes expected, not %zu", frame->nodes, nodes);
-    return are_of(call, frame);
-}
-
 FUNCTION(fit_words, SETTINGS(words_frame), ARRAY("rows", 'f', "ckN"), OUT("amplitude", 'f', "cn"),
          OUT("uneven", 'f', "cn"), OUT("pedestal", 'f', "c"), OUT("power", 'f', "c"),
          OUT("spread", 'f', "c"), OUT("misfit", 'f', "c"))
@@ -270,25 +293,13 @@ FUNCTION(fit_words, SETTINGS(words_frame), ARRAY("rows", 'f', "ckN"), OUT("ampli
     float *pedestal = call->value[4].data, *power = call->value[5].data;
     float *spread = call->value[6].data, *misfit = call->value[7].data;
 
-    if (!are_of_nodes(call, frame))
+    if (!are_of(call, frame))
         return NULL;
+    if (!(frame->nodes == axis(call, 'n')))
+        return refuse(call, "amplitude: %zu nodes expected, not %zu", frame->nodes, axis(call, 'n'));
     for (size_t i = 0; i < axis(call, 'c'); i++)
         words_fit(frame, rows + i * frame->bits * frame->order, amplitude + i * frame->nodes,
                   uneven + i * frame->nodes, pedestal + i, power + i, spread + i, misfit + i);
-    Py_RETURN_NONE;
-}
-
-FUNCTION(late, SETTINGS(words_frame), SETTINGS(words_lateness), ARRAY("rows", 'f', "kN"),
-         ARRAY("meant", 'f', "N"), ARRAY("edges", 'f', "4N"), OUT("found", '?', "n"))
-{
-    const struct words_frame *frame = call->value[0].data;
-
-    if (!are_of_nodes(call, frame))
-        return NULL;
-    if (!(frame->order >= 5))
-        return refuse(call, "rows: a bit of %zu chips is all edges", frame->order);
-    words_late(frame, call->value[2].data, call->value[3].data, call->value[4].data,
-               call->value[1].data, call->value[5].data);
     Py_RETURN_NONE;
 }
 
@@ -306,88 +317,123 @@ FUNCTION(word_noise, SETTINGS(words_frame), SIZE("spare"), SIZE("spare_count"),
     return PyFloat_FromDouble(words_noise(frame, call->value[3].data, spare, count));
 }
 
-FUNCTION(read_words, SETTINGS(words_frame), SETTINGS(words_reading), NUMBER("per_noise"),
-         NUMBER("least_usual"), ARRAY("rows", 'f', "kN"), ARRAY("sign_mask", 'i', "n"),
-         OUT("expected", 'f', "n"), OUT("floats", 'f', "6n"), OUT("ints", 'i', "3n"),
-         OUT("flags", '?', "5n"))
-{
-    const struct words_frame *frame = call->value[0].data;
-    size_t nodes = axis(call, 'n');
-    float *f = call->value[7].data;
-    int32_t *i = call->value[8].data;
-    uint8_t *b = call->value[9].data;
-    struct words_measures measures = {f,         f + 3 * nodes, f + 4 * nodes, f + 5 * nodes,
-                                      i + nodes, i + 2 * nodes};
-    struct words_decided decided = {i, f + nodes, f + 2 * nodes, b + nodes, b + 2 * nodes,
-                                    b + 3 * nodes};
+/* ---- Readout ----------------------------------------------------------------------------------- */
 
-    if (!are_of_nodes(call, frame))
+enum { SKIN_ARRAYS = 16 };
+
+struct reader_of_skin {
+    struct readout *readout;
+    Py_buffer arrays[SKIN_ARRAYS];
+};
+
+static void drop_readout(void *held)
+{
+    struct reader_of_skin *reader = held;
+
+    if (reader->readout)
+        readout_free(reader->readout);
+    for (size_t i = 0; i < SKIN_ARRAYS; i++)
+        if (reader->arrays[i].obj)
+            PyBuffer_Release(&reader->arrays[i]);
+    PyMem_Free(reader);
+}
+
+CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
+            OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
+            ARRAY("state", 'B', "n"), ARRAY("invalid", '?', "n"), ARRAY("uncalibrated", '?', "n"),
+            ARRAY("masked", '?', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("pieces", 'f', "p3n"),
+            ARRAY("end_v", 'f', "n"), ARRAY("source", 'i', "t"), OUT("kept_codes", 'i', "n"),
+            OUT("kept_flags", 'B', "n"), OUT("heard_s", 'd', "n"), OUT("sums", 'f', "5n"))
+{
+    const struct readout_settings *settings = call->value[0].data;
+    const struct words_frame *frame = &settings->frame;
+    const union value *v = call->value;
+    struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data, v[6].data,
+                                v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data,
+                                v[12].data, v[13].data, v[14].data, v[15].data, v[16].data};
+    const int32_t *source = skin.source;
+    bool in_range = true;
+
+    for (size_t i = 0; i < axis(call, 't'); i++)
+        in_range = in_range && source[i] < (int64_t)frame->nodes;
+    for (size_t i = 0; i < axis(call, 'n'); i++)
+        in_range = in_range && skin.kept_codes[i] >= 0 && (size_t)skin.kept_codes[i] < axis(call, 'c');
+    if (!axis(call, 't'))
+        skin.source = NULL;
+    if (!(in_range && frame->nodes == axis(call, 'n') && frame->order == axis(call, 'N') &&
+          frame->bits > settings->reading.parity && frame->bits <= WORDS_MOST_BITS &&
+          settings->codes == axis(call, 'c') && settings->pieces == axis(call, 'p') &&
+          settings->codes == (size_t)1 << (frame->bits - settings->reading.parity) &&
+          settings->taxels == (skin.source ? axis(call, 't') : frame->nodes) &&
+          frame->first <= frame->order && frame->nodes <= frame->order - frame->first &&
+          settings->spare <= frame->order && settings->spare_count <= frame->order - settings->spare))
+        return refuse(call, "the settings do not fit each other, or the arrays");
+    struct reader_of_skin *reader = PyMem_Calloc(1, sizeof *reader);
+    if (!reader)
+        return PyErr_NoMemory();
+    for (size_t i = 0; i < SKIN_ARRAYS; i++)
+        reader->arrays[i] = keep(call, i + 1);
+    reader->readout = readout_new(settings, &skin);
+    if (reader->readout)
+        return hold((PyTypeObject *)call->self, reader, drop_readout);
+    drop_readout(reader);
+    return PyErr_NoMemory();
+}
+
+FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
+         NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
+         ARRAY("tare_pa", 'f', "n"), OUT("active", '?', "n"), OUT("codes", 'i', "n"),
+         OUT("floats", 'f', "3n"), OUT("doubts", '?', "3n"), OUT("readings", 'f', "2t"),
+         OUT("status", 'B', "t"), OUT("rest", 'f', "2n"), OUT("valid", '?', "n"))
+{
+    struct reader_of_skin *reader = held_by(call->self);
+    const struct readout_settings *settings = readout_settings(reader->readout);
+    const union value *v = call->value;
+    size_t nodes = axis(call, 'n');
+    uint8_t *doubts = v[11].data;
+    float *words = v[10].data, *readings = v[12].data, *rest = v[14].data;
+    struct readout_frame frame = {v[8].data,
+                                  doubts,
+                                  doubts + nodes,
+                                  doubts + 2 * nodes,
+                                  v[9].data,
+                                  words,
+                                  words + nodes,
+                                  words + 2 * nodes,
+                                  readings,
+                                  readings + settings->taxels,
+                                  v[13].data,
+                                  rest,
+                                  rest + nodes,
+                                  v[15].data};
+    double stale_from_s = NAN;
+
+    if (!are_of(call, &settings->frame))
         return NULL;
-    return PyLong_FromLong(words_read(frame, call->value[1].data, (float)call->value[2].number,
-                                      (float)call->value[3].number, call->value[4].data,
-                                      call->value[5].data, call->value[6].data, &measures, &decided,
-                                      b, b + 4 * nodes));
+    if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
+        return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,
+                      settings->taxels, nodes, axis(call, 't'));
+    enum readout_look look =
+        readout_read(reader->readout, v[0].data, (float)v[1].number, (float)v[2].number, v[3].size,
+                     v[4].number, v[5].number, v[6].data, v[7].data, &frame, &stale_from_s);
+    return Py_BuildValue("(id)", look, stale_from_s);
 }
 
-/* ---- readings ---------------------------------------------------------------------------------- */
+static PyMethodDef readout_methods[] = {ENTRY(read), {0}};
 
-FUNCTION(hear, SETTINGS(readings_bits), NUMBER("now_s"), NUMBER("stale_after_s"),
-         ARRAY("table_v", 'f', "c"), ARRAY("active", '?', "n"), ARRAY("doubtful", '?', "n"),
-         ARRAY("codes", 'i', "n"), ARRAY("state", 'B', "n"), ARRAY("untrusted", '?', "n"),
-         ARRAY("rest_v", 'f', "n"), OUT("kept_codes", 'i', "n"), OUT("kept_flags", 'B', "n"),
-         OUT("heard_s", 'd', "n"), OUT("voltage_v", 'f', "n"), OUT("raised_v", 'f', "n"),
-         OUT("status", 'B', "n"), OUT("valid", '?', "n"))
-{
-    const union value *v = call->value;
-    struct readings_kept kept = {v[10].data, v[11].data, v[12].data};
-    struct readings_heard heard = {v[13].data, v[14].data, v[15].data, v[16].data};
-    double until_s = readings_hear(axis(call, 'n'), v[4].data, v[5].data, v[6].data, &kept, v[3].data,
-                                   axis(call, 'c'), v[7].data, v[8].data, v[9].data, v[1].number,
-                                   v[2].number, v[0].data, &heard);
+static PyType_Slot readout_slots[] = {
+    {Py_tp_new, Readout},
+    {Py_tp_dealloc, drop_holder},
+    {Py_tp_methods, readout_methods},
+    {0},
+};
 
-    return isnan(until_s) ? refuse(call, "codes: beyond the table") : PyFloat_FromDouble(until_s);
-}
-
-FUNCTION(convert, ARRAY("pieces", 'f', "p3n"), ARRAY("voltage_v", 'f', "n"),
-         ARRAY("drift_v", 'f', "n"), ARRAY("end_v", 'f', "n"), OUT("pressure_pa", 'f', "n"),
-         OUT("beyond", '?', "n"))
-{
-    const union value *v = call->value;
-
-    readings_convert(axis(call, 'n'), v[1].data, v[2].data, v[0].data, axis(call, 'p'), v[3].data,
-                     v[4].data, v[5].data);
-    Py_RETURN_NONE;
-}
-
-FUNCTION(finish, SETTINGS(readings_bits), ARRAY("saturated", '?', "n"), ARRAY("valid", '?', "n"),
-         ARRAY("uncalibrated", '?', "n"), ARRAY("masked", '?', "n"), OUT("status", 'B', "n"),
-         OUT("reading_pa", 'f', "n"), OUT("voltage_v", 'f', "n"))
-{
-    const union value *v = call->value;
-
-    readings_finish(axis(call, 'n'), v[1].data, v[2].data, v[3].data, v[4].data, v[0].data, v[5].data,
-                    v[6].data, v[7].data);
-    Py_RETURN_NONE;
-}
-
-FUNCTION(count_words, SETTINGS(readings_limits), ARRAY("active", '?', "n"),
-         ARRAY("amplitude_v", 'f', "n"), ARRAY("rho", 'f', "n"), ARRAY("margin", 'f', "n"),
-         ARRAY("doubtful", '?', "n"), ARRAY("doubled", '?', "n"), ARRAY("odd", '?', "n"),
-         ARRAY("astray", '?', "n"), OUT("sums", 'f', "5n"), OUT("suspected", 'i', "n"))
-{
-    const union value *v = call->value;
-    size_t nodes = axis(call, 'n');
-    float *sum = v[9].data;
-    struct readings_seen seen = {sum,
-                                 sum + nodes,
-                                 sum + 2 * nodes,
-                                 sum + 3 * nodes,
-                                 sum + 4 * nodes,
-                                 v[10].data};
-
-    return PyBool_FromLong(readings_count(nodes, v[1].data, v[2].data, v[3].data, v[4].data, v[5].data,
-                                          v[6].data, v[7].data, v[8].data, v[0].data, &seen));
-}
+static PyType_Spec readout_spec = {
+    .name = "tactile_cdma._kernel.Readout",
+    .basicsize = sizeof(struct holder),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = readout_slots,
+};
 
 /* ---- contacts ---------------------------------------------------------------------------------- */
 
@@ -465,10 +511,9 @@ FUNCTION(mean_chips, NUMBER("level_v"), ARRAY("received", 'd', "m"), ARRAY("whol
 }
 
 static PyMethodDef functions[] = {
-    ENTRY(read_packets),  ENTRY(fit_words),     ENTRY(late),        ENTRY(word_noise),
-    ENTRY(read_words),    ENTRY(hear),          ENTRY(convert),     ENTRY(finish),
-    ENTRY(count_words),   ENTRY(gather_contacts), ENTRY(to_volts),  ENTRY(copy_samples),
-    ENTRY(add_samples),   ENTRY(count_outside), ENTRY(mean_chips),  {0},
+    ENTRY(read_packets), ENTRY(fit_words),   ENTRY(word_noise),    ENTRY(gather_contacts),
+    ENTRY(to_volts),     ENTRY(copy_samples), ENTRY(add_samples),  ENTRY(count_outside),
+    ENTRY(mean_chips),   {0},
 };
 
 /* ---- the module -------------------------------------------------------------------------------- */
@@ -485,7 +530,8 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
-        add_type(module, &stream_spec))
+        add_type(module, &readout_spec) || add_type(module, &stream_spec) ||
+        add_type(module, &code_spec) || PyModule_AddFunctions(module, burst_functions))
         return -1;
     PyObject *structs = PyDict_New();
     int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||

@@ -4,21 +4,13 @@
 
 #include <math.h>
 
-#define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
+#include "vectors.h"
 
-#if defined(__GNUC__)
-#define INLINE static inline __attribute__((always_inline))
-#else
-#define INLINE static inline
-#endif
-#if defined(__GNUC__) && (defined(__x86_64__) || defined(__i386__))
-#define HAS_AVX2
-#define AVX2 __attribute__((target("avx2")))
-#endif
+#define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
 
 /* ---- measure ----------------------------------------------------------------------------------- */
 
-INLINE void measure_block(const float *levels, ptrdiff_t step, size_t bits, size_t nodes,
+INLINE void measure_block(const float *levels, size_t step, size_t bits, size_t nodes,
                           const struct words_measures *measures, size_t first)
 {
     float sum[BLOCK] = {0}, least[BLOCK], most[BLOCK] = {0}, squares[BLOCK] = {0};
@@ -46,8 +38,9 @@ INLINE void measure_block(const float *levels, ptrdiff_t step, size_t bits, size
     }
 }
 
-INLINE void measure(const float *levels, ptrdiff_t step, size_t bits, size_t nodes,
-                    const struct words_measures *measures)
+/* levels: k rows of n values, `step` values from row to row. */
+VECTORS static void measure(const float *levels, size_t step, size_t bits, size_t nodes,
+                            const struct words_measures *measures)
 {
     size_t first = 0;
 
@@ -57,31 +50,12 @@ INLINE void measure(const float *levels, ptrdiff_t step, size_t bits, size_t nod
         measure_block(levels + first, step, bits, nodes - first, measures, first);
 }
 
-#if defined(HAS_AVX2)
-AVX2 static void measure_avx2(const float *levels, ptrdiff_t step, size_t bits, size_t nodes,
-                              const struct words_measures *measures)
-{
-    measure(levels, step, bits, nodes, measures);
-}
-#endif
-
-void words_measure(const float *levels, ptrdiff_t step, size_t bits, size_t nodes,
-                   const struct words_measures *measures)
-{
-#if defined(HAS_AVX2)
-    if (__builtin_cpu_supports("avx2")) {
-        measure_avx2(levels, step, bits, nodes, measures);
-        return;
-    }
-#endif
-    measure(levels, step, bits, nodes, measures);
-}
-
 /* ---- decide ------------------------------------------------------------------------------------ */
 
-bool words_find_active(size_t nodes, const float *restrict amplitude, const float *restrict expected,
-                       float threshold, float faint_share, float sound_share,
-                       uint8_t *restrict active, uint8_t *restrict faint)
+/* Whether any word is faint: find_active in stages.py. */
+VECTORS static bool find_active(size_t nodes, const float *restrict amplitude,
+                                const float *restrict expected, float threshold, float faint_share,
+                                float sound_share, uint8_t *restrict active, uint8_t *restrict faint)
 {
     float loudest = -INFINITY;
     int any = 0;
@@ -110,9 +84,9 @@ INLINE int odd_of(uint32_t word)
     return (int)((word ^ word >> 1) & 1);
 }
 
-/* Without branches, and with pointers that are known to differ, so that it is done for many nodes at
- * once. */
-INLINE bool decide(size_t nodes, const struct words_measures *measures, const uint8_t *restrict active,
+/* Whether any word is uneven: decide in stages.py. Without branches, and with pointers that are known to
+ * differ, so that it is done for many nodes at once. */
+VECTORS static bool decide(size_t nodes, const struct words_measures *measures, const uint8_t *restrict active,
                    const float *restrict expected, const int32_t *restrict sign_mask,
                    float per_noise, unsigned bits, bool parity, float most_square,
                    const struct words_limits *limits, const struct words_decided *decided)
@@ -154,31 +128,6 @@ INLINE bool decide(size_t nodes, const struct words_measures *measures, const ui
     return any_uneven && nodes > 2;
 }
 
-#if defined(HAS_AVX2)
-AVX2 static bool decide_avx2(size_t nodes, const struct words_measures *measures,
-                             const uint8_t *active, const float *expected, const int32_t *sign_mask,
-                             float per_noise, unsigned bits, bool parity, float most_square,
-                             const struct words_limits *limits, const struct words_decided *decided)
-{
-    return decide(nodes, measures, active, expected, sign_mask, per_noise, bits, parity, most_square,
-                  limits, decided);
-}
-#endif
-
-bool words_decide(size_t nodes, const struct words_measures *measures, const uint8_t *active,
-                  const float *expected, const int32_t *sign_mask, float per_noise, unsigned bits,
-                  bool parity, float most_square, const struct words_limits *limits,
-                  const struct words_decided *decided)
-{
-#if defined(HAS_AVX2)
-    if (__builtin_cpu_supports("avx2"))
-        return decide_avx2(nodes, measures, active, expected, sign_mask, per_noise, bits, parity,
-                           most_square, limits, decided);
-#endif
-    return decide(nodes, measures, active, expected, sign_mask, per_noise, bits, parity, most_square,
-                  limits, decided);
-}
-
 /* ---- fit --------------------------------------------------------------------------------------- */
 
 /* Sum of squares; many partial sums keep its error at that of a few additions. */
@@ -203,7 +152,7 @@ INLINE double power_of(const float *values, size_t size)
 }
 
 /* Means of |r| and of r² of each node. */
-INLINE void sum_up(const struct words_frame *frame, const float *rows, float *mean, float *square)
+VECTORS static void sum_up(const struct words_frame *frame, const float *rows, float *mean, float *square)
 {
     size_t bits = frame->bits;
 
@@ -223,7 +172,7 @@ INLINE void sum_up(const struct words_frame *frame, const float *rows, float *me
     }
 }
 
-INLINE double frame_power(const struct words_frame *frame, const float *rows)
+VECTORS static double frame_power(const struct words_frame *frame, const float *rows)
 {
     /* A free row 0 holds nothing but what is left of the offset. */
     size_t from = !frame->unipolar && frame->first > 0;
@@ -233,19 +182,6 @@ INLINE double frame_power(const struct words_frame *frame, const float *rows)
         total += power_of(rows + bit * frame->order + from, frame->order - from);
     return total;
 }
-
-#if defined(HAS_AVX2)
-AVX2 static void sum_up_avx2(const struct words_frame *frame, const float *rows, float *mean,
-                             float *square)
-{
-    sum_up(frame, rows, mean, square);
-}
-
-AVX2 static double frame_power_avx2(const struct words_frame *frame, const float *rows)
-{
-    return frame_power(frame, rows);
-}
-#endif
 
 /* The loudest word's amplitude, and through `usual` that of a sound node: see usual_amplitude in
  * decode.py. NaN if any is. */
@@ -293,16 +229,8 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     double total, word_power = 0, uneven_power = 0, level = 0;
     const float tiny = 1e-30f; /* for divisors that may be zero */
 
-#if defined(HAS_AVX2)
-    if (__builtin_cpu_supports("avx2")) {
-        sum_up_avx2(frame, rows, amplitude, uneven);
-        total = frame_power_avx2(frame, rows);
-    } else
-#endif
-    {
-        sum_up(frame, rows, amplitude, uneven);
-        total = frame_power(frame, rows);
-    }
+    sum_up(frame, rows, amplitude, uneven);
+    total = frame_power(frame, rows);
     float floor = floor_of(frame, amplitude);
     for (size_t i = 0; i < frame->nodes; i++) {
         bool active = amplitude[i] > floor;
@@ -381,12 +309,7 @@ static bool leave_little(const struct words_frame *frame, const struct words_rea
     }
     if (!spoken)
         return true;
-#if defined(HAS_AVX2)
-    if (__builtin_cpu_supports("avx2"))
-        total = frame_power_avx2(frame, rows);
-    else
-#endif
-        total = frame_power(frame, rows);
+    total = frame_power(frame, rows);
     double most = (spoken <= reading->few ? (double)reading->few_share : 1.0) * (double)reading->a_chip * (double)least;
     return total / (double)frame->bits - words < most * (double)least / (double)frame->order;
 }
@@ -400,7 +323,7 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     const float *amplitude = measures->amplitude;
     float threshold = reading->threshold;
 
-    words_measure(rows + frame->first, (ptrdiff_t)frame->order, frame->bits, frame->nodes, measures);
+    measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
     if (!isnan(least_usual)) {
         float usual;
         loudest_of(amplitude, frame->nodes, frame->loudest_share, &usual);
@@ -408,11 +331,11 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
         for (size_t i = 0; i < frame->nodes; i++)
             expected[i] = usual;
     }
-    if (words_find_active(frame->nodes, amplitude, expected, threshold, reading->faint_share,
-                          reading->sound_share, active, faint))
+    if (find_active(frame->nodes, amplitude, expected, threshold, reading->faint_share,
+                    reading->sound_share, active, faint))
         return WORDS_NEED_STAGES;
-    if (words_decide(frame->nodes, measures, active, expected, sign_mask, per_noise,
-                     (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,
+    if (decide(frame->nodes, measures, active, expected, sign_mask, per_noise,
+               (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,
                      decided))
         return WORDS_NEED_STAGES;
     float share = threshold < reading->faint_share ? threshold : reading->faint_share;
@@ -527,8 +450,8 @@ INLINE void find_late(const struct words_frame *frame, const float *rows, const 
     }
 }
 
-INLINE void look_for_late(const struct words_frame *frame, const float *rows, const float *meant,
-                          const float *edges, const struct words_lateness *limits, uint8_t *late)
+VECTORS void words_late(const struct words_frame *frame, const float *rows, const float *meant,
+                        const float *edges, const struct words_lateness *limits, uint8_t *late)
 {
     float chips[WORDS_MOST_BITS][CHIPS];
     double within = (double)frame->order * find_chips(frame, rows, meant, edges, chips);
@@ -538,25 +461,4 @@ INLINE void look_for_late(const struct words_frame *frame, const float *rows, co
             within -= (double)chips[bit][edge] * (double)chips[bit][edge];
     double variance = (within > 0 ? within : 0) / (double)(frame->bits * (frame->order - 4));
     find_late(frame, rows, meant, chips, (float)variance, limits, late);
-}
-
-#if defined(HAS_AVX2)
-AVX2 static void look_for_late_avx2(const struct words_frame *frame, const float *rows,
-                                    const float *meant, const float *edges,
-                                    const struct words_lateness *limits, uint8_t *late)
-{
-    look_for_late(frame, rows, meant, edges, limits, late);
-}
-#endif
-
-void words_late(const struct words_frame *frame, const float *rows, const float *meant,
-                const float *edges, const struct words_lateness *limits, uint8_t *late)
-{
-#if defined(HAS_AVX2)
-    if (__builtin_cpu_supports("avx2")) {
-        look_for_late_avx2(frame, rows, meant, edges, limits, late);
-        return;
-    }
-#endif
-    look_for_late(frame, rows, meant, edges, limits, late);
 }

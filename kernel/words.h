@@ -17,14 +17,6 @@ struct words_measures {
     int32_t *signs, *weakest_bit;
 };
 
-/* levels: k rows of n values, `step` values from row to row. */
-void words_measure(const float *levels, ptrdiff_t step, size_t bits, size_t nodes,
-                   const struct words_measures *measures);
-
-/* As find_active in stages.py. Returns whether any word is faint. */
-bool words_find_active(size_t nodes, const float *amplitude, const float *expected, float threshold,
-                       float faint_share, float sound_share, uint8_t *active, uint8_t *faint);
-
 /* As `Limits` in stages.py. */
 struct words_limits {
     float low_rho, low_margin, shared, two, clear_rho, lower;
@@ -35,13 +27,6 @@ struct words_decided {
     float *rho, *margin;
     uint8_t *doubtful, *doubled, *odd;
 };
-
-/* As decide in stages.py. most_square: of r² over the squared amplitude. Returns whether a word is less
- * even than that. */
-bool words_decide(size_t nodes, const struct words_measures *measures, const uint8_t *active,
-                  const float *expected, const int32_t *sign_mask, float per_noise, unsigned bits,
-                  bool parity, float most_square, const struct words_limits *limits,
-                  const struct words_decided *decided);
 
 /* How the words of a frame are read from the correlations of all rows; see read_words in fit.py. */
 struct words_frame {

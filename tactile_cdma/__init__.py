@@ -46,7 +46,7 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from .driver.digitizer import Origin
-    from .readings.stages import Status
+    from .readings.status import Status
     from .skin import Decoder, Frame, Skin, read_parameters, read_recording
 else:
 
@@ -54,7 +54,7 @@ else:
         """Load what needs numpy when it is first used: `tactile-cdma doctor` runs without."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        homes = {"Origin": ".driver.digitizer", "Status": ".readings.stages"}
+        homes = {"Origin": ".driver.digitizer", "Status": ".readings.status"}
         return getattr(import_module(homes.get(name, ".skin"), __name__), name)
 
 

@@ -44,20 +44,6 @@ class Transform:
     def multiply(self, source: NDArray[np.float32], out: NDArray[np.float32], /) -> None:
         """Vectors (…, N) times the transposed matrix, into out of the same size, or in place."""
 
-def late(
-    frame: NDArray[np.void],
-    lateness: NDArray[np.void],
-    rows: NDArray[np.float32],
-    meant: NDArray[np.float32],
-    edges: NDArray[np.float32],
-    found: NDArray[np.bool_],
-    /,
-) -> None:
-    """As numpy_late in words/lateness.py, into found, (n,).
-
-    meant: (N,) V, amplitude of the words on all rows, 0 where none was spoken. edges: (4, N).
-    """
-
 def fit_words(
     frame: NDArray[np.void],
     rows: NDArray[np.float32],
@@ -76,57 +62,34 @@ def word_noise(
 ) -> float:
     """As numpy_noise_of in code/separate.py."""
 
-def read_words(
-    frame: NDArray[np.void],
-    reading: NDArray[np.void],
-    per_noise: float,
-    least_usual: float,
-    rows: NDArray[np.float32],
-    sign_mask: NDArray[np.int32],
-    expected: NDArray[np.float32],
-    floats: NDArray[np.float32],
-    ints: NDArray[np.int32],
-    flags: NDArray[np.bool_],
-    /,
-) -> int:
-    """As `read` in words/stages.py; returns NEED_STAGES, LEAVE_ENERGY or 2.
+@final
+class Readout:
+    """Words and readings of plain frames at once; see kernel/readout.h and readings/readout.py."""
 
-    least_usual: NaN if `expected` is given. floats: (6, n): amplitude, rho, margin, scratch. ints:
-    (3, n): codes, scratch. flags: (5, n): active, doubtful, doubled, odd, scratch.
-    """
+    def __new__(cls, settings: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> Readout:
+        """arrays: as struct readout_skin; source: int32 (t,), or empty where taxels are nodes.
 
-def hear(
-    bits: NDArray[np.void], now_s: float, stale_after_s: float, /, *arrays: NDArray[np.generic]
-) -> float:
-    """As numpy_hear in readings/stages.py; returns stale_from_s.
+        It keeps them, and writes to those that are kept.
+        """
 
-    arrays: table; active, doubtful, codes, Trust; Kept
-    and the arrays of Heard, written to. Raises ValueError for a code beyond the table.
-    """
+    def read(
+        self,
+        rows: NDArray[np.float32],
+        per_noise: float,
+        least_usual: float,
+        in_place: bool,
+        now_s: float,
+        stale_after_s: float,
+        drift_v: NDArray[np.float32],
+        tare_pa: NDArray[np.float32],
+        /,
+        *out: NDArray[np.generic],
+    ) -> tuple[int, float]:
+        """Enum readout_look; device time when the next node goes stale, s.
 
-def convert(
-    pieces: NDArray[np.float32],
-    voltage_v: NDArray[np.float32],
-    drift_v: NDArray[np.float32],
-    end_v: NDArray[np.float32],
-    pressure_pa: NDArray[np.float32],
-    beyond: NDArray[np.bool_],
-    /,
-) -> None:
-    """As numpy_convert there, into the last two."""
-
-def finish(bits: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> None:
-    """As numpy_finish there.
-
-    arrays: saturated, valid, uncalibrated, masked; status, reading_pa, voltage_v, written to.
-    """
-
-def count_words(limits: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> bool:
-    """As numpy_count in words/health.py.
-
-    arrays: active, amplitude_v, rho, margin, doubtful, doubled, odd, astray; sums and suspected,
-    written to.
-    """
+        out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
+        pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
+        """
 
 def gather_contacts(
     contact_pa: float,
@@ -249,3 +212,99 @@ class Stream:
     def open(self, due: int, /) -> None: ...
     def decide(self, due: int, over: int, level_v: float, /) -> None: ...
     def look(self, due: int, /) -> None: ...
+
+@final
+class Code:
+    """How frames of one specification are spread and correlated; see kernel/fit.h, judge.h."""
+
+    def __new__(
+        cls,
+        frame: NDArray[np.void],
+        correlate: Transform,
+        spread: Transform,
+        flips: NDArray[np.float32],
+        places: NDArray[np.int32],
+        span: int,
+        /,
+    ) -> Code:
+        """flips: (k·N) of the scrambler, or none. places: (k·N) of coded chips among `span`."""
+
+    def refine(
+        self,
+        volts: NDArray[np.float64],
+        sums: NDArray[np.float64],
+        blur: float,
+        settled_chips: float,
+        reaches: NDArray[np.float64],
+        start: float,
+        chip: float,
+        earliest: float,
+        latest: float,
+        scratch: NDArray[np.float32],
+        /,
+    ) -> tuple[float, float]:
+        """Start and chip duration as numpy_refine in framing/fit.py finds them.
+
+        sums: (m + 1,) of the first 0 to m volts. scratch: of any size, if that is enough.
+        """
+
+    def weigh(
+        self,
+        limits: NDArray[np.void],
+        volts: NDArray[np.float64],
+        sums: NDArray[np.float64],
+        start: NDArray[np.float64],
+        chip: NDArray[np.float64],
+        begin: float,
+        end: float,
+        noise: float,
+        distortion: float,
+        variance: float,
+        rows: NDArray[np.float32],
+        amplitude: NDArray[np.float32],
+        uneven: NDArray[np.float32],
+        pedestal: NDArray[np.float32],
+        power: NDArray[np.float32],
+        spread: NDArray[np.float32],
+        misfit: NDArray[np.float32],
+        cost: NDArray[np.float64],
+        scratch: NDArray[np.float32],
+        /,
+    ) -> tuple[float, float, int]:
+        """As numpy_weigh in framing/judge.py, into the arrays from rows on.
+
+        distortion, variance: by which to vote; 0 for what the line gives. Returns these, and the
+        chips of the longest view.
+        """
+
+def find_gap(
+    search: NDArray[np.void],
+    volts: NDArray[np.float64],
+    level: float,
+    variance: float,
+    scratch: NDArray[np.float64],
+    /,
+) -> tuple[float, float, int] | None:
+    """The fields of a Gap, as numpy_find_gap in framing/burst.py finds it."""
+
+def find_burst(
+    search: NDArray[np.void],
+    volts: NDArray[np.float64],
+    least_power: float,
+    variance: float,
+    scratch: NDArray[np.float64],
+    /,
+) -> tuple[float, float, float, float, float, float] | None:
+    """The fields of a Burst, as numpy_find_burst finds it."""
+
+def look_beside(
+    search: NDArray[np.void],
+    volts: NDArray[np.float64],
+    first: int,
+    end: int,
+    variance: float,
+    power: float,
+    scratch: NDArray[np.float64],
+    /,
+) -> tuple[float, float, bool]:
+    """The fields of Beside, as numpy_look_beside finds them."""

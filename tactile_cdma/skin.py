@@ -86,17 +86,20 @@ class Skin:
     ...         break
     (16,)
 
-    port: a device path, `usb://SERIAL`, `replay://FILE`, `sim://` or any other pyserial URL.
-    parameters: by the names, units and limits of docs/parameters.md, as nodes=64 or chip_us=50.0.
-    timeout_s: PortError is raised, with the likely cause, after this time without a frame, and
-    after two frame periods at least; None: wait forever. A port that is lost is meanwhile reopened
+    Frames wait for the program for up to BUFFER_S; then the oldest is dropped. Frames of a
+    recording are never dropped: its replay waits for the program. A port that is lost is reopened
     automatically.
 
-    Frames wait for the program for up to BUFFER_S; then the oldest is dropped (`dropped`). Frames
-    of a recording are never dropped: its replay waits for the program.
+    port: a device path, `usb://SERIAL`, `replay://FILE`, `sim://` or another pyserial URL.
+    timeout_s: after this time without a frame, and two frame periods at least, read() raises
+        PortError with the likely cause; None: it waits for ever.
+    parameters: by the names, units and limits of docs/parameters.md, as nodes=64, chip_us=50.0.
+    config: SkinConfig, what these parameters say.
 
-    Raises ParameterError, SpecError or CalibrationError for wrong parameters or files, PortError
-    from open() for a port that cannot be opened.
+    ParameterError: raised for an unknown parameter, or a value of another type or out of range.
+    SpecError: raised for parameters, or a layout file, that contradict each other.
+    CalibrationError: raised for a calibration file that cannot be used.
+    PortError: raised by open() for a port that cannot be opened.
     """
 
     def __init__(
@@ -331,9 +334,11 @@ class Decoder:
     >>> decoder.feed(b"noise on the wire", t_host=0.0)
     []
 
-    parameters: as those of Skin; port and baud have no effect. Any split of the bytes gives the
-    same frames; line noise raises nothing. Raises ParameterError, SpecError or CalibrationError for
-    wrong parameters or files.
+    Any split of the bytes gives the same frames; line noise raises nothing.
+
+    parameters: as those of Skin; port and baud have no effect.
+
+    Raises ParameterError, SpecError and CalibrationError as Skin does.
     """
 
     def __init__(self, **parameters: Setting) -> None:

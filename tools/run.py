@@ -117,7 +117,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         seconds = math.nan
     if not 0 <= seconds < math.inf:
-        raise argparse.ArgumentTypeError(f"SECONDS={text} is no number of seconds")
+        raise argparse.ArgumentTypeError(f"SECONDS={text} is not a number of seconds")
     return seconds
 
 

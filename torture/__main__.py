@@ -28,8 +28,7 @@ CAMPAIGNS = {  # name: time limit, s, quick and full; the longest campaign first
     "connection": (45, 900),
     "line": (45, 900),
     "signals": (45, 900),
-    "hostile": (45, 900),
-    "commands": (45, 900),
+    "fuzz": (45, 900),
     "hosts": (90, 900),
 }
 WIDTH = 58

@@ -48,8 +48,8 @@ SETTLED = 0.01
 ADC_HZ = 500e3
 """Samples per second at most of the usual digitizer: an RP2040's converter."""
 LEAST_SAMPLES = 4
-"""Samples of a chip at least, where it is long enough: a digitizer that sends one mean per chip
-takes several for it. Of a shorter one it takes a single one, late: firmware/core/setup.h."""
+"""Fewest samples of a chip that is long enough for them: the digitizer sends their mean. Of a
+shorter chip it takes a single sample, late (firmware/core/setup.h)."""
 LATE_SAMPLE = 7 / 8
 """Place in a chip of its only sample."""
 LOOP_GAIN = 10.0

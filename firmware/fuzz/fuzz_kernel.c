@@ -5,7 +5,7 @@
  * follows a stream has a harness of its own, fuzz_stream.c. */
 #include "contacts.h"
 #include "reference.h"
-#include "readings.h"
+#include "readout.h"
 #include "samples.h"
 #include "scanner.h"
 #include "transform.h"
@@ -193,124 +193,39 @@ static float level_of(uint8_t byte)
     return byte == 128 ? NAN : byte == 127 ? INFINITY : (float)(int8_t)byte * 0.01f;
 }
 
-/* Words of any levels; each node's by itself, so that no other one's can leak into it. */
-static void read_words(struct input *input)
+/* Words of candidates, and those that are late, of any levels. */
+static void fit_words(struct input *input)
 {
     size_t bits = 1 + input_u8(input) % 17, nodes = 1 + input_u16(input) % 300;
     size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
-    bool parity = input_u8(input) % 2 && bits > 1, unipolar = input_u8(input) % 2;
-    float swing = level_of(input_u8(input)), noise = (float)input_u8(input) * 0.1f;
-    float *rows = malloc(bits * order * sizeof *rows), *floats = malloc(10 * nodes * sizeof *floats);
-    int32_t *ints = malloc(4 * nodes * sizeof *ints);
-    uint8_t *flags = malloc(5 * nodes);
+    bool unipolar = input_u8(input) % 2;
+    float swing = level_of(input_u8(input));
+    float *rows = malloc(bits * order * sizeof *rows), *floats = malloc(2 * nodes * sizeof *floats);
+    float *meant = malloc(order * sizeof *meant), *edges = malloc(4 * order * sizeof *edges);
+    uint8_t *late = malloc(nodes);
     float pedestal, power, spread, misfit;
+    const struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f, 2.2};
+    const struct words_lateness lateness = {0.35f, 0.3f, 4};
 
     for (size_t i = 0; i < bits * order; i++)
         rows[i] = level_of(input_u8(input));
-    struct words_measures all = {floats, floats + nodes, floats + 2 * nodes, floats + 3 * nodes,
-                                 ints, ints + nodes};
-    words_measure(rows + first, (ptrdiff_t)order, bits, nodes, &all);
-    for (size_t i = 0; i < nodes; i += 1 + nodes / 16) {
-        float one[4];
-        int32_t signs, weakest_bit, expected_signs = 0;
-        struct words_measures alone = {one, one + 1, one + 2, one + 3, &signs, &weakest_bit};
-        words_measure(rows + first + i, (ptrdiff_t)order, bits, 1, &alone);
-        for (size_t bit = 0; bit < bits; bit++)
-            expected_signs = expected_signs << 1 | (rows[bit * order + first + i] > 0);
-        MUST(signs == expected_signs && all.signs[i] == signs, WRONG_VALUE);
-        MUST(weakest_bit == all.weakest_bit[i] && (size_t)weakest_bit < bits, WRONG_VALUE);
-        MUST(isnan(one[0]) ? isnan(floats[i]) : one[0] == floats[i], WRONG_VALUE);
-    }
-    float *expected = floats + 4 * nodes, *amplitude = floats + 5 * nodes;
-    for (size_t i = 0; i < nodes; i++) {
-        expected[i] = swing;
-        ints[2 * nodes + i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
-    }
-    bool faint = words_find_active(nodes, all.amplitude, expected, 0.5f, 0.25f, 0.8f, flags,
-                                   flags + nodes);
-    MUST(faint == (memchr(flags + nodes, 1, nodes) != NULL), WRONG_VALUE);
-    struct words_limits limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f};
-    struct words_decided decided = {ints + 3 * nodes,  floats + 6 * nodes, floats + 7 * nodes,
-                                    flags + 2 * nodes, flags + 3 * nodes,  flags + 4 * nodes};
-    words_decide(nodes, &all, flags, expected, ints + 2 * nodes, 1 / (noise + 1e-6f), (unsigned)bits,
-                 parity, (float)bits + 0.04f, &limits, &decided);
-    for (size_t i = 0; i < nodes; i++) {
-        MUST(flags[i] <= 1 && decided.doubtful[i] <= flags[i], WRONG_VALUE);
-        MUST((uint32_t)decided.codes[i] >> (bits - parity) == 0, WRONG_VALUE);
-    }
-    struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f, 2.2};
-    words_fit(&frame, rows, amplitude, floats + 8 * nodes, &pedestal, &power, &spread, &misfit);
+    words_fit(&frame, rows, floats, floats + nodes, &pedestal, &power, &spread, &misfit);
     for (size_t i = 0; i < nodes; i++)
-        MUST(!(amplitude[i] < 0), WRONG_VALUE);
+        MUST(!(floats[i] < 0), WRONG_VALUE);
+    for (size_t i = 0; i < order; i++)
+        meant[i] = i % 3 ? swing : 0;
+    for (size_t i = 0; i < 4 * order; i++)
+        edges[i] = i % 5 ? 1 : -1;
     if (bits > 1 && order > 4) {
-        struct words_lateness lateness = {0.35f, 0.3f, 4};
-        float *meant = malloc(order * sizeof *meant), *edges = malloc(4 * order * sizeof *edges);
-        for (size_t i = 0; i < order; i++)
-            meant[i] = i % 3 ? swing : 0;
-        for (size_t i = 0; i < 4 * order; i++)
-            edges[i] = i % 5 ? 1 : -1;
-        words_late(&frame, rows, meant, edges, &lateness, flags);
+        words_late(&frame, rows, meant, edges, &lateness, late);
         for (size_t i = 0; i < nodes; i++)
-            MUST(flags[i] <= (meant[first + i] > 0), WRONG_VALUE);
-        free(meant);
-        free(edges);
+            MUST(late[i] <= (meant[first + i] > 0), WRONG_VALUE);
     }
     free(rows);
     free(floats);
-    free(ints);
-    free(flags);
-}
-
-/* The same at once: plain words are those of the stages, none of them faint. */
-static void read_at_once(struct input *input)
-{
-    size_t bits = 1 + input_u8(input) % 17, nodes = 1 + input_u16(input) % 300;
-    size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
-    float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
-    uint8_t silent = input_u8(input);
-    float *rows = malloc(bits * order * sizeof *rows), *floats = malloc(7 * nodes * sizeof *floats);
-    int32_t *ints = malloc(4 * nodes * sizeof *ints);
-    uint8_t *flags = malloc(5 * nodes);
-    struct words_frame frame = {
-        .bits = bits, .order = order, .first = first, .nodes = nodes, .loudest_share = 0.25f};
-    struct words_reading reading = {.threshold = 0.5f,
-                                    .faint_share = 0.25f,
-                                    .sound_share = 0.8f,
-                                    .most_square = (float)bits + 0.04f,
-                                    .a_chip = 1,
-                                    .few = 3,
-                                    .few_share = 0.5f,
-                                    .parity = bits > 1 && silent % 3 == 0,
-                                    .limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f}};
-
-    for (size_t i = 0; i < bits * order; i++) {
-        uint8_t byte = input_u8(input);
-        float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
-        rows[i] = i % order % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
-    }
-    float *expected = floats + 6 * nodes;
-    for (size_t i = 0; i < nodes; i++) {
-        expected[i] = swing;
-        ints[3 * nodes + i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
-    }
-    struct words_measures all = {floats,             floats + 3 * nodes, floats + 4 * nodes,
-                                 floats + 5 * nodes, ints + nodes,       ints + 2 * nodes};
-    struct words_decided decided = {ints,          floats + nodes,    floats + 2 * nodes,
-                                    flags + nodes, flags + 2 * nodes, flags + 3 * nodes};
-    enum words_look look = words_read(&frame, &reading, 100, silent % 2 ? NAN : 0.01f, rows,
-                                      ints + 3 * nodes, expected, &all, &decided, flags,
-                                      flags + 4 * nodes);
-    for (size_t i = 0; look != WORDS_NEED_STAGES && i < nodes; i++) {
-        MUST(!flags[4 * nodes + i], WRONG_VALUE);
-        MUST(flags[i] == (floats[i] > 0.5f * expected[i]), WRONG_VALUE);
-        MUST(decided.doubtful[i] <= flags[i] && decided.doubled[i] <= decided.doubtful[i], WRONG_VALUE);
-        MUST((uint32_t)decided.codes[i] >> (bits - reading.parity) == 0, WRONG_VALUE);
-        MUST(flags[i] || !decided.codes[i], WRONG_VALUE);
-    }
-    free(rows);
-    free(floats);
-    free(ints);
-    free(flags);
+    free(meant);
+    free(edges);
+    free(late);
 }
 
 /* Samples of any level, and edges of any kind. */
@@ -415,69 +330,176 @@ static void gather(size_t taxels, size_t width, size_t frames, const float *pres
     free(peaks_pa);
 }
 
-/* Readings of any words: only those that are valid are numbers, and nodes out of service say so. */
-static void read_taxels(struct input *input)
+/* A word of a frame as it was read, from its levels, one by one. */
+static void check_word(const struct readout_settings *settings, const struct readout_skin *skin,
+                       const struct readout_frame *found, const float *rows, size_t i)
 {
-    enum { CODES = 16, PIECES = 2 };
-    size_t nodes = 1 + input_u16(input) % 300;
-    uint8_t *flags = malloc(14 * nodes);
-    int32_t *ints = malloc(3 * nodes * sizeof *ints);
-    float *floats = malloc((14 + 3 * PIECES) * nodes * sizeof *floats), table[CODES];
-    double *heard_s = malloc(nodes * sizeof *heard_s), now_s = input_u8(input);
-    const struct readings_bits bits = {1, 4, 8, 2, 16, 32};
-    const struct readings_limits limits = {0.1f, 8, 0.4f, 5, 32};
+    const struct words_frame *frame = &settings->frame;
+    uint32_t word = 0;
+    double sum = 0;
 
-    for (size_t i = 0; i < CODES; i++)
-        table[i] = level_of(input_u8(input));
-    for (size_t i = 0; i < nodes; i++) {
-        uint8_t some = input_u8(input), more = input_u8(input);
-        for (size_t f = 0; f < 8; f++)
-            flags[f * nodes + i] = some >> f & 1;
-        flags[8 * nodes + i] = more & 1;
-        flags[9 * nodes + i] = flags[10 * nodes + i] = 0;
-        ints[i] = more & 15;
-        ints[nodes + i] = more == 255 ? -1 : more >> 4;
-        ints[2 * nodes + i] = some & 3;
-        heard_s[i] = some ? (double)some : -(double)INFINITY;
-        for (size_t f = 0; f < 6 + 3 * PIECES; f++)
-            floats[f * nodes + i] = level_of(input_u8(input));
-        for (size_t f = 6 + 3 * PIECES; f < 14 + 3 * PIECES; f++)
-            floats[f * nodes + i] = 0;
+    for (size_t bit = 0; bit < frame->bits; bit++) {
+        float level = rows[bit * frame->order + frame->first + i];
+        word = word << 1 | (level > 0);
+        sum += fabs((double)level);
     }
-    uint8_t *active = flags, *doubtful = flags + nodes, *untrusted = flags + 2 * nodes;
-    uint8_t *masked = flags + 3 * nodes, *uncalibrated = flags + 4 * nodes, *kept_flags = flags + 9 * nodes;
-    uint8_t *status = flags + 11 * nodes, *valid = flags + 12 * nodes, *beyond = flags + 13 * nodes;
-    float *pieces = floats + 6 * nodes, *out = pieces + 3 * PIECES * nodes;
-    struct readings_kept kept = {ints + nodes, kept_flags, heard_s};
-    struct readings_heard heard = {out, out + nodes, status, valid};
-    double until_s = readings_hear(nodes, active, doubtful, ints, &kept, table, CODES,
-                                   flags + 10 * nodes, untrusted, floats, now_s, 5, &bits, &heard);
-    if (!isnan(until_s)) {
-        MUST(until_s >= now_s, WRONG_VALUE);
-        readings_convert(nodes, heard.raised_v, floats + nodes, pieces, PIECES, floats + 2 * nodes,
-                         out + 2 * nodes, beyond);
-        readings_finish(nodes, beyond, valid, uncalibrated, masked, &bits, status, out + 2 * nodes, out);
+    word ^= (uint32_t)skin->sign_mask[i];
+    double mean = sum / (double)frame->bits;
+    MUST(!(fabs((double)found->amplitude[i] - mean) > 1e-5 * mean), WRONG_VALUE);
+    MUST(found->active[i] == (found->amplitude[i] > settings->reading.threshold * skin->expected[i]),
+         WRONG_VALUE);
+    MUST(found->doubtful[i] <= found->active[i] && found->doubled[i] <= found->doubtful[i], WRONG_VALUE);
+    MUST(found->odd[i] <= found->doubtful[i], WRONG_VALUE);
+    if (!found->active[i])
+        MUST(!found->codes[i], WRONG_VALUE);
+    else if (!found->odd[i])
+        MUST((uint32_t)found->codes[i] == word >> settings->reading.parity, WRONG_VALUE);
+    else
+        MUST((uint32_t)found->codes[i] < settings->codes, WRONG_VALUE);
+}
+
+/* Frames of any levels: plain words are those of the levels, readings those of the words, and an odd
+ * frame changes nothing. */
+static void read_frames(struct input *input)
+{
+    enum { FRAMES = 3, PIECES = 2 };
+    size_t bits = 2 + input_u8(input) % 6, nodes = 1 + input_u16(input) % 300;
+    size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
+    uint8_t options = input_u8(input), silent = input_u8(input);
+    bool parity = options & 1, moved = options & 2, learnt = options & 4;
+    size_t codes = (size_t)1 << (bits - parity), taxels = moved ? nodes + 3 : nodes;
+    float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
+    float *rows = malloc(bits * order * sizeof *rows), *edges = malloc(4 * order * sizeof *edges);
+    float *floats = calloc((15 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
+    int32_t *ints = calloc(3 * nodes + taxels, sizeof *ints);
+    uint8_t *flags = calloc(10 * nodes + taxels, 1);
+    double *heard_s = malloc(nodes * sizeof *heard_s);
+    float *pieces = floats + 15 * nodes, *of_taxels = pieces + 3 * PIECES * nodes;
+    float *table = of_taxels + 2 * taxels;
+    const struct readout_settings settings = {
+        .frame = {bits, order, first, nodes, false, swing, 0.25f, 0.5f, 2.2},
+        .reading = {.threshold = 0.5f,
+                    .faint_share = 0.25f,
+                    .sound_share = 0.8f,
+                    .most_square = (float)bits + 0.04f,
+                    .a_chip = order > 4 ? 1 : INFINITY,
+                    .few_share = 0.5f,
+                    .few = 3,
+                    .parity = parity,
+                    .limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f}},
+        .lateness = {0.35f, 0.3f, 4},
+        .bits = {1, 4, 8, 2, 16, 32},
+        .weak_v = 0.1f,
+        .weak_rho = 8,
+        .spare = first + nodes,
+        .spare_count = order - first - nodes,
+        .codes = codes,
+        .pieces = PIECES,
+        .taxels = taxels};
+    const struct readout_skin skin = {ints,
+                                      floats,
+                                      edges,
+                                      table,
+                                      flags,
+                                      flags + nodes,
+                                      flags + 2 * nodes,
+                                      flags + 3 * nodes,
+                                      floats + nodes,
+                                      pieces,
+                                      floats + 2 * nodes,
+                                      moved ? ints + 3 * nodes : NULL,
+                                      ints + nodes,
+                                      flags + 4 * nodes,
+                                      heard_s,
+                                      floats + 3 * nodes};
+    const struct readout_frame found = {flags + 5 * nodes,
+                                        flags + 6 * nodes,
+                                        flags + 7 * nodes,
+                                        flags + 8 * nodes,
+                                        ints + 2 * nodes,
+                                        floats + 8 * nodes,
+                                        floats + 9 * nodes,
+                                        floats + 10 * nodes,
+                                        of_taxels,
+                                        of_taxels + taxels,
+                                        flags + 10 * nodes,
+                                        floats + 11 * nodes,
+                                        floats + 12 * nodes,
+                                        flags + 9 * nodes};
+    float *drift_v = floats + 13 * nodes, *tare_pa = floats + 14 * nodes;
+
+    for (size_t i = 0; i < codes; i++)
+        table[i] = level_of(input_u8(input));
+    for (size_t i = 0; i < 4 * order; i++)
+        edges[i] = i % 5 ? 1 : -1;
+    for (size_t i = 0; i < nodes; i++) {
+        uint8_t some = input_u8(input);
+        floats[i] = swing;
+        ints[i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
+        heard_s[i] = some & 128 ? -(double)INFINITY : 0;
+        flags[i] = some & 64;
+        for (size_t f = 1; f < 4; f++)
+            flags[f * nodes + i] = some >> f & 1;
+        floats[nodes + i] = (float)some * 0.01f;
+        drift_v[i] = level_of(some);
+        for (size_t f = 0; f < 3 * PIECES; f++)
+            pieces[f * nodes + i] = (float)(some >> f & 7);
+    }
+    for (size_t i = 0; i < taxels; i++)
+        ints[3 * nodes + i] = (int32_t)(i * 7 % (nodes + 1)) - 1;
+    struct readout *readout = readout_new(&settings, &skin);
+    for (double now_s = 1; now_s <= FRAMES; now_s++) {
+        for (size_t i = 0; i < bits * order; i++) {
+            uint8_t byte = input_u8(input);
+            float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
+            rows[i] = i % order % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
+        }
+        double stale_from_s = -1;
+        float words = *skin.sums;
+        enum readout_look look =
+            readout_read(readout, rows, 100, learnt ? 0.01f : NAN, options & 8, now_s, 1.5, drift_v,
+                         tare_pa, &found, &stale_from_s);
+        if (look <= READOUT_LEFT) {
+            MUST(*skin.sums == words && stale_from_s == -1, WRONG_VALUE);
+            continue;
+        }
+        MUST(stale_from_s >= now_s, WRONG_VALUE);
         for (size_t i = 0; i < nodes; i++) {
-            MUST(valid[i] <= !untrusted[i], WRONG_VALUE);
-            MUST(valid[i] || (isnan(out[i]) && isnan(out[2 * nodes + i])), WRONG_VALUE);
-            MUST(masked[i] ? status[i] == bits.masked : !(status[i] & bits.masked), WRONG_VALUE);
-            MUST(!active[i] || masked[i] || !(status[i] & (bits.silent | bits.stale)), WRONG_VALUE);
+            check_word(&settings, &skin, &found, rows, i);
+            MUST(!found.active[i] || (skin.kept_codes[i] == found.codes[i] && heard_s[i] == now_s),
+                 WRONG_VALUE);
+            MUST(found.valid[i] <= !(skin.masked[i] | skin.invalid[i]), WRONG_VALUE);
+        }
+        for (size_t i = 0; i < taxels; i++) {
+            int32_t node = moved ? ints[3 * nodes + i] : (int32_t)i;
+            bool valid = node >= 0 && found.valid[node], masked = node < 0 || skin.masked[node];
+            MUST(valid || (isnan(of_taxels[i]) && isnan(of_taxels[taxels + i])), WRONG_VALUE);
+            MUST(masked ? found.status[i] == 32 : !(found.status[i] & 32), WRONG_VALUE);
         }
     }
-    struct readings_seen seen = {out + 3 * nodes, out + 4 * nodes, out + 5 * nodes,
-                                 out + 6 * nodes, out + 7 * nodes, ints + 2 * nodes};
-    bool any = readings_count(nodes, active, floats + 3 * nodes, floats + 4 * nodes,
-                              floats + 5 * nodes, doubtful, flags + 5 * nodes, flags + 6 * nodes,
-                              flags + 7 * nodes, &limits, &seen);
-    for (size_t i = 0; i < nodes; i++) {
-        MUST(seen.suspected[i] >= 0 && (any || !seen.suspected[i]), WRONG_VALUE);
-        MUST(seen.words[i] >= (float)active[i] && seen.words[i] <= 1, WRONG_VALUE);
-    }
-    gather(nodes, 1 + nodes % 17, 6, floats, flags);
-    free(flags);
-    free(ints);
+    readout_free(readout);
+    free(rows);
+    free(edges);
     free(floats);
+    free(ints);
+    free(flags);
     free(heard_s);
+}
+
+/* Contacts of any pressures. */
+static void touch(struct input *input)
+{
+    size_t taxels = 1 + input_u16(input) % 300;
+    float *pressures_pa = malloc(6 * taxels * sizeof *pressures_pa);
+    uint8_t *status = malloc(taxels);
+
+    for (size_t i = 0; i < 6 * taxels; i++)
+        pressures_pa[i] = level_of(input_u8(input));
+    for (size_t i = 0; i < taxels; i++)
+        status[i] = input_u8(input) % 16;
+    gather(taxels, 1 + taxels % 17, 6, pressures_pa, status);
+    free(pressures_pa);
+    free(status);
 }
 
 /* The input's first byte selects the test. */
@@ -497,16 +519,16 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         transform(&input);
         break;
     case 3:
-        read_words(&input);
+        fit_words(&input);
         break;
     case 4:
-        read_at_once(&input);
+        read_frames(&input);
         break;
     case 5:
         add_samples(&input);
         break;
     case 6:
-        read_taxels(&input);
+        touch(&input);
         break;
     }
     return 0;

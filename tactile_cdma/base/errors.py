@@ -3,19 +3,19 @@
 """The exceptions that misuse raises. Line noise is never an exception: it is counted.
 
 TactileError
-├── SpecError         a parameter, or a combination of parameters, that cannot work
-│   ├── LayoutError   a layout file that is not one, or that cannot be this skin's
-│   └── BodyError     a body file that is not one, or that contradicts itself
-├── ParameterError    an unknown parameter name, a wrong type or a value out of range
-├── PortError         the port cannot be opened, was lost, or carries no packets
-│   └── RecordingEndError  the end of a recording that is replayed; there is nothing to retry
-├── ProtocolError     the digitizer speaks another protocol version or refuses a command
-├── CaptureError      a capture or recording that is empty, truncated or of another format
-├── CalibrationError  a calibration file, or loads to calibrate from, that cannot be used
-├── NodeMemoryError   a node's memory that is blank, damaged or not for this firmware
-├── MissingPackageError  an optional package that a command needs is not installed
-├── RestError         a tare that cannot be taken now; an unusable file of tare and drift
-└── TransformError    tf frames that are not connected, or that form a cycle
+├── SpecError
+│   ├── LayoutError
+│   └── BodyError
+├── ParameterError
+├── PortError
+│   └── RecordingEndError
+├── ProtocolError
+├── CaptureError
+├── CalibrationError
+├── NodeMemoryError
+├── MissingPackageError
+├── RestError
+└── TransformError
 """
 
 from .plain_text import plain
@@ -25,6 +25,7 @@ class TactileError(Exception):
     """Base of all errors of this package; its text is meant for the person at the bench.
 
     The text may quote untrusted files and devices: control characters are shown escaped.
+    Example: `except TactileError as error: print(error)` around a whole program.
     """
 
     def __str__(self) -> str:
@@ -32,55 +33,94 @@ class TactileError(Exception):
 
 
 class SpecError(TactileError, ValueError):
-    """A parameter, or a combination of parameters, that cannot work."""
+    """A parameter, or a combination of parameters, that cannot work.
+
+    Example: nodes=64 with the default frame_period_ms, into which their frames do not fit.
+    """
 
 
 class LayoutError(SpecError):
-    """A layout file that is not one, or that contradicts itself or the skin's parameters."""
+    """A layout file that is not one, or that contradicts itself or the skin's parameters.
+
+    Example: two taxels of the file have node 7.
+    """
 
 
 class BodyError(SpecError):
-    """A body file that is not one, or that contradicts itself."""
+    """A body file that is not one, or that contradicts itself.
+
+    Example: two of its patches have the same port.
+    """
 
 
 class ParameterError(TactileError, ValueError):
-    """An unknown parameter name, a value of the wrong type, or a value out of range."""
+    """An unknown parameter name, a value of the wrong type, or a value out of range.
+
+    Example: Skin("sim://", nodez=16), or bits=99.
+    """
 
 
 class PortError(TactileError, OSError):
-    """The port cannot be opened, was lost, or carries something other than packets."""
+    """The port cannot be opened, was lost, or carries something other than packets.
+
+    Example: /dev/ttyACM0 is held by another program, or its cable is pulled.
+    """
 
 
 class RecordingEndError(PortError):
-    """The end of a recording that is replayed: opening the port again would not help."""
+    """The end of a recording that is replayed: opening the port again would not help.
+
+    Example: read() after the last frame of replay://touch.skin.
+    """
 
 
 class ProtocolError(TactileError):
-    """The digitizer speaks another protocol version, or refuses what was asked of it."""
+    """The digitizer speaks another protocol version, or refuses what was asked of it.
+
+    Example: its firmware is of an older protocol than this package.
+    """
 
 
 class CaptureError(TactileError):
-    """A capture or recording that is empty, truncated or of another format."""
+    """A capture or recording that is empty, truncated or of another format.
+
+    Example: the time in an oscilloscope's CSV does not rise.
+    """
 
 
 class CalibrationError(TactileError, ValueError):
-    """A calibration file, or recorded loads to calibrate from, that cannot be used."""
+    """A calibration file, or recorded loads to calibrate from, that cannot be used.
+
+    Example: calibration_file is that of another skin.
+    """
 
 
 class NodeMemoryError(TactileError, ValueError):
-    """A node's memory that is blank, damaged or not for this firmware."""
+    """A node's memory that is blank, damaged or not for this firmware.
+
+    Example: `tactile-cdma node --read` of a chip that was never programmed.
+    """
 
 
 class MissingPackageError(TactileError, ImportError):
-    """An optional package that a command needs is not installed."""
+    """An optional package that a command needs is not installed.
+
+    Example: `tactile-cdma export` to Parquet without pyarrow.
+    """
 
 
 class RestError(TactileError):
-    """A tare that cannot be taken now, or a file of tare and drift that cannot be used."""
+    """A tare that cannot be taken now, or a file of tare and drift that cannot be used.
+
+    Example: tare() while something touches the skin.
+    """
 
 
 class TransformError(TactileError, LookupError):
-    """Coordinate frames that are not connected, or that form a cycle."""
+    """Coordinate frames that are not connected, or that form a cycle.
+
+    Example: nobody publishes the transform from a patch to the frame of the body.
+    """
 
 
 def check_limits(name: str, value: float, low: float, high: float, cause: str = "") -> None:

@@ -11,15 +11,17 @@ from __future__ import annotations
 import os
 from importlib import import_module
 from types import ModuleType
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from .errors import ParameterError
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 10
+VERSION = 12
 """Of the functions that this package expects in the kernel."""
 
 
@@ -57,6 +59,8 @@ def settings(struct: str, **fields: float) -> NDArray[np.void]:
     For functions of the kernel that take SETTINGS(struct). Raises TypeError unless exactly its
     members are given.
     """
+    import numpy as np  # here: the doctor asks for the kernel where numpy is missing
+
     assert compiled is not None
     size, members = compiled.STRUCTS[struct]
     names, offsets, formats = zip(*members, strict=True)

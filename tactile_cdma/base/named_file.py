@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import stat
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ from typing import BinaryIO
 from .errors import ParameterError, TactileError
 from .shipped import shipped
 from .suggest import closest
+
+_log = logging.getLogger(__name__)
 
 
 def existing(path: Path, kind: str = "parameter file") -> Path:
@@ -38,6 +41,7 @@ def open_named(path: Path) -> BinaryIO:
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "not a file")
+    _log.debug("reading %s", path)
     return path.open("rb")
 
 

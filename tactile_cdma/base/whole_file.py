@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import secrets
 import shutil
@@ -13,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+_log = logging.getLogger(__name__)
 
 
 def replace_file(path: Path, text: str) -> None:
@@ -43,6 +46,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())  # or the new name may be an empty file after a power cut
         os.replace(unfinished, path)
+        _log.debug("wrote %s", path)
     except BaseException:
         with suppress(OSError):
             unfinished.unlink()
@@ -70,4 +74,5 @@ def whole_folder(path: Path) -> Iterator[Path]:
         if replaced.exists() and not path.exists():
             os.rename(replaced, path)
         raise
+    _log.debug("wrote the folder %s", path)
     shutil.rmtree(replaced, ignore_errors=True)

@@ -31,11 +31,11 @@ LEAST_POINTS = 200
 LEAST_LOAD_PA = 5e3
 """Largest load, Pa; chosen: well above SCALE_PA, where the model is no longer linear."""
 LEAST_REMOVED = 0.1
-"""Share of the error that must go; chosen above the few per cent that a fit to noise removes."""
+"""Share of the error that must be removed; chosen: a fit to noise removes a few per cent."""
 MOST_LEFT = 0.2
-"""Error that may be left, as a share of the largest load; chosen: more is no use to anybody."""
+"""Largest remaining error, as a share of the largest load; chosen: more is of no use."""
 SCALE_PA = 2e3
-"""Where the logarithmic axis turns linear, Pa: the default of `Dynamics.scale_pa`."""
+"""Pressure at which the logarithmic axis turns linear, Pa: the default of `Dynamics.scale_pa`."""
 _LEAST_S, _MOST_S = (2e-3, 2e-3), (3.0, 1.0)
 """Limits of the time constants of rising and falling pressures, s; chosen: from a fraction of a
 frame to several times what the paper's sensor has (docs/sensor.md)."""

@@ -26,15 +26,15 @@ from .plateaus import LEAST_FRAMES, steady_voltage
 PATIENCE_S = 5.0
 """Wait for a frame before a step is given up, s; chosen: ports open in one or two."""
 MOVED = 2.0
-"""Change by which a node has moved, LSB: a code that flickers between two changes by one."""
+"""A node has moved if its reading changes by more, LSB: a flickering code changes by one."""
 
 
 @dataclass(frozen=True)
 class LoadSession:
     """The dialogue on the terminal: every load that is accepted is in the file at once.
 
-    frames: what the driver puts there. nodes: numbers of those that are loaded. seconds: for which
-    each load is measured.
+    frames: filled by the driver. nodes: numbers of the nodes that are loaded.
+    seconds: how long each load is measured.
     """
 
     driver: Driver
@@ -107,7 +107,7 @@ class LoadSession:
             with suppress(ValueError):
                 if 0 <= (value := float(answer.replace(",", "."))) < np.inf:
                     return value
-            print(f"{answer!r} is no pressure in kPa", flush=True)
+            print(f"{answer!r} is not a pressure in kPa", flush=True)
 
     def _collect(self, seconds: float) -> Floats32:
         """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.

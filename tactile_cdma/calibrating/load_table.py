@@ -27,11 +27,11 @@ UNITS: dict[str, dict[str, float]] = {
     "voltage": {"_v": 1.0, "_mv": 1e-3},
     "force": {"_n": 1.0},
 }
-"""By quantity, how a heading goes on, and the SI units that one of these is."""
+"""Endings of a quantity's headings, each with the number of SI units in one of its units."""
 _SHOWN = 40
 """Characters of a cell that messages quote."""
 _AROUND = '" \t'
-"""What may stand around a cell: spreadsheets like quotes."""
+"""Characters stripped from a cell's ends: spreadsheets like quotes."""
 _EMPTY = _AROUND + ",;"
 
 

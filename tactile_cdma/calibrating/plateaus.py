@@ -23,19 +23,19 @@ LEAST_FRAMES = 5
 LEAST_PLATEAUS = 3
 """Loads; fewer are no curve (LEAST_LEVELS of curve_fit)."""
 MATCH = 0.85
-"""Correlation of reference and skin below which their clocks are not taken to be found; chosen."""
+"""Least correlation of reference and skin at which their clock offset counts as found; chosen."""
 RIVAL = 0.02
-"""Difference in score below which two offsets are equally likely; chosen."""
+"""Two offsets whose scores differ by less are equally likely; chosen."""
 APART_S = 1.0
-"""Offsets that differ by more are different ones, s; chosen: longer than a sensor's lag."""
+"""Two offsets count as different from this difference on, s; chosen: longer than a sensor's lag."""
 WHOLE = 0.7
-"""Share of all changes of load, in reference and capture, that makes it no part only; chosen."""
+"""An offset that overlaps less of all changes of load yields to a better match; chosen."""
 _RASTER_S = 0.01
 """Step of the offsets that are tried, s: about a frame."""
 _MOST_RASTER = 1 << 21
 """Steps of the longer recording: bounds memory; six hours have steps of _RASTER_S."""
 _LEAST_SHARE = 1e-3
-"""Of all that changes: where less overlaps there is nothing to compare; chosen."""
+"""Least share of all changes of load that must overlap to be compared at all; chosen."""
 _OVERLAP = 0.5
 """Share of the shorter recording that must lie within the other; chosen."""
 

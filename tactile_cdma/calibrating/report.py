@@ -21,7 +21,7 @@ from .picture import picture
 from .skin_fit import SkinFit
 
 WORST = 5
-"""Nodes that are named."""
+"""Most nodes that a warning names."""
 BENT = 0.3
 """Von Neumann's ratio, halved, below which a curve is too simple: 3 σ below the 1 of independent
 residuals of 20 points, where σ is 1/√20."""
@@ -32,7 +32,7 @@ UNSEEN = 0.01
 WRONG_UNIT = 5.0
 """Ratio of a skin's sensitivity to the default curve's; chosen: most units differ by 10 or more."""
 _MOST_REFUSALS, _DRAWN_NODES, _DRAWN_POINTS = 40, 64, 20_000
-"""That are shown; chosen: as many as one can tell apart."""
+"""Most refusals listed, nodes and points drawn; chosen: as many as one can tell apart."""
 
 
 @dataclass(frozen=True, eq=False)

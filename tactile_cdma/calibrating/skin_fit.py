@@ -21,13 +21,13 @@ from .load_points import LoadPoints, directions
 FIRST_LOAD = 0.25
 """Bound of the smallest load, as a share of the largest; chosen: the curve has to reach 0."""
 WIDEST_GAP = 0.5
-"""Between neighbouring loads, as a share of the largest; chosen: a knee could hide in more."""
+"""Widest gap between neighbouring loads, share of the largest; chosen: a knee hides in more."""
 LEAST_FALL = 8.0
-"""That a voltage must fall by, LSB; chosen: well above quantisation and a flickering code."""
+"""Least fall of a node's voltage, LSB; chosen: well above quantisation and a flickering code."""
 MOST_OUTLIERS = 0.2
-"""Share of a node's points; chosen: with more it is not clear which of them are right."""
+"""Largest share of outliers in a node's points; chosen: beyond it is not clear which are right."""
 MOST_NOISE = 0.1
-"""Noise from point to point as a share of a curve's fall; chosen. Hysteresis is no noise."""
+"""Largest noise from point to point, as a share of a curve's fall; chosen. Hysteresis is none."""
 POINTS_AT_ONCE = 50_000
 """Points fitted together; chosen: keeps the arrays within a cache or two."""
 

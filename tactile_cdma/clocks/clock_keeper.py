@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ from .decorrelate import Decorrelator
 from .node_clocks import NodeClocks, needs_decorrelation
 from .roll_call import RollCallListener
 from .sampling import Sampling
+
+_log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -68,6 +71,7 @@ class ClockKeeper:
 
     def begin(self) -> None:
         """Begin a roll call."""
+        _log.debug("a roll call begins")
         self.listener = RollCallListener(self._spec, self._sampling)
         self.report = replace(self.report, busy=True, problem=None)
 
@@ -100,6 +104,7 @@ class ClockKeeper:
 
     def give_up(self, problem: str) -> None:
         """Forget the clocks, for this reason."""
+        _log.debug("the nodes' clocks are forgotten: %s", problem)
         self.decorrelator = self._tracker = None
         self.report = ClockReport(problem=problem)
 
@@ -141,6 +146,7 @@ class ClockKeeper:
         unresolved = tuple((built.unresolved + 1).tolist()) if built else ()
         heard, spread = int(clocks.known.sum()), clocks.spread_chips(self._spec)
         self.report = ClockReport(heard, spread, decorrelated, unresolved, problem=problem)
+        _log.debug("the nodes' clocks: %s", self.report)
         return built
 
     def _submit(self, work: Callable[..., T], *arguments: object) -> Future[T]:

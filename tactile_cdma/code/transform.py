@@ -54,7 +54,7 @@ def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> F
     out: takes the result instead of a new array; contiguous, and no part of chips.
     Raises SpecError where chips or out do not fit the book.
     """
-    return _multiply(chips, book.order, _transform(book.plan), out)
+    return _multiply(chips, book.order, transform_of(book.plan), out)
 
 
 def spread(symbols: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
@@ -62,7 +62,7 @@ def spread(symbols: Floats32, book: CodeBook, out: Floats32 | None = None) -> Fl
 
     What correlate takes apart: correlate(spread(x)) == x. out and errors as there.
     """
-    return _multiply(symbols, book.order, _transform(book.plan, spreading=True), out)
+    return _multiply(symbols, book.order, transform_of(book.plan, spreading=True), out)
 
 
 class Transform(Protocol):
@@ -170,7 +170,7 @@ def is_compiled(book: CodeBook) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _transform(plan: tuple[int, ...], spreading: bool = False) -> Transform:
+def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
     """The product with a code book of this plan, scaled by 1/N unless spreading."""
     if is_compiled(CodeBook(plan)):
         return compiled_transform(plan, spreading)

@@ -201,7 +201,7 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
     if any(other is not None and path.resolve() == other.resolve() for other in others):
         raise CalibrationError(f"{path}: would overwrite another file of this very command")
     if path.exists() and not path.is_file():
-        raise CalibrationError(f"{path}: is no file that could be overwritten")
+        raise CalibrationError(f"{path}: not a regular file, so it is not overwritten")
     if path.exists() and not force:
         raise CalibrationError(f"{path}: exists already; --force overwrites it")
     if not path.parent.is_dir():

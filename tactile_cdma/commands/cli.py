@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import logging
 import os
 import signal
 import sys
@@ -17,7 +18,6 @@ from ..base.errors import TactileError
 from ..doctor import command as doctor
 from . import (
     calibrate,
-    completion,
     decode,
     export,
     info,
@@ -39,7 +39,6 @@ SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "doctor": (doctor, "check this installation or a port, and report problems"),
     "layout": (layout, "check a layout file and draw it with node numbers"),
     "calibrate": (calibrate, "fit the nodes' curves to known loads"),
-    "completion": (completion, "print the completion of this command for bash"),
 }
 """Subcommands: module and help text. A module has add_arguments(parser), and run(arguments), which
 returns the exit code."""
@@ -51,8 +50,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of another alphabet, odd file names
         sys.stdout.reconfigure(errors="backslashreplace")
+    parser = make_parser()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks, which its user told to
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     try:
-        arguments = make_parser().parse_args(argv)
+        arguments = parser.parse_args(argv)
+        if arguments.verbose:
+            logging.basicConfig(format="%(name)s: %(message)s")
+            logging.getLogger("tactile_cdma").setLevel(logging.DEBUG)
         code: int = arguments.run(arguments)
         sys.stdout.flush()
         return code
@@ -80,6 +87,9 @@ def make_parser() -> argparse.ArgumentParser:
     """The parser of all subcommands; what it parses has run(arguments), and parser for errors."""
     parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", help="log what is read and found on stderr"
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, (module, text) in SUBCOMMANDS.items():
         subcommand = commands.add_parser(name, help=text)

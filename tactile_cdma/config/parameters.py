@@ -8,6 +8,7 @@ from it, and parameter files are checked against it. docs/parameters.md is gener
 
 from __future__ import annotations
 
+import logging
 import re
 import reprlib
 from array import array
@@ -21,6 +22,8 @@ from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
 from ..base.suggest import suggestion
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
+
+_log = logging.getLogger(__name__)
 
 Value = bool | int | float | str | tuple[float, ...]
 Values = Mapping[str, Any]
@@ -250,11 +253,12 @@ def read_sections(path: Path, node: str | None) -> list[Mapping[str, Marked]]:
     sections = list(_sections(file))
     if not sections:
         raise file.refuse("no 'ros__parameters' section; is this a ROS 2 parameter file?")
+    names = ", ".join(name for name, _ in sections)
+    _log.debug("%s has parameters for %s", path, names)
     if node is None:
         return [section for _, section in sections]
     taken = [section for name, section in sections if _fits(name, node)]
     if not taken:
-        names = ", ".join(name for name, _ in sections)
         raise file.refuse(
             f"its parameters are for {names}, and this node is {node}: write {node} or /** there, "
             "or start the node with that name and namespace"

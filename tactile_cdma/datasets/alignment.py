@@ -21,17 +21,18 @@ from .samples import ACTION, NANO, Sample, SkinFrame, Stream, Value
 from .touch import Touch, TouchStream
 
 WAIT_S = 2.0
-"""A stream from which nothing was recorded for so long is not waited for, s; chosen: far above the
-time that messages need to the recorder, and little to hold."""
+"""Rows wait for a stream until it has been silent for so long, s; chosen: far longer than messages
+take to the recorder, and little to hold."""
 STALE_S = 0.5
-"""A stream has not stopped before its last sample is older, s. Chosen: five frames of a driver that
-thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an image."""
+"""Least age of a stream's last sample, s, at which the stream counts as stopped. Chosen: five
+frames of a driver that thins frames without words to 10 Hz (idle_rate_hz), and little to repeat an
+image."""
 STEPS, LAST_STEPS = 3, 15
-"""Nor before it is older than so many of the stream's own steps, by the median of the last ones:
-of a slow stream one sample may be lost, and the next one late. Chosen."""
+"""That age is also at least STEPS of the stream's own intervals (median of the LAST_STEPS newest):
+a slow stream may lose one sample and send the next one late. Chosen."""
 REACH = 2
-"""An interval of a clock that is a stream, with a tick lost, in intervals: a mean goes no further
-back, or STALE_S, where that is more. Chosen."""
+"""Where the clock is a stream, which may lose a tick, a mean reaches back by at most this many of
+its intervals, or by STALE_S if that is longer. Chosen."""
 
 
 def stale_s(fps: float) -> float:
@@ -43,7 +44,7 @@ def stale_s(fps: float) -> float:
 class Tick:
     """A moment of the clock, Unix time in ns, of the episode of that number.
 
-    since_ns: its interval is what comes after that, which is the tick before.
+    since_ns: the tick before, after which its interval begins.
     """
 
     time_ns: int
@@ -55,9 +56,9 @@ class Tick:
 class Row:
     """What is known at a tick: by stream, the patches' touch and the other streams' last value.
 
-    stopped: the streams whose last sample is too old for the present, with the stamp of the last
-    one before that first happened, ns. Of them only touch is among the values, with nothing valid,
-    and actions: a command is in force until the next one. Who has not begun is in neither.
+    stopped: streams whose newest sample is too old at this tick, each with the stamp of its last
+    sample in time, ns. Their values are left out, except touch (with nothing valid) and actions (a
+    command holds until the next one). A stream that has not begun is in neither mapping.
     """
 
     tick: Tick

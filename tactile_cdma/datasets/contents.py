@@ -39,12 +39,11 @@ _DAMAGE = (
     *(LookupError, ArithmeticError, ValueError, TypeError, AttributeError, EOFError, MemoryError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
-"""What json, numpy and zipfile raise for a damaged file, or for one of another content, and what
-computing with its numbers raises."""
+"""Errors of json, numpy and zipfile, and of arithmetic, for a damaged or foreign file."""
 
 
 def contents(path: Path, progress: Progress) -> Lines:
-    """Of anything but recordings. Raises CaptureError for what is none of these."""
+    """The contents of anything but a recording. Raises CaptureError for an unknown kind of file."""
     if (path / INFO).is_file():
         return _lerobot(path)
     if is_bag(path):
@@ -112,7 +111,7 @@ def _npz(path: Path) -> Lines:
             for values in zip(*(_rows_of(archive, name) for name in names), strict=True):
                 _survey_row(survey, dict(zip(names, values, strict=True)))
     except _DAMAGE as error:
-        raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
+        raise CaptureError(f"{path}: not a table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
@@ -150,7 +149,7 @@ def _parquet(path: Path) -> Lines:
                 for i in range(batch.num_rows):
                     _survey_row(survey, {name: values[i] for name, values in found.items()})
     except (*_DAMAGE, library.ArrowException) as error:
-        raise CaptureError(f"{path}: no table of tactile-cdma, or damaged: {error!r}") from None
+        raise CaptureError(f"{path}: not a table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
@@ -190,7 +189,7 @@ def _lerobot(path: Path) -> Lines:
     except TactileError:
         raise
     except (*_DAMAGE, library.ArrowException, OSError) as error:
-        raise CaptureError(f"{path}: no dataset of LeRobot v3, or damaged: {error!r}") from None
+        raise CaptureError(f"{path}: not a dataset of LeRobot v3, or damaged: {error!r}") from None
 
 
 def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float, frames: int) -> Lines:

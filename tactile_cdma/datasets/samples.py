@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
 from ..base.listing import listed
-from ..readings.stages import Status
+from ..readings.status import Status
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
 """Elements of a sample of contacts; x, y, z: centre of pressure in the patch's frame."""

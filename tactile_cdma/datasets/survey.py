@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..readings.stages import Status
+from ..readings.status import Status
 from .samples import Completeness, SkinFrame, missing_between
 
 

@@ -99,7 +99,7 @@ class TouchStream:
             self._interval.popleft()
 
     def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
-        """The patch at a tick after all frames that were taken, of which there has to be one.
+        """The patch at a tick that is later than all frames taken; at least one must be.
 
         has_stopped: the newest frame is too old for the present, so that nothing is valid.
         """

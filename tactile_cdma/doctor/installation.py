@@ -33,7 +33,7 @@ PORTS = "fast*_port*[0-9]"
 UNFINISHED_S = 2.0
 """Age, s, at which a segment should have its size: it gets it microseconds after its name."""
 ROS_TIMEOUT_S = 60.0
-"""For the checks of ROS 2, s; chosen, several times what they take on a slow computer."""
+"""Time limit for the checks of ROS 2, s; chosen: several times what a slow computer takes."""
 
 
 def installation() -> Iterator[Check]:
@@ -73,7 +73,7 @@ def packages() -> Iterator[Check]:
         try:
             needed = Requirement(text)
         except InvalidRequirement:
-            yield warning("packages", f"{text!r} in requirements.txt is no requirement")
+            yield warning("packages", f"{text!r} in requirements.txt is not a requirement")
             continue
         try:
             present = metadata.version(needed.name)

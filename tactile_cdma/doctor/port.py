@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,6 +22,8 @@ from ..wire.introduction import described_info, introduction
 from ..wire.port import Port
 from .report import Check, ok, problem, warning
 from .stream import RawStream, judge
+
+_log = logging.getLogger(__name__)
 
 START_S = 3.5
 START_FRAMES = 4
@@ -101,6 +104,7 @@ def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> 
             pipeline.feed(data, t_host)
             if not begin_s and pipeline.counters.frames:
                 begin_s = t_host
+                _log.debug("the first frame came after %.3f s", t_host - opened_s)
             if begin_s and t_host - begin_s > seconds:
                 break
             told = session.problem and pipeline.problem

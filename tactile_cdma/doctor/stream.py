@@ -21,7 +21,7 @@ from ..framing.timing import Rejections, silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
 from ..words.health import NodeHealth, NodeState
-from ..words.stages import DOUBLE_SHARE, LOW_RHO
+from ..words.limits import DOUBLE_SHARE, LOW_RHO
 from .report import Check, ok, problem, warning
 
 FULL_RATE = 0.95

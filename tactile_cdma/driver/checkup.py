@@ -16,7 +16,7 @@ from ..base.listing import listed
 from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
 from ..wire.messages import Status
 from ..words.health import NodeState
-from ..words.stages import LOW_RHO
+from ..words.limits import LOW_RHO
 from .digitizer import SourceWatch
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
@@ -28,7 +28,7 @@ spans 78 frames, so one more or less makes no difference."""
 LOST_SHARE = 0.01
 """Share of the frames whose loss is more than an accident; chosen."""
 CLIPPED_SHARE = 0.01
-"""Share of the samples; with random row signs, clipping less is harmless (docs/results.md)."""
+"""Share of clipped samples; with random row signs, less is harmless (docs/results.md)."""
 REJECTED_FOR = {
     INCOMPLETE: "cut off: are samples lost, or is frame_period_ms too short?",
     ABSURD: "not numbers, or absurd volts: is volts_per_count right?",
@@ -43,16 +43,16 @@ REJECTED_FOR = {
 }
 """What to do about frames that are mostly rejected for one reason."""
 REJECTED_SHARE = 0.1
-"""Share of the bursts on the line that are no frame and yet may be accidents; chosen."""
+"""Share of the line's bursts that may be rejected by accident; chosen."""
 LATE_S, LATE_PERIODS = 0.05, 2.0
-"""s, frame periods; a mean latency above their sum means that bytes wait somewhere. Chosen: two
-frames and a scheduler's hiccup."""
+"""A mean latency above their sum (s, and frame periods) means that bytes wait somewhere. Chosen:
+two frames and a scheduler's hiccup."""
 BUSY_SHARE = 0.8
 """Share of a core above which the driver's thread has no reserve left; chosen."""
 DRIFT_PPM = 300.0
 """Largest difference of two sound clocks. Chosen: 3 × that of two 50 ppm crystals."""
 BROKEN_SHARE = 0.1
-"""Share of the packets; with more of them broken the link is of no use. Chosen."""
+"""Share of broken packets above which the link is of no use; chosen."""
 
 UNSOUND = {
     NodeState.DOUBLED: "two nodes speak on one code row: {}; check the numbers given to the nodes "

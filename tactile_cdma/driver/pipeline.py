@@ -213,9 +213,20 @@ class Pipeline:
     def _frame(self, heard: FrameLevels) -> TactileFrame:
         assert self._description is not None
         stamp = self.timeline.stamp(heard, self._description.pace)
-        words = self._words(heard)
-        readings = self.taxels.update(words, stamp.t_middle, self.health)
-        return TactileFrame(*stamp, clipped=heard.clipped, words=words, readings=readings)
+        both = self._at_once(heard, stamp.t_middle)
+        if both is None:
+            words = self._words(heard)
+            both = words, self.taxels.update(words, stamp.t_middle, self.health)
+        return TactileFrame(*stamp, heard.clipped, *both)
+
+    def _at_once(self, heard: FrameLevels, t_device: float) -> tuple[Words, Readings] | None:
+        """Words and readings by the kernel, of a frame in which nothing is odd."""
+        levels, config = heard.levels, self.config
+        if levels is None or levels.rows is None or heard.doubtful is not None:
+            return None
+        if kernel.compiled is None or config.roll_call or levels.unresolved:
+            return None
+        return self.taxels.read(levels, config.spec, config.threshold, t_device, self.health)
 
     def _words(self, heard: FrameLevels) -> Words:
         """What the nodes said; updates their health by words that are not a guess."""

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..base import kernel
 from ..base.arrays import Floats
 from ..code.frame import MAX_STRETCH, FrameSpec
 from .fit import Fit, least_power
@@ -36,12 +38,17 @@ _DRIFTING = 4.0
 Chosen: noise alone gets to 1.8 (20 differences)."""
 _MEDIAN = 0.455
 """Median of the square of a normal variable."""
+_BIAS = 1.2
+"""Factor on the least variance of many windows, which is too low. Chosen."""
+_NEWEST = 0.3
+"""Weight of the newest gap in the variance that is known. Chosen: averages about six gaps."""
 
 
 @dataclass(frozen=True, slots=True)
-class Quiet:
-    """Level of the gap, V, and variance of its half-chip means, V².
+class Gap:
+    """The line between frames.
 
+    level: V. variance: of its half-chip means, V².
     begin: first sample of the window in which it was measured.
     """
 
@@ -73,51 +80,25 @@ class Burst:
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """Half-chip means of the gap on either side of a frame, nearest first, V, gap level removed."""
+    """The gaps on either side of a frame.
 
-    before: Floats
-    after: Floats
+    level: their mean, V, gap level removed. variance: of their half-chip means' noise, V².
+    quiet: whether the nearest on each side are gap: noise, and little hum.
+    """
 
-    @property
-    def level(self) -> float:
-        """Their mean, V."""
-        both = np.concatenate((self.before, self.after))
-        return float(both.mean()) if both.size else 0.0
-
-    def variance(self, guess: float) -> float:
-        """Variance of their noise, V².
-
-        guess: of the quietest window, which is too low, or far too high where the line drifts.
-        Taken from differences, which cancel hum, by their median, which a piece of a frame does
-        not sway.
-        """
-        steps = np.concatenate((np.diff(self.before), np.diff(self.after)))
-        if steps.size < 8:
-            return guess
-        median = float(np.sort(np.square(steps))[steps.size // 2])
-        noise = median / (2 * _MEDIAN)
-        return max(noise, min(guess, _DRIFTING * noise) if noise else guess)
-
-    def is_quiet(self, size: int, variance: float, power: float) -> bool:
-        """Whether the nearest `size` on each side are gap: noise, and little hum."""
-        for side in (self.before[:size], self.after[:size]):
-            if side.size:
-                noise = variance * (1.5 + 5 * math.sqrt(2 / side.size))
-                drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
-                excess = float(np.square(side).mean()) - noise
-                if drift > LIMITS.beside_level * math.sqrt(power) or excess > LIMITS.beside * power:
-                    return False
-        return True
+    level: float
+    variance: float
+    quiet: bool
 
 
 class BurstSearch:
     """Finds what is loud between gaps, for frames of one specification at one sampling rate.
 
-    spec: the frame's shape. rate_hz: samples per second.
+    Lengths are in samples unless their name says otherwise; `least_power` is that of a node, V².
     """
 
     def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
-        """Derive the lengths of the search, in samples unless the name says otherwise."""
+        """rate_hz: samples per second."""
         self.spec = spec
         self.chip = rate_hz * spec.chip_s
         self.period = rate_hz * spec.frame_period_s
@@ -125,46 +106,78 @@ class BurstSearch:
         self.longest = self.shortest * (1 + MAX_STRETCH)
         self.half = max(1, round(self.chip / 2))
         gap = max(self.period - self.longest, 0.3 * (self.period - self.shortest))
-        self.quiet_halves = max(8, int(0.6 * gap / self.half))
+        self.window_halves = max(8, int(0.6 * gap / self.half))  # in which a gap is measured
         self.gap_size = math.ceil(max(self.period - self.longest, 5 * self.chip))
-        self._mean = np.full(self.half, 1 / self.half)
+        self.bit = math.ceil((1 + MAX_STRETCH) * spec.order * self.chip)
+        self.side_halves = math.ceil(min(self.bit, 0.4 * self.gap_size) / self.half)
+        self.group = max(1, round(self.shortest / self.half) // _CELLS)  # half chips of a cell
+        cell = self.half * self.group
+        self.low_cells, self.high_cells = int(self.shortest / cell), int(self.longest / cell) + 1
+        self.bit_cells = math.ceil(spec.order * self.chip / cell) + 1
+        # Every bit has the same energy, and any two bits' time holds a whole one.
+        self.bit_halves = math.ceil(2 * (1 + MAX_STRETCH) * self.bit_cells) * self.group
         self.least_power = least_power(spec)
+        self._mean = np.full(self.half, 1 / self.half)
 
     @cached_property
     def snr_floor(self) -> float:
         """Mean excess power of a window, in gap variances, that noise practically never reaches."""
         return 0.1 + 6.0 * math.sqrt(self.half / self.shortest)
 
-    def quiet(self, volts: Floats, known: Quiet | None) -> list[Quiet]:
+    @cached_property
+    def settings(self) -> NDArray[np.void]:
+        """What the kernel's functions take."""
+        return kernel.settings(
+            "burst_search",
+            half=self.half,
+            window=self.window_halves,
+            group=self.group,
+            low=self.low_cells,
+            high=self.high_cells,
+            bit=self.bit_cells,
+            width=self.bit_halves,
+            gap_size=self.gap_size,
+            side=self.side_halves,
+            nodes=self.spec.nodes,
+            chip=self.chip,
+            snr_floor=self.snr_floor,
+            loud=_LOUD,
+            no_power=_LEAST_POWER,
+            bias=_BIAS,
+            newest=_NEWEST,
+            calmer=_CALMER,
+            drifting=_DRIFTING,
+            median=_MEDIAN,
+            beside_level=LIMITS.beside_level,
+            beside=LIMITS.beside,
+        )
+
+    def gaps(self, volts: Floats, known: Gap | None) -> list[Gap]:
         """The gap's level: of the quietest window, judged from the known level if there is one.
 
         volts: (m,) float64, V. Returns candidates, most likely first; there are others only where
         a lone node on row 0 may hold the line at a constant level: equal bits on end are as quiet
         as the gap, at −a or +a or, in turns, both, and then the gap is midway.
         """
-        means = self._halves(volts)
-        width = min(self.quiet_halves, means.size)
+        if known is not None:
+            gap = find_gap(self, volts, known)
+            return [] if gap is None else [gap]
+        means = self.halves(volts)
+        width = min(self.window_halves, means.size)
         if width < 4:
             return []
-        centre = float(np.median(means)) if known is None else known.level
-        sums = _window_sums(means - centre, width) / width
-        power = _window_sums(np.square(means - centre), width) / width
-        variance = np.maximum(power - np.square(sums), 0.0)
-        if known is not None:
-            best = int(np.argmin(power))
-            fresh = 1.2 * float(variance[best])  # a minimum over windows is biased low
-            smooth = min(0.7 * known.variance + 0.3 * fresh, _CALMER * fresh)
-            return [Quiet(centre + float(sums[best]), smooth, best * self.half)]
+        centre = float(np.median(means))
+        sums, power, variance = _windows(means - centre, width)
         floor = float(variance.min()) + 1e-6 * float(power.max())
-        found: list[Quiet] = []
+        found: list[Gap] = []
         levels = 3 if self.spec.first_row == 0 else 1
         while len(found) < levels and (lowest := float(variance.min())) <= 4 * floor:
             best = int(np.argmin(variance))
             level = float(sums[best])
-            found.append(Quiet(centre + level, 1.2 * lowest, best * self.half))
+            found.append(Gap(centre + level, _BIAS * lowest, best * self.half))
             variance[np.abs(sums - level) <= 4 * math.sqrt(floor)] = np.inf
         if len(found) == 3:
-            low, middle, high = sorted(found, key=lambda quiet: quiet.level)
+            low, middle, high = sorted(found, key=lambda gap: gap.level)
             uneven = abs(high.level + low.level - 2 * middle.level)
             return [middle] if uneven < 0.2 * (high.level - low.level) else found[:2]
         return found
@@ -172,69 +185,152 @@ class BurstSearch:
     def burst(self, volts: Floats, variance: float) -> Burst | None:
         """The window of one frame's length with the most energy, cut to its loud part.
 
-        volts: (m,) float64, V, gap level removed. None where there is nothing but noise.
+        volts: (m,) float64, V, gap level removed. variance: of half-chip means in the gap, V².
+        None where there is nothing but noise.
         """
-        energy = np.square(self._halves(volts))
-        group = max(1, round(self.shortest / self.half) // _CELLS)
-        cells = energy[: energy.size // group * group].reshape(-1, group).mean(axis=1)
-        size = self.half * group
-        low, high = int(self.shortest / size), int(self.longest / size) + 1
-        low = min(low, cells.size)
-        if low < 8:
-            return None
-        sums = _window_sums(cells, low)
-        peak = float(sums.max()) / low
-        variance = max(variance, 1e-8 * peak)
-        power = peak - variance
-        if power < max(_LEAST_POWER, self.snr_floor * variance, self.least_power):
-            return None
-        # Of all windows of a possible length, the one with the greatest excess over half of the
-        # frame's power; then cut quiet cells from its ends.
-        gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
-        ends = np.concatenate((gain[low:], np.full(high - low, -np.inf)))
-        gains = np.lib.stride_tricks.sliding_window_view(ends, high - low + 1)
-        begin = int(np.argmax(gains.max(axis=1) - gain[: len(gains)]))
-        end = begin + low + int(np.argmax(gains[begin]))
-        bit = int(np.ceil(self.spec.order * self.chip / size)) + 1
-        first = begin + int(np.argmin(gain[begin : begin + bit + 1]))
-        last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
-        # Loud half chips are sharper than that, and reach beyond where chips are small.
-        first, last = first * group, last * group
-        node_power = max(self.least_power, power / (16 * self.spec.nodes))  # hum stays below
-        loud = energy > max(_LOUD**2 * variance, node_power)
-        before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
-        after = np.flatnonzero(loud[last - group : last + bit * group])
-        if before.size:
-            first += int(before[0]) - min(first, bit * group)
-        if after.size:
-            last += int(after[-1]) + 1 - group
-        snr = power / variance
-        slack = self.chip * (1.5 + 60.0 / snr)
-        if not (before.size and after.size):
-            slack += size - self.half
-        # Every bit has the same energy, and any two bits' time holds a whole one.
-        pause, width = last, math.ceil(2 * (1 + MAX_STRETCH) * bit) * group
-        if snr > 8 and last - first > width:
-            powers = _window_sums(energy[first:last], width) / width - variance
-            quiet = np.flatnonzero(powers < 0.2 * power)
-            if quiet.size:
-                pause = first + int(quiet[0])
-                rest = np.flatnonzero(loud[pause : pause + width])
-                pause += int(rest[-1]) + 1 if rest.size else 0
-        edges = np.array([first, last, pause]) * self.half - 0.5
-        return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
+        return find_burst(self, volts, variance)
 
-    def beside(self, volts: Floats, fit: Fit) -> Beside:
-        """What lies up to a gap's length beside a frame; a chip next to it is left out."""
+    def beside(self, volts: Floats, fit: Fit, burst: Burst) -> Beside:
+        """What lies up to a gap's length beside a frame; a chip next to it is left out.
+
+        The variance that is known is that of the quietest window: too low, or far too high where
+        the line drifts. So it is taken from differences, which cancel hum, by their median, which a
+        piece of a frame does not sway.
+        """
         first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
-        before = volts[max(0, first - self.gap_size) : max(0, first)]
-        return Beside(self._halves(before[::-1]), self._halves(volts[end : end + self.gap_size]))
+        return look_beside(self, volts, min(max(0, first), volts.size), end, burst)
 
-    def _halves(self, volts: Floats) -> Floats:
+    def halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""
         count = volts.size // self.half
         means: Floats = volts[: count * self.half].reshape(count, self.half) @ self._mean
         return means
+
+    def scratch(self, samples: int) -> Floats:
+        """What the kernel's functions work in."""
+        return np.empty(3 * (samples // self.half + 1))
+
+
+def numpy_find_gap(search: BurstSearch, volts: Floats, known: Gap) -> Gap | None:
+    """The quietest window about the known level; None where the samples are too few for one."""
+    means = search.halves(volts)
+    width = min(search.window_halves, means.size)
+    if width < 4:
+        return None
+    sums, power, variance = _windows(means - known.level, width)
+    best = int(np.argmin(power))
+    fresh = _BIAS * float(variance[best])
+    smooth = min((1 - _NEWEST) * known.variance + _NEWEST * fresh, _CALMER * fresh)
+    return Gap(known.level + float(sums[best]), smooth, best * search.half)
+
+
+def compiled_find_gap(search: BurstSearch, volts: Floats, known: Gap) -> Gap | None:
+    """As numpy_find_gap."""
+    assert kernel.compiled is not None
+    scratch = search.scratch(volts.size)
+    found = kernel.compiled.find_gap(search.settings, volts, known.level, known.variance, scratch)
+    return found and Gap(*found)
+
+
+def numpy_find_burst(search: BurstSearch, volts: Floats, variance: float) -> Burst | None:
+    """See BurstSearch.burst."""
+    energy = np.square(search.halves(volts))
+    group, bit = search.group, search.bit_cells
+    cells = energy[: energy.size // group * group].reshape(-1, group).mean(axis=1)
+    low, high = min(search.low_cells, cells.size), search.high_cells
+    if low < 8:
+        return None
+    peak = float(_window_sums(cells, low).max()) / low
+    variance = max(variance, 1e-8 * peak)
+    power = peak - variance
+    if power < max(_LEAST_POWER, search.snr_floor * variance, search.least_power):
+        return None
+    # Of all windows of a possible length, the one with the greatest excess over half of the frame's
+    # power; then cut quiet cells from its ends.
+    gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
+    ends = np.concatenate((gain[low:], np.full(high - search.low_cells, -np.inf)))
+    gains = np.lib.stride_tricks.sliding_window_view(ends, high - search.low_cells + 1)
+    begin = int(np.argmax(gains.max(axis=1) - gain[: len(gains)]))
+    end = begin + low + int(np.argmax(gains[begin]))
+    first = begin + int(np.argmin(gain[begin : begin + bit + 1]))
+    last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
+    # Loud half chips are sharper than that, and reach beyond where chips are small.
+    first, last = first * group, last * group
+    node_power = max(search.least_power, power / (16 * search.spec.nodes))  # hum stays below
+    loud = energy > max(_LOUD**2 * variance, node_power)
+    before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
+    after = np.flatnonzero(loud[last - group : last + bit * group])
+    if before.size:
+        first += int(before[0]) - min(first, bit * group)
+    if after.size:
+        last += int(after[-1]) + 1 - group
+    snr = power / variance
+    slack = search.chip * (1.5 + 60.0 / snr)
+    if not (before.size and after.size):
+        slack += search.half * (group - 1)
+    pause, width = last, search.bit_halves
+    if snr > 8 and last - first > width:
+        powers = _window_sums(energy[first:last], width) / width - variance
+        quiet = np.flatnonzero(powers < 0.2 * power)
+        if quiet.size:
+            pause = first + int(quiet[0])
+            rest = np.flatnonzero(loud[pause : pause + width])
+            pause += int(rest[-1]) + 1 if rest.size else 0
+    edges = np.array([first, last, pause]) * search.half - 0.5
+    return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
+
+
+def compiled_find_burst(search: BurstSearch, volts: Floats, variance: float) -> Burst | None:
+    """As numpy_find_burst."""
+    assert kernel.compiled is not None
+    scratch = search.scratch(volts.size)
+    power = search.least_power
+    found = kernel.compiled.find_burst(search.settings, volts, power, variance, scratch)
+    return found and Burst(*found)
+
+
+def numpy_look_beside(
+    search: BurstSearch, volts: Floats, first: int, end: int, burst: Burst
+) -> Beside:
+    """See BurstSearch.beside; of the samples before `first`, and from `end` on."""
+    gap, variance = volts[max(0, first - search.gap_size) : first], burst.variance
+    sides = search.halves(gap[::-1]), search.halves(volts[end : end + search.gap_size])
+    both = np.concatenate(sides)
+    steps = np.square(np.concatenate([np.diff(side) for side in sides]))
+    if steps.size >= 8:
+        noise = float(np.sort(steps)[steps.size // 2]) / (2 * _MEDIAN)
+        variance = max(noise, min(variance, _DRIFTING * noise) if noise else variance)
+    quiet = True
+    for side in (side[: search.side_halves] for side in sides):
+        if side.size:
+            most = variance * (1.5 + 5 * math.sqrt(2 / side.size))
+            drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
+            excess = float(np.square(side).mean()) - most
+            quiet &= drift <= LIMITS.beside_level * math.sqrt(burst.power)
+            quiet &= excess <= LIMITS.beside * burst.power
+    return Beside(float(both.mean()) if both.size else 0.0, variance, quiet)
+
+
+def compiled_look_beside(
+    search: BurstSearch, volts: Floats, first: int, end: int, burst: Burst
+) -> Beside:
+    """As numpy_look_beside."""
+    assert kernel.compiled is not None
+    known, scratch = (burst.variance, burst.power), search.scratch(2 * search.gap_size)
+    settings = search.settings
+    return Beside(*kernel.compiled.look_beside(settings, volts, first, end, *known, scratch))
+
+
+if kernel.compiled is None:
+    find_gap, find_burst, look_beside = numpy_find_gap, numpy_find_burst, numpy_look_beside
+else:
+    find_gap, find_burst, look_beside = compiled_find_gap, compiled_find_burst, compiled_look_beside
+
+
+def _windows(off: Floats, width: int) -> tuple[Floats, Floats, Floats]:
+    """Mean, power and variance of all windows of this many values, (m − width + 1,) each."""
+    sums, power = _window_sums(off, width) / width, _window_sums(np.square(off), width) / width
+    return sums, power, np.maximum(power - np.square(sums), 0.0)
 
 
 def _window_sums(values: Floats, width: int) -> Floats:

@@ -9,8 +9,9 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, LOUDEST_FLOOR, usual_amp
 from ..code.chips import chips_of, rows_of
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.separate import frame_settings
+from ..code.transform import is_compiled, transform_of
 from .limits import LIMITS
 
 UNEVEN = 0.02
@@ -59,10 +61,10 @@ class Line:
     @cached_property
     def volts(self) -> Floats:
         """(m,) float64, V, without the level of rest."""
-        return self.received - self.level_v
+        return self.received - self.level_v if self.level_v else self.received
 
     @cached_property
-    def _sums(self) -> Floats:
+    def sums(self) -> Floats:
         """Running integral, (m + 1,); float64 keeps 1e-16·m relative, far below any ADC count."""
         sums = np.empty(self.received.size + 1)
         sums[0] = 0.0
@@ -83,7 +85,7 @@ class Line:
 
     def sum_before(self, whole: Indices | Int32s, share: Floats) -> Floats:
         """Sum of so many whole samples and a share of the next one, V."""
-        total: Floats = self._sums[whole] + share * self.volts[whole]
+        total: Floats = self.sums[whole] + share * self.volts[whole]
         return total
 
 
@@ -194,7 +196,15 @@ class WordFit:
     def of(self, candidate: int) -> WordFit:
         """Those of a single candidate."""
         one = slice(candidate, candidate + 1)
-        return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
+        return WordFit(
+            self.rows[one],
+            self.amplitude[one],
+            self.pedestal[one],
+            self.uneven[one],
+            self.power[one],
+            self.spread[one],
+            self.misfit[one],
+        )
 
     def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
@@ -335,6 +345,22 @@ def even_words(line: Line, fit: Fit, spec: FrameSpec, whole: WordFit | None = No
     return words
 
 
+@lru_cache(maxsize=8)
+def compiled_code(spec: FrameSpec) -> Any:
+    """How the kernel spreads and correlates such frames; None where it does not."""
+    if kernel.compiled is None or not is_compiled(spec.book):
+        return None
+    flips = np.zeros(0) if spec.flips is None else spec.flips.ravel()
+    return kernel.compiled.Code(
+        frame_settings(spec),
+        transform_of(spec.book.plan),
+        transform_of(spec.book.plan, spreading=True),
+        flips.astype(np.float32),
+        spec.places.astype(np.int32),
+        spec.span_chips,
+    )
+
+
 def refine(
     line: Line, fit: Fit, spec: FrameSpec, earliest: float = -np.inf, latest: float = np.inf
 ) -> Fit:
@@ -345,6 +371,23 @@ def refine(
     is repeated ever closer to the edges, until nothing moves.
     earliest, latest: bounds of the start. Edges out of view are left out.
     """
+    code = compiled_code(spec)
+    if code is None:
+        return numpy_refine(line, fit, spec, earliest, latest)
+    scratch = np.empty(2 * spec.chips + spec.span_chips + 2 * spec.nodes + 2, np.float32)
+    start, chip, bounds = fit.start, fit.chip, (earliest, latest)
+    return Fit(
+        *code.refine(
+            line.volts, line.sums, BLUR, SETTLED_CHIPS, _REACHES, start, chip, *bounds, scratch
+        )
+    )
+
+
+_REACHES = np.array(REACHES)
+
+
+def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest: float) -> Fit:
+    """As refine."""
     start, chip = fit.start, fit.chip
     steps = np.arange(spec.chips + 1.0)
     levels = np.zeros(spec.chips + 2)  # the gap on either side

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
 from .burst import Burst, BurstSearch
-from .fit import CHIPS_AT_ONCE, Fit, Line, integrate, read_words, refine
+from .fit import CHIPS_AT_ONCE, Fit, Line, read_words, refine
 from .judge import Judge, Judgement
 from .limits import LIMITS
 from .raster import Expected
@@ -64,18 +64,72 @@ class GapSearch(BurstSearch):
         expected: where the frames before make one likely. The last chip duration is tried, too:
         words with few level changes show little of their own.
         """
-        spec, loud = self.spec, burst.last - burst.first
-        if not self.shortest - 1.5 * spec.order * self.chip <= loud + 2 * burst.slack:
+        if not self._has_length(burst):
             return None
-        if loud - 2 * burst.slack > self.longest:
+        carried = self.carried(line, expected)
+        if carried and (found := self.explained(line, burst, carried, expected)):
+            return found
+        fit = self._by_search(line, burst, expected)
+        return None if fit is None else self._judged(line, burst, fit, expected)
+
+    def is_sure(self, expected: Expected | None) -> bool:
+        """Whether a frame is expected so surely that it need not be searched for."""
+        if expected is None or expected.slips > LIMITS.rare_slips:
+            return False
+        uncertain = expected.scatter + expected.change * self.spec.span_chips
+        return uncertain <= LIMITS.known_place * expected.chip
+
+    def carried(self, line: Line, expected: Expected | None) -> Fit | None:
+        """The frame where it is surely expected, refined on its own edges."""
+        if expected is None or not self.is_sure(expected):
             return None
-        fit = self._by_raster(line, burst, expected) or self._by_search(line, burst, expected)
-        if fit is None:
+        fit = refine(line, Fit(expected.start, expected.chip), self.spec)
+        return fit if fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size else None
+
+    def explained(
+        self, line: Line, burst: Burst, fit: Fit, expected: Expected | None
+    ) -> Judgement | None:
+        """A carried frame, if it leaves no more than the gap's noise and no other is likelier."""
+        if not self._has_length(burst):
             return None
+        found = self._judged(line, burst, fit, expected)
+        noise = burst.variance * self.half / fit.chip
+        power = max(found.words.power.item(), 1e-30)
+        limit = LIMITS.carried_noise * noise / power + LIMITS.carried_misfit
+        return found if found.fit == fit and found.words.misfit.item() < limit else None
+
+    def proven(self, burst: Burst, fit: Fit) -> float:
+        """Instant at which silence proves that a frame is over.
+
+        Its chips are known, so that what may follow are the last chips of a rival: a frame that
+        begins some whole chips later, in which our first chips are gap. Such a rival must begin at
+        the burst's first loud sample at the latest, but for its uncertainty (a chip and a half),
+        and, for the judge's caution, two chips beyond. Whether a rival's last chips are loud
+        follows from its words: what so many chips after the frame do not tell apart, no longer
+        silence would, for there a rival says silence, too. That is 3 or 4 chips, and as many more
+        as the nodes cancel in at the start of every bit; noise widens it by 60/SNR chips. Without a
+        known raster and words, silence proves nothing until it has lasted for a whole stretched
+        bit: every bit has the same energy, but may have it in a single chip.
+        """
+        return fit.end(self.spec) + self._shifts_of(burst, fit)[1] * fit.chip
+
+    def _has_length(self, burst: Burst) -> bool:
+        """Whether a burst may be a frame that begins and ends with less than a bit's silence."""
+        loud = burst.last - burst.first
+        least = self.shortest - 1.5 * self.spec.order * self.chip
+        return least - 2 * burst.slack <= loud <= self.longest + 2 * burst.slack
+
+    def _shifts_of(self, burst: Burst, fit: Fit) -> tuple[int, int]:
+        """Whole chips by which rivals may begin earlier (≤ 0), or later."""
         low, high = self._range(burst, fit.chip)
         earliest = min(0, math.ceil((low - fit.start) / fit.chip)) - _BEYOND
         latest = max(0, math.floor((high - fit.start) / fit.chip)) + _BEYOND
+        return earliest, latest
+
+    def _judged(self, line: Line, burst: Burst, fit: Fit, expected: Expected | None) -> Judgement:
+        """The most likely one of this frame and of those that begin whole chips beside it."""
         noise = burst.variance * self.half / fit.chip
+        earliest, latest = self._shifts_of(burst, fit)
         while True:
             shifts = earliest, latest
             start = fit.start + fit.chip * np.arange(earliest, latest + 1, dtype=np.float64)
@@ -87,23 +141,6 @@ class GapSearch(BurstSearch):
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:
                 return found
-
-    def _by_raster(self, line: Line, burst: Burst, expected: Expected | None) -> Fit | None:
-        """The frame where it is expected, if that leaves no more than the noise of the gap."""
-        if expected is None or expected.slips > LIMITS.rare_slips:
-            return None
-        uncertain = expected.scatter + expected.change * self.spec.span_chips
-        if uncertain > LIMITS.known_place * expected.chip:
-            return None
-        fit = refine(line, Fit(expected.start, expected.chip), self.spec)
-        if fit.start < -0.5 or fit.end(self.spec) > line.volts.size:
-            return None
-        words = read_words(
-            integrate(line, np.array([fit.start]), np.array([fit.chip]), self.spec), self.spec
-        )
-        noise = burst.variance * self.half / fit.chip
-        limit = LIMITS.carried_noise * noise / max(words.power.item(), 1e-30)
-        return fit if words.misfit.item() < limit + LIMITS.carried_misfit else None
 
     def _by_search(self, line: Line, burst: Burst, expected: Expected | None) -> Fit | None:
         """The frame that explains the most energy of all that could be there."""

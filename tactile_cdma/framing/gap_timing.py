@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from ..base.arrays import Floats
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ..code.separate import node_levels
-from .burst import Burst, Quiet
+from .burst import Burst, Gap
 from .fit import Fit, Line, WordFit, even_words, lowest_power
 from .gap import GapSearch
 from .hum import Hum
@@ -39,6 +40,8 @@ from .timing import (
     silence_hidden,
 )
 
+_log = logging.getLogger(__name__)
+
 FORGET = 0.999
 """Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
 s at 78 Hz."""
@@ -58,7 +61,7 @@ class _Failure:
 class GapTiming(Timing):
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
 
-    Samples from `_cursor` on are undecided. At `_due`, when they hold the frame expected next, the
+    Samples from `_cursor` on are undecided. At `due`, when they hold the frame expected next, the
     search decides: nothing, a frame, or something else. Decisions depend on sample positions only,
     so any cutting into blocks gives the same frames.
     """
@@ -84,19 +87,27 @@ class GapTiming(Timing):
             )
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
-        self._bit = math.ceil(1.11 * spec.order * search.chip)
-        self._side_halves = math.ceil(min(self._bit, 0.4 * search.gap_size) / search.half)
         self._most_again = AGAIN_PERIODS * search.period
-        self._quiet: Quiet | None = None
+        self._most_held = search.period + 2 * self._reach
+        # From the start of a frame that the raster places until it is usually proven to be over.
+        self._proof_chips = spec.span_chips + 4
+        self._gap: Gap | None = None
         self._heard_one = False  # a frame, since the raster began
         self._raster = Raster(search.period)
         self._hum = Hum(rate_hz)
         self._waiting = True  # until it is known whether there is hum
         self._again = (0, 0.0, self.rejections)
         self._cursor = 0
+        self._seen = 0  # end of the samples that were looked at last
         self._due = 0
+        self._sure = False  # whether the raster places frames
         self._next = 0.0  # start of the next slot
         self._failures = 0
+
+    @property
+    def due(self) -> int:
+        """Stream index up to which samples are needed before anything is decided."""
+        return self._due
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames and silent slots that they complete."""
@@ -137,6 +148,7 @@ class GapTiming(Timing):
         if not self._heard_one or index < self._next - self._search.period:
             self._next, self._heard_one = float(index), False
             self._raster.forget_place()
+        self._seen = index
         self._skip_to(index)
         self._settle()
 
@@ -155,22 +167,36 @@ class GapTiming(Timing):
     def _try_again(self) -> None:
         """Return to what was rejected since the last frame or slot."""
         self._cursor, self._next, self.rejections = self._again
-        self._quiet, self._failures = None, 0
+        self._gap, self._failures = None, 0
         self._schedule()
 
     def _schedule(self) -> None:
         """Drop decided samples; set when the next decision is due."""
-        if self._quiet is None:  # a whole gap must be in view
+        if self._gap is None:  # a whole gap must be in view
             self._due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
             self._due = max(math.ceil(self._next), self._cursor) + self._reach
+            expected = self._raster.expect(self._next)
+            self._note(self._search.is_sure(expected))
+            if expected and self._sure:
+                early = math.ceil(expected.start + self._proof_chips * expected.chip)
+                self._due = early if self._seen < early < self._due else self._due
         if self._cursor - self._again[0] > self._most_again:
             self._again = self._cursor, self._next, self.rejections
         self._samples.drop(self._again[0])
 
+    def _note(self, sure: bool) -> None:
+        """Whether the raster places the next frame."""
+        if sure != self._sure:
+            self._sure = sure
+            _log.debug(
+                "raster %s at sample %d", "places frames" if sure else "is lost", self._cursor
+            )
+
     def _decide(self, end: int, final: bool = False) -> list[FrameLevels]:
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
         raw = self._samples.take(self._cursor, end)
+        self._seen = end
         bad = np.flatnonzero(np.isnan(raw))
         if bad.size:
             self.rejections += ABSURD
@@ -178,7 +204,7 @@ class GapTiming(Timing):
             return []
         heard = self._hum.heard
         volts = self._hum.removed(raw, self._cursor)
-        candidates = self._search.quiet(volts, self._quiet)
+        candidates = self._search.gaps(volts, self._gap)
         if candidates:
             self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
@@ -187,20 +213,22 @@ class GapTiming(Timing):
         if isinstance(found, _Failure):
             steady = without_impulses(volts)
             if steady is not volts:
-                calmer = self._look(steady, self._search.quiet(steady, self._quiet), raw, final)
+                calmer = self._look(steady, self._search.gaps(steady, self._gap), raw, final)
                 found = found if isinstance(calmer, _Failure) else calmer
         if not isinstance(found, _Failure):
             return found
         self.rejections += found.reason
         self._failures += 1
+        _log.debug("no frame at sample %d: %s", self._cursor, found.reason)
         if self._failures == 3:  # perhaps it is the level that is wrong
-            self._quiet, self._failures = None, 0
+            _log.debug("the gap's level is measured anew")
+            self._gap, self._failures = None, 0
         # A wrong level's burst may reach far into the next frame.
-        self._skip_to(self._cursor + max(self._bit, math.ceil(found.pause)))
+        self._skip_to(self._cursor + max(self._search.bit, math.ceil(found.pause)))
         return []
 
     def _look(
-        self, volts: Floats, candidates: list[Quiet], raw: Floats, final: bool
+        self, volts: Floats, candidates: list[Gap], raw: Floats, final: bool
     ) -> list[FrameLevels] | _Failure:
         """What is in the samples from the cursor on: frames, or none yet; or why there is nothing.
 
@@ -209,35 +237,53 @@ class GapTiming(Timing):
         end = self._cursor + volts.size
         seen: list[Burst] = []
         reason = INCOMPLETE
-        for quiet in candidates:
-            shifted = volts - quiet.level
-            burst = self._first_burst(shifted, quiet)
+        for gap in candidates:
+            shifted = volts - gap.level
+            burst = self._first_burst(shifted, gap)
             if burst is None:
                 continue
             seen.append(burst)
-            if not final and self._incomplete(burst, volts.size):
-                self._due = max(end + 1, self._cursor + math.ceil(burst.first) + self._reach)
-                return []
+            line, expected = Line(shifted), self._expected(burst)
+            complete = min(burst.first + self._reach, burst.last + self._search.bit)
+            incomplete = volts.size < complete and volts.size <= self._most_held
+            if not final and incomplete:
+                self._due = max(end + 1, self._cursor + math.ceil(complete))
+                found = self._proven(line, burst, expected)
+                taken = [] if found is None else self._take(line, burst, gap, raw, found)
+                return [] if isinstance(taken, Rejections) else taken
             if burst.first < self._search.chip:
                 continue  # no gap before it: the rest of a frame that began before the cursor
-            taken = self._take(shifted, burst, quiet, raw)
+            found = self._search.frame(line, burst, expected)
+            taken = MISFIT if found is None else self._take(line, burst, gap, raw, found)
             if not isinstance(taken, Rejections):
                 return taken
             reason = taken
         if all(self._may_be_noise(burst) for burst in seen):
-            self._quiet = candidates[0] if candidates and not final else self._quiet
+            self._gap = candidates[0] if candidates and not final else self._gap
             return [] if final else self._pass_idle(end)
         return _Failure(reason, min(burst.pause for burst in seen))
 
-    def _first_burst(self, volts: Floats, quiet: Quiet) -> Burst | None:
+    def _proven(self, line: Line, burst: Burst, expected: Expected | None) -> Judgement | None:
+        """The frame that the raster places here, if the samples prove already that it is over."""
+        search = self._search
+        fit = None if burst.first < search.chip else search.carried(line, expected)
+        if fit is None:
+            return None
+        proven = search.proven(burst, fit)
+        if proven > line.volts.size:
+            self._due = min(self._due, self._cursor + math.ceil(proven))
+            return None
+        return search.explained(line, burst, fit, expected)
+
+    def _first_burst(self, volts: Floats, gap: Gap) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
         found = None
-        while burst := self._search.burst(volts, quiet.variance):
+        while burst := self._search.burst(volts, gap.variance):
             if found and self._may_be_noise(burst):
                 break  # the frame after it is in view
             found = burst
             if burst.pause < burst.last:
-                before = int(burst.pause) + self._bit
+                before = int(burst.pause) + self._search.bit
             else:
                 before = int(burst.first - self._search.chip)
             if not self._search.shortest < before < volts.size:
@@ -247,12 +293,6 @@ class GapTiming(Timing):
 
     def _may_be_noise(self, burst: Burst) -> bool:
         return burst.snr < 2 * self._search.snr_floor
-
-    def _incomplete(self, burst: Burst, size: int) -> bool:
-        """Whether chips of this burst's frame may still come after the samples in view."""
-        if size > self._search.period + 2 * self._reach:
-            return False
-        return size < min(burst.first + self._reach, burst.last + self._bit)
 
     def _comes_too_early(self, heard: bool) -> bool:
         """Whether to look at all this later or again, since hum disturbs it that is not known yet.
@@ -270,39 +310,34 @@ class GapTiming(Timing):
             self._try_again()
         return again
 
-    def _learn_hum(self, volts: Floats, quiet: Quiet) -> None:
+    def _learn_hum(self, volts: Floats, gap: Gap) -> None:
         """Learn from the window in which the gap was measured."""
-        window = volts[quiet.begin : quiet.begin + self._search.quiet_halves * self._search.half]
-        noise = quiet.variance * self._search.half
-        self._hum.learn(self._cursor + quiet.begin, window, noise)
+        half = self._search.half
+        window = volts[gap.begin : gap.begin + self._search.window_halves * half]
+        self._hum.learn(self._cursor + gap.begin, window, gap.variance * half)
 
     def _take(
-        self, volts: Floats, burst: Burst, quiet: Quiet, raw: Floats
+        self, line: Line, burst: Burst, gap: Gap, raw: Floats, found: Judgement
     ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        volts: gap level, hum and impulses removed. raw: the samples as they came, V.
+        line: gap level, hum and impulses removed. raw: the samples as they came, V.
         """
-        line, spec = Line(volts), self._spec
-        found = self._search.frame(line, burst, self._expected(burst))
-        if found is None:
-            return MISFIT
-        fit = found.fit
+        spec, fit = self._spec, found.fit
         end = fit.end(spec)
-        if end > volts.size + 0.5 * fit.chip:
+        if end > raw.size + 0.5 * fit.chip:
             return INCOMPLETE
         clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
-        beside = self._search.beside(volts, fit)
-        variance = beside.variance(burst.variance)
-        noise = variance * self._search.half / fit.chip
+        beside = self._search.beside(line.volts, fit, burst)
+        noise = beside.variance * self._search.half / fit.chip
         words = even_words(line, fit, spec, found.words)
         if not words.believable(spec, noise):
             return MISFIT
-        if not beside.is_quiet(self._side_halves, variance, burst.power):
+        if not beside.quiet:
             return NOT_AT_REST
-        self._quiet = quiet
+        self._gap = gap
         if spec.node_swing_v is None:
             self._search.least_power = lowest_power(float(words.amplitude.max()))
         if clipped > LIMITS.deafened:
@@ -318,7 +353,7 @@ class GapTiming(Timing):
         self, found: Judgement, words: WordFit, left_v: float, clipped: float
     ) -> list[FrameLevels]:
         """The frame, after the silent slots before it. left_v: of the gap's level around it."""
-        assert self._quiet is not None
+        assert self._gap is not None
         levels = node_levels(words.rows[0], self._spec)
         fit = Fit(self._cursor + found.fit.start, found.fit.chip)
         # Without an earlier frame, what lies before this one may be the rest of another.
@@ -328,7 +363,7 @@ class GapTiming(Timing):
         if self._spec.first_row == 0:  # the only row that an offset shows in
             levels.values[:, 0] -= np.float32(left_v)
         noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
-        level_v = self._quiet.level + left_v
+        level_v = self._gap.level + left_v
         frames.append(
             FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, found.doubtful)
         )
@@ -351,18 +386,20 @@ class GapTiming(Timing):
 
     def _is_deaf(self) -> bool:
         """Whether a node that speaks alone might pass for noise, since power finds bursts."""
-        swing_v, quiet = self._spec.node_swing_v, self._quiet
-        if swing_v is None or quiet is None:
+        swing_v, gap = self._spec.node_swing_v, self._gap
+        if swing_v is None or gap is None:
             return False
-        return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * quiet.variance
+        return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * gap.variance
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
+        if self._next > until:
+            return
         level, noise = 0.0, math.nan
-        if self._quiet:  # whose variance is that of half chips
-            level, noise = self._quiet.level, math.sqrt(self._quiet.variance / 2)
+        if self._gap:  # whose variance is that of half chips
+            level, noise = self._gap.level, math.sqrt(self._gap.variance / 2)
         clipped = 0.0
-        if self._quiet is not None:
+        if self._gap is not None:
             clipped = share_clipped(np.array([level]), self._rails_v)
         hidden = silence_hidden(clipped, noise, self._spec)
         if hidden is None and self._is_deaf():

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decides which of the frames that a stretch of line could be it is, and how sure that is."""
+"""Picks the most likely frame among candidates for a stretch of samples; says how sure that is."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.chips import chips_of
 from ..code.frame import FrameSpec
-from .fit import Fit, Line, WordFit, integrate, read_words, refine
+from .fit import BLUR, Fit, Line, WordFit, compiled_code, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected
 
@@ -36,47 +37,11 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True)
-class _Compared:
-    """Frames of c candidates, and the line over j chips.
-
-    levels: (c, j) V. words, spoken: what they say, spoken (c, k, n) as ±1, 0 where silent.
-    off: (c, j) V, |levels − model|. weight: (c, j), what a chip's vote counts: its duration,
-    relative to the others', or 0 beyond the view.
-    """
-
-    levels: Floats32
-    words: WordFit
-    spoken: Floats32
-    off: Floats32
-    weight: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class _Votes:
+class Votes:
     """How chips vote. distortion: δ, V. variance: σ², V²."""
 
     distortion: float
     variance: float
-
-    @classmethod
-    def of(cls, seen: _Compared, noise: float) -> _Votes:
-        """Those of a line with this noise of a chip's level in the gap, V²."""
-        # What even the best model leaves over is noise of this line, if not few chips have it:
-        # behind a low-pass only those next to a level change do.
-        off = seen.off
-        best = int(np.argmin((np.square(off) * seen.weight).sum(axis=1)))
-        rank = int(LIMITS.most * (off.shape[1] - 1))
-        left = float(np.partition(off[best], rank)[rank]) / LIMITS.most_deviations
-        steps = np.square(np.diff(seen.levels[best]))  # as wide as the code's, whatever their mean
-        distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
-        return cls(distortion, max(noise, left**2, (0.5 * distortion) ** 2, 1e-30))
-
-    def cost(self, seen: _Compared) -> Floats:
-        """Negative log-likelihood of each frame, (c,)."""
-        beyond = np.maximum(seen.off - np.float32(self.distortion), 0)
-        votes = np.minimum(np.square(beyond) * np.float32(0.5 / self.variance), LIMITS.vote)
-        cost: Floats = (votes * seen.weight).sum(axis=1)
-        return cost
 
     def most(self, chips: int) -> float:
         """The highest cost of the true frame: noise, and few disturbed chips.
@@ -88,6 +53,118 @@ class _Votes:
         density = math.exp(-0.5 * d**2) / math.sqrt(2 * math.pi)
         usual = chips * ((1 + d**2) * 0.5 * math.erfc(d / math.sqrt(2)) - d * density)
         return usual + 5 * math.sqrt(usual) + LIMITS.disturbed * chips * LIMITS.vote
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """What the chips say of c candidates.
+
+    words: of their whole chips.
+    cost: (c,) negative log-likelihood.
+    votes: how the chips voted. chips: of the longest view.
+    """
+
+    words: WordFit
+    cost: Floats
+    votes: Votes
+    chips: int
+
+
+def numpy_weigh(
+    line: Line,
+    start: Floats,
+    chip: Floats,
+    view: tuple[float, float],
+    spec: FrameSpec,
+    noise: float,
+    votes: Votes | None = None,
+) -> Weighed:
+    """Weigh candidates by the chips from view[0] to view[1], samples; each in chips of its own.
+
+    start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V². votes: by
+    which to vote; None for what the line gives.
+    """
+    end = start + spec.span_chips * chip
+    lead = np.rint((start - view[0]) / chip).astype(np.intp)
+    count = lead + spec.span_chips + np.rint((view[1] - end) / chip).astype(np.intp)
+    place = np.arange(count.max() + 1) - lead[:, None]
+    levels = line.means(start[:, None] + chip[:, None] * place)
+    own = np.arange(start.size)[:, None], lead[:, None] + spec.places
+    words = read_words(levels[own].reshape(-1, spec.line_bits, spec.order), spec)
+    symbols = np.zeros_like(words.rows)
+    symbols[..., spec.node_slice] = spoken_of(words, spec) * words.amplitude[:, None]
+    model = np.zeros_like(levels)
+    model[own] = chips_of(symbols, spec).reshape(start.size, -1) + words.pedestal[:, None]
+    seen = np.arange(levels.shape[1]) < count[:, None]
+    # A chip counts by its duration, relative to the others'; beyond its view not at all.
+    weight = seen * (chip / chip.mean())[:, None]
+    off = np.abs(levels - model)
+    if votes is None:
+        best = int(np.argmin((np.square(off) * weight).sum(axis=1)))
+        votes = _votes_of(levels[best, : count[best]], off[best, : count[best]], noise)
+    beyond = np.maximum(off - np.float32(votes.distortion), 0)
+    each = np.minimum(np.square(beyond) * np.float32(0.5 / votes.variance), LIMITS.vote)
+    cost: Floats = (each * weight).sum(axis=1)
+    return Weighed(words, cost, votes, levels.shape[1])
+
+
+def _votes_of(levels: Floats32, off: Floats32, noise: float) -> Votes:
+    """Those of a line on which even the best candidate leaves so much over, V.
+
+    That is noise of this line, if not few chips have it: behind a low-pass only those next to a
+    level change do.
+    """
+    rank = int(LIMITS.most * (off.size - 1))
+    left = float(np.partition(off, rank)[rank]) / LIMITS.most_deviations
+    steps = np.square(np.diff(levels))  # as wide as the code's, whatever their mean
+    distortion = LIMITS.distortion * float(np.sqrt(0.5 * steps.mean()))
+    return Votes(distortion, max(noise, left**2, (0.5 * distortion) ** 2, 1e-30))
+
+
+def weigh(
+    line: Line,
+    start: Floats,
+    chip: Floats,
+    view: tuple[float, float],
+    spec: FrameSpec,
+    noise: float,
+    votes: Votes | None = None,
+) -> Weighed:
+    """As numpy_weigh, in the kernel where it can."""
+    code = compiled_code(spec)
+    if code is None:
+        return numpy_weigh(line, start, chip, view, spec, noise, votes)
+    count = start.size
+    rows = np.empty((count, spec.line_bits, spec.order), np.float32)
+    amplitude, uneven = np.empty((2, count, spec.nodes), np.float32)
+    pedestal, power, spread, misfit = np.empty((4, count), np.float32)
+    cost = np.empty(count)
+    most = int((view[1] - view[0]) / chip.min()) + 3  # chips in view, and what rounding adds
+    scratch = np.empty(2 * most + spec.chips, np.float32)
+    given = votes or Votes(0.0, 0.0)
+    distortion, variance, chips = code.weigh(
+        _LIMITS, line.volts, line.sums, start, chip, *view, noise, given.distortion,
+        given.variance, rows, amplitude, uneven, pedestal, power, spread, misfit, cost, scratch,
+    )  # fmt: skip
+    words = WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
+    return Weighed(words, cost, Votes(distortion, variance), chips)
+
+
+if kernel.compiled is not None:
+    _LIMITS = kernel.settings(
+        "judge_limits",
+        distortion=LIMITS.distortion,
+        most=LIMITS.most,
+        most_deviations=LIMITS.most_deviations,
+        vote=LIMITS.vote,
+        blur=BLUR,
+    )
+
+
+def spoken_of(words: WordFit, spec: FrameSpec) -> Floats32:
+    """What nodes say by these words: (c, k, n) float32, ±1, 0 where silent."""
+    spoken: Floats32 = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
+    return spoken
 
 
 class Judge:
@@ -117,81 +194,59 @@ class Judge:
         unlikely: Floats | float = 0.0,
         expected: Expected | None = None,
     ) -> Judgement:
-        """Choose among frames.
+        """The most likely frame of candidates.
 
-        start, chip: (c,) samples. noise: variance of a chip's level in the gap, V². unlikely: (c,)
-        added to the costs. expected: where the frames before make one likely.
+        start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V².
+        unlikely: (c,) negative log-probability of each before looking, which the waveform itself
+        gives; expected: and where frames are expected.
         """
         if start.size == 1:
             words = read_words(integrate(line, start, chip, self._spec), self._spec)
             return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
         view = float(start.min()), float((start + self._spec.span_chips * chip).max())
-        seen = self._compare(line, start, chip, view)
-        votes = _Votes.of(seen, noise)
-        cost = votes.cost(seen)
-        self._refine_close(line, start, chip, view, votes, cost)
-        cost += unlikely
-        unaided = doubt = self._probability(cost)
-        if expected is not None:
-            doubt = self._probability(cost - expected.log_prior(start))
-        chosen, limit = int(np.argmax(doubt)), LIMITS.doubt
-        understood = bool(cost[chosen] < votes.most(seen.off.shape[1]))
-        decided = understood and bool(1 - doubt[chosen] < limit)
+        seen = weigh(line, start, chip, view, self._spec, noise)
+        cost = self._refined_close(line, start, chip, view, seen) + unlikely
+        aided = cost if expected is None else cost - expected.log_prior(start)
+        chosen, limit = int(aided.argmin()), LIMITS.doubt
+        understood = bool(cost[chosen] < seen.votes.most(seen.chips))
+        decided = understood and _other(aided, chosen) < limit
+        sure = understood and _other(cost, chosen) < limit
+        best = Fit(float(start[chosen]), float(chip[chosen]))
         doubtful = None
         if not decided:
-            level, spoken = seen.words.amplitude, seen.spoken
+            level, spoken = seen.words.amplitude, spoken_of(seen.words, self._spec)
             unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
             unlike |= (spoken != spoken[chosen]).any(axis=1)
-            doubtful = (doubt @ unlike >= limit) | (not understood)
-        sure = understood and bool(1 - unaided[chosen] < limit)
-        best = Fit(float(start[chosen]), float(chip[chosen]))
+            doubtful = (_probability(aided) @ unlike >= limit) | (not understood)
         return Judgement(best, seen.words.of(chosen), doubtful, decided, sure)
 
-    def _refine_close(
-        self,
-        line: Line,
-        start: Floats,
-        chip: Floats,
-        view: tuple[float, float],
-        votes: _Votes,
-        cost: Floats,
-    ) -> None:
-        """Lower the costs of those nearly ruled out to what they have with their own best timing.
+    def _refined_close(
+        self, line: Line, start: Floats, chip: Floats, view: tuple[float, float], seen: Weighed
+    ) -> Floats:
+        """The costs; of candidates nearly ruled out, those that their own best timing has.
 
         The chips' edges were fitted to one frame's words; behind a low-pass others suit others.
         """
-        above = cost - cost.min()
-        for number in np.flatnonzero((above > 0) & (above < LIMITS.close)):
+        cost = seen.cost
+        least = cost.min()
+        for number in np.flatnonzero((cost > least) & (cost < least + LIMITS.close)):
             there = Fit(float(start[number]), float(chip[number]))
             own = refine(line, there, self._spec)
             end_moved = abs(own.end(self._spec) - there.end(self._spec))
             if max(abs(own.start - there.start), end_moved) < LIMITS.in_place * there.chip:
-                alone = self._compare(line, np.array([own.start]), np.array([own.chip]), view)
-                cost[number] = min(cost[number], votes.cost(alone).item())
+                one = np.array([own.start]), np.array([own.chip])
+                alone = weigh(line, *one, view, self._spec, 0.0, votes=seen.votes)
+                cost[number] = min(cost[number], alone.cost.item())
+        return cost
 
-    def _compare(
-        self, line: Line, start: Floats, chip: Floats, view: tuple[float, float]
-    ) -> _Compared:
-        """Frames with the line from view[0] to view[1], samples; each in chips of its own."""
-        spec, end = self._spec, start + self._spec.span_chips * chip
-        lead = np.rint((start - view[0]) / chip).astype(np.intp)
-        count = lead + spec.span_chips + np.rint((view[1] - end) / chip).astype(np.intp)
-        place = np.arange(count.max() + 1) - lead[:, None]
-        levels = line.means(start[:, None] + chip[:, None] * place)
-        own = np.arange(start.size)[:, None], lead[:, None] + spec.places
-        words = read_words(levels[own].reshape(-1, spec.line_bits, spec.order), spec)
-        spoken = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
-        symbols = np.zeros_like(words.rows)
-        symbols[..., spec.node_slice] = spoken * words.amplitude[:, None]
-        model = np.zeros_like(levels)
-        model[own] = chips_of(symbols, spec).reshape(start.size, -1) + words.pedestal[:, None]
-        seen = np.arange(levels.shape[1]) < count[:, None]
-        share = seen * (chip / chip.mean())[:, None]
-        return _Compared(levels, words, spoken, np.abs(levels - model), share)
 
-    @staticmethod
-    def _probability(cost: Floats) -> Floats:
-        """Probability of each frame, (c,)."""
-        odds = np.exp(np.maximum(cost.min() - cost, -700.0))
-        probability: Floats = odds / odds.sum()
-        return probability
+def _probability(cost: Floats) -> Floats:
+    """Probability of each frame, (c,)."""
+    odds = np.exp(cost.min() - cost)
+    probability: Floats = odds / odds.sum()
+    return probability
+
+
+def _other(cost: Floats, chosen: int) -> float:
+    """Probability that it is another frame than the chosen one."""
+    return 1 - float(_probability(cost)[chosen])

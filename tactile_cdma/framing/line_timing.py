@@ -218,7 +218,7 @@ class LineRecogniser:
         Else others may be it: then it is not said when it is over, nor a reason to reject it where
         no node of it speaks.
         """
-        start, chip = np.array([(fit.start, fit.chip) for fit in fits]).T
+        start, chip = np.array([[fit.start for fit in fits], [fit.chip for fit in fits]])
         found = self._judge.choose(line, start, chip, self._line.noise)
         words = even_words(line, found.fit, self._spec, found.words)
         if self._line.is_silent(words.amplitude[0]):

@@ -49,12 +49,13 @@ class Expected:
 
         A mixture: frames on the raster are normal about it, those that slipped are spread wide.
         """
-        off = (starts - self.start) / self.chip
-        wide = self.slips / (np.pi * WIDE * (1 + np.square(off / WIDE)))
+        off = np.square((starts - self.start) / self.chip)
+        wide = self.slips / (np.pi * WIDE) / (1 + off * WIDE**-2)
         width = self.scatter / self.chip
-        far = np.minimum(0.5 * np.square(off / width), 700.0)
-        narrow = np.exp(-far) / (math.sqrt(2 * np.pi) * width)
-        density: Floats = np.log(wide + (1 - self.slips) * narrow)
+        narrow = np.exp(off * (-0.5 / width**2)) * (
+            (1 - self.slips) / (math.sqrt(2 * np.pi) * width)
+        )
+        density: Floats = np.log(wide + narrow)
         return density
 
 

@@ -58,7 +58,7 @@ def _parse(line: str, number: int) -> tuple[int, int, bytes]:
     except ValueError:
         record = b""
     if not line.startswith(":") or len(record) < 5 or len(record) != record[0] + 5:
-        raise NodeMemoryError(f"line {number}: {line[:20]!r} is no Intel HEX record")
+        raise NodeMemoryError(f"line {number}: {line[:20]!r} is not an Intel HEX record")
     if sum(record) & 0xFF:
         raise NodeMemoryError(f"line {number}: wrong checksum; the text is damaged")
     return int.from_bytes(record[1:3], "big"), record[3], record[4:-1]

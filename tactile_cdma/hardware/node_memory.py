@@ -3,8 +3,9 @@
 """A node's EEPROM: what a sensing node has to know about its skin.
 
 The bytes are a NodeRecord (firmware/protocol.yaml), the chips of the node's code row, 1 for +1,
-least significant bit first, and the CRC-32 of both. The last chip ends an octet; what fills up the
-first octet is as if the row came before itself. The row's sign is in the record, not in the chips.
+least significant bit first, and the CRC-32 of both. The last chip ends an octet; unused bits of the
+first octet repeat the end of the row, as if it were cyclic. The row's sign is in the record, not in
+the chips.
 """
 
 from __future__ import annotations
@@ -234,7 +235,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     found = dict(zip((field.name for field in FIELDS["NodeRecord"]), values, strict=True))
     if found["magic"] != NODE_MAGIC:
         raise NodeMemoryError(
-            f"this is no node's memory: it begins with 0x{found['magic']:08X}, "
+            f"this is not a node's memory: it begins with 0x{found['magic']:08X}, "
             f"not 0x{NODE_MAGIC:08X}"
         )
     if found["version"] != NODE_VERSION:

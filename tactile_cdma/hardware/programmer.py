@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 import subprocess
 from pathlib import Path
@@ -15,6 +16,8 @@ from ..base.errors import NodeMemoryError
 from ..base.named_file import naming, read_named
 from .intel_hex import from_hex, to_hex
 from .node_memory import MCUS, NodeRecord, read_node_memory
+
+_log = logging.getLogger(__name__)
 
 HEX, RAW = (".hex", ".eep"), (".bin",)
 """Endings of file names: Intel HEX, and the bare bytes."""
@@ -67,6 +70,7 @@ def burn(path: Path, mcu: str, programmer: str) -> None:
     Raises NodeMemoryError where that fails.
     """
     command = avrdude(path, mcu, programmer)
+    _log.debug("%s", shlex.join(command))
     try:
         code = subprocess.run(command, check=False).returncode
     except OSError as error:

@@ -21,15 +21,15 @@ from ..base.errors import ParameterError
 from .poses import Pose
 
 STIFFNESS_PA_PER_M = 1e7
-"""Where no stiffness is given, Pa/m: 10 kPa per mm, a soft cover some millimetres thick. Chosen."""
+"""Default stiffness, Pa/m: 10 kPa per mm, a soft cover some millimetres thick. Chosen."""
 MOST_PA_PER_M, MOST_M = 1e12, 1e3
 """Greatest stiffness, Pa/m; size and distance, m. Chosen beyond every object; nothing overflows."""
 EDGE_POINTS = 6
 """Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
 placed to a twelfth of a taxel's edge, or better."""
 SEARCH_STEPS, HALVINGS = 64, 30
-"""How the underside of a height map is found along a normal: looked for at so many depths, and then
-between two of them."""
+"""The underside of a height map is searched along a normal at SEARCH_STEPS depths; the interval in
+which it lies is then halved HALVINGS times."""
 
 Spans = tuple[Floats, Floats]
 """Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""

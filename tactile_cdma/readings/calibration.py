@@ -167,7 +167,7 @@ class Curves:
 
         All (n,), float32 and bool.
         """
-        return convert(voltage_v, drift_v, self._pieces, self._end_v)
+        return convert(voltage_v, drift_v, self.pieces, self.end_v)
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa to V, (n,) float64, clamped to each curve's ends."""
@@ -180,11 +180,12 @@ class Curves:
         return result
 
     @cached_property
-    def _end_v(self) -> Floats32:
+    def end_v(self) -> Floats32:
+        """Voltage at the end of every range, V, (n,) float32."""
         return np.asarray(self.voltage_v[-1], dtype=np.float32)
 
     @cached_property
-    def _pieces(self) -> Floats32:
+    def pieces(self) -> Floats32:
         """Start (V), width (V) and gain (Pa/V) of every piece, (p, 3, n) float32."""
         width_v = -np.diff(self.voltage_v, axis=0)
         gain = np.diff(self.pressure_pa, axis=0) / np.where(width_v > 0, width_v, 1.0)

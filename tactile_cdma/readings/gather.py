@@ -15,7 +15,7 @@ from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..places.components import connected
 from ..places.layout import Layout
-from .stages import Status
+from .status import Status
 from .taxels import Readings
 
 RIM = 0.3

@@ -40,20 +40,28 @@ class PressureChain:
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
         time, s.
         """
-        curves, baseline, tracker = self.calibration.curves, self.baseline, self.tracker
-        pressure_pa, saturated = curves.convert(voltage_v, baseline.drift_v)
+        pressure_pa, saturated = self.calibration.curves.convert(voltage_v, self.baseline.drift_v)
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
-        reading_pa = pressure_pa - baseline.tare_pa
-        self._moved = False
-        if self._due(t_s):
-            self._looked_s = t_s
-            baseline.look(voltage_v, pressure_pa, valid)
-            if tracker is not None and tracker.rules.drift_pa_per_min:
-                before_v = baseline.drift_v
-                tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
-                self._moved = baseline.drift_v is not before_v
+        reading_pa = pressure_pa - self.baseline.tare_pa
+        self.look(voltage_v, pressure_pa, valid, t_s)
         return reading_pa, saturated
+
+    def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
+        """Pass a frame's readings on to tare and drift, if that is due.
+
+        As in `update`; pressure_pa: (n,) float32, Pa, before the tare.
+        """
+        self._moved = False
+        if not self._due(t_s):
+            return
+        self._looked_s, baseline, tracker = t_s, self.baseline, self.tracker
+        baseline.look(voltage_v, pressure_pa, valid)
+        if tracker is not None and tracker.rules.drift_pa_per_min:
+            before_v, reading_pa = baseline.drift_v, pressure_pa - baseline.tare_pa
+            curves = self.calibration.curves
+            tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
+            self._moved = baseline.drift_v is not before_v
 
     def try_hold(self, t_s: float) -> bool:
         """Keep the last pressures for the same voltages at t_s (s), if an update would give them.

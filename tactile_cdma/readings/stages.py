@@ -1,37 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stages from words to readings that pass over all nodes, and the status that they set.
-
-They are compiled or in numpy, and both forms give the same bits.
-"""
+"""The stages from words to readings that pass over all nodes, and set their status."""
 
 from __future__ import annotations
 
-from enum import IntFlag
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
 from ..words.decode import Words
+from .status import Status
 
 Bytes = NDArray[np.uint8]
-
-
-class Status(IntFlag):
-    """Status bits of a taxel; the same as the constants of TactileArray.msg."""
-
-    OK = 0
-    SILENT = 1
-    SATURATED = 2
-    LOW_SNR = 4
-    STALE = 8
-    UNCALIBRATED = 16
-    MASKED = 32
-    WEAK = 64
-    FAULTY = 128
 
 
 _SILENT, _LOW_SNR, _SATURATED = (
@@ -79,7 +61,7 @@ class Heard(NamedTuple):
     stale_from_s: float
 
 
-def numpy_hear(
+def hear(
     words: Words, kept: Kept, table_v: Floats32, trust: Trust, now_s: float, stale_after_s: float
 ) -> Heard:
     """Take in one frame's words; `kept` is updated. table_v: (codes,) V. now_s: device time, s."""
@@ -99,22 +81,7 @@ def numpy_hear(
     return Heard(voltage_v, raised_v, status, ~(stale | trust.untrusted), stale_from_s)
 
 
-def compiled_hear(
-    words: Words, kept: Kept, table_v: Floats32, trust: Trust, now_s: float, stale_after_s: float
-) -> Heard:
-    """As numpy_hear."""
-    assert kernel.compiled is not None
-    nodes = words.active.size
-    voltage_v, raised_v = np.empty(nodes, np.float32), np.empty(nodes, np.float32)
-    status, valid = np.empty(nodes, np.uint8), np.empty(nodes, np.bool_)
-    until_s: float = kernel.compiled.hear(
-        _BITS, now_s, stale_after_s, table_v, words.active, words.doubtful, words.codes, *trust,
-        *kept, voltage_v, raised_v, status, valid,
-    )  # fmt: skip
-    return Heard(voltage_v, raised_v, status, valid, until_s)
-
-
-def numpy_convert(
+def convert(
     voltage_v: Floats32, drift_v: Floats32, pieces: Floats32, end_v: Floats32
 ) -> tuple[Floats32, Bools]:
     """Pressures (n,) float32, Pa, clamped to each curve's ends; and which are beyond its range.
@@ -133,17 +100,7 @@ def numpy_convert(
     return pressure_pa, corrected_v < end_v
 
 
-def compiled_convert(
-    voltage_v: Floats32, drift_v: Floats32, pieces: Floats32, end_v: Floats32
-) -> tuple[Floats32, Bools]:
-    """As numpy_convert."""
-    assert kernel.compiled is not None
-    pressure_pa, beyond = np.empty(voltage_v.size, np.float32), np.empty(voltage_v.size, np.bool_)
-    kernel.compiled.convert(pieces, voltage_v, drift_v, end_v, pressure_pa, beyond)
-    return pressure_pa, beyond
-
-
-def numpy_finish(
+def finish(
     heard: Heard, saturated: Bools, uncalibrated: Bools, masked: Bools, reading_pa: Floats32
 ) -> None:
     """Complete heard.status, and make readings NaN that are none; reading_pa: (n,), Pa."""
@@ -151,31 +108,3 @@ def numpy_finish(
     status |= (saturated & heard.valid) * _SATURATED | uncalibrated * _UNCALIBRATED
     status[masked] = Status.MASKED
     reading_pa[invalid] = heard.voltage_v[invalid] = np.nan
-
-
-def compiled_finish(
-    heard: Heard, saturated: Bools, uncalibrated: Bools, masked: Bools, reading_pa: Floats32
-) -> None:
-    """As numpy_finish."""
-    assert kernel.compiled is not None
-    kernel.compiled.finish(
-        _BITS, saturated, heard.valid, uncalibrated, masked, heard.status, reading_pa,
-        heard.voltage_v,
-    )  # fmt: skip
-
-
-if kernel.compiled is not None:
-    _BITS = kernel.settings(
-        "readings_bits",
-        silent=Status.SILENT,
-        low_snr=Status.LOW_SNR,
-        stale=Status.STALE,
-        saturated=Status.SATURATED,
-        uncalibrated=Status.UNCALIBRATED,
-        masked=Status.MASKED,
-    )
-
-if kernel.compiled is None:
-    hear, convert, finish = numpy_hear, numpy_convert, numpy_finish
-else:
-    hear, convert, finish = compiled_hear, compiled_convert, compiled_finish

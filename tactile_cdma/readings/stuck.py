@@ -22,7 +22,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats32, Indices
 from ..places.layout import Layout
 from ..places.mesh import tangents
-from .stages import Status
+from .status import Status
 from .taxels import Readings
 
 LOOK_S = 0.1

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
+from ..code.frame import FrameSpec
+from ..code.separate import NodeLevels
 from ..places.layout import Layout
 from ..words.decode import Words
 from ..words.health import NodeHealth, NodeState
@@ -18,7 +20,9 @@ from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .dynamics import Compensator
 from .pressure import PressureChain
-from .stages import Kept, Status, Trust, finish, hear
+from .readout import Conditions, Readout
+from .stages import Kept, Trust, finish, hear
+from .status import Status
 from .tare import take_tare
 
 
@@ -107,6 +111,8 @@ class Taxels:
         self._heard_s = np.full(nodes, -np.inf)
         flags = np.zeros(nodes, dtype=np.uint8)
         self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
+        self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
+        self._readout: Readout | None = None
         self._trust: Trust | None = None  # by the last verdict on the nodes, for these curves
         self._verdict: tuple[object, ...] = ()
         self._silence: Readings | None = None  # readings of silent frames, until a node transmits
@@ -192,6 +198,38 @@ class Taxels:
         """Have the next frame read anew: something other than the words has changed."""
         self._silence = None
         self.chain.unsettle()
+
+    def read(
+        self,
+        levels: NodeLevels,
+        spec: FrameSpec,
+        threshold: float,
+        t_device: float,
+        health: NodeHealth,
+    ) -> tuple[Words, Readings] | None:
+        """Decode one frame, and update its nodes' health and readings by its words, all at once.
+
+        Needs the compiled kernel, and levels with all rows. None, and nothing is updated, where
+        anything about the frame is odd. threshold: see decode.
+        """
+        if self.chain.compensator is not None or not health.only_counts:
+            return None
+        conditions = Conditions(health.swing_v, health.state, self.chain.calibration, threshold)
+        readout = self._readout
+        if readout is None or any(map(is_not, conditions, readout.conditions)):
+            readout = self._readout = Readout(
+                spec, conditions, health, self._kept, self._trusted(health), self._voltage_of,
+                self._masked, self._source,
+            )  # fmt: skip
+        found = readout.read(levels, self.baseline, t_device, self.stale_after_s)
+        if found is None:
+            return None
+        words, pressure_pa, voltage_v, status, self._stale_from_s = found
+        health.counted()
+        self.now_s, self._began_s = t_device, min(self._began_s, t_device)
+        self.chain.look(readout.voltage_v, readout.pressure_pa, readout.valid, t_device)
+        self._silence = None
+        return words, Readings(pressure_pa, voltage_v, status)
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         """Update with one frame's words; t_device: its device time, s."""

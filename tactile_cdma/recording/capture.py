@@ -17,13 +17,13 @@ from .container import RecordingParser
 from .recording_file import describe, is_recording, read_chunks, read_pieces, survey
 
 MOST_CSV_BYTES = 256 << 20
-"""Of an oscilloscope's file, about ten million samples; chosen, as it is held in memory whole.
+"""Largest oscilloscope file, bytes: about ten million samples. Chosen: it is held in memory whole.
 Recordings and raw bytes are read piece by piece and may be of any size."""
 
 _HEADER_LINES = 64
-"""Before the first two numbers; chosen, scopes write up to 20 or so."""
+"""Most lines before the first two numbers. Chosen: scopes write up to 20 or so."""
 _LEAST_SAMPLES = 16
-"""Of a capture that is worth decoding; chosen."""
+"""Fewest samples of a capture that is worth decoding; chosen."""
 _INVALID_V = 1e30
 """V; Keysight scopes write 9.9E+37 for a missing sample."""
 _SLACK = 0.75
@@ -156,7 +156,7 @@ def _pieces(
         time_s, volts = time_s[good], volts[good]
     steps = np.diff(time_s)
     if len(steps) < _LEAST_SAMPLES or time_s[-1] <= time_s[0]:
-        raise CaptureError(f"{path}: the first column is no rising time in s")
+        raise CaptureError(f"{path}: the first column is not a rising time in s")
     # Scopes print time with few digits: steps wobble by the last digit, or are 0 in between.
     step = float(np.median(steps)) or float(steps.mean())
     digit = 0.0 if np.median(steps) else float(steps[steps > 0].min())

@@ -28,11 +28,11 @@ SUFFIX = ".skin"
 MAGIC = b"\x89SKIN\r\n\0"
 VERSION = 1
 MOST_BYTES = 1 << 20
-"""Of one record, without its head; larger pieces take several. Chosen: bounds a reader's memory."""
+"""Most bytes that a record holds; larger pieces take several. Chosen: bounds a reader's memory."""
 INDEX_S = 1.0
 """Distance of two entries of the index, at first, s; chosen."""
 MOST_ENTRIES = 2048
-"""Of the index: when it is full, every second one is dropped. Chosen: 34 minutes at INDEX_S."""
+"""Most entries of the index; of a full one every second is dropped. Chosen: 34 min at INDEX_S."""
 
 _MARK = b"\xf1SK"
 _DESCRIPTION, _CHUNK, _END = b"H", b"D", b"F"
@@ -40,12 +40,13 @@ _HEAD = struct.Struct("<3scIIqQ")
 """Mark, kind, identity of the recording, length of what follows, time ns, place in the stream."""
 _CRC = struct.Struct("<I")
 HEAD_BYTES = _HEAD.size + _CRC.size
-"""Of a record, before what it holds."""
+"""Bytes of a record before what it holds."""
 _MOST = 2**63 - 1
 """Largest time, ns, and largest position, bytes: those of an int64."""
 _LEAST_VAIN, _VAIN_PER_BYTE = 16 * MOST_BYTES, 16
-"""Bytes examined that looked like records but were none: in any file, and per byte of the file.
-Chosen: without a limit, a file of heads that all claim a megabyte would take hours."""
+"""Budget for false heads of records: so many bytes may be examined in vain in any file, and so many
+more per byte of the file. Chosen: a hostile file, full of heads that each claim a megabyte, would
+otherwise take hours."""
 POSITION = struct.Struct("<Q")
 """The last bytes of a recording: where the record that ends it begins."""
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import secrets
 import time
 from collections.abc import Iterator, Mapping
@@ -28,6 +29,8 @@ from .container import (
     RecordingParser,
     losses,
 )
+
+_log = logging.getLogger(__name__)
 
 _READ_BYTES = 1 << 16
 
@@ -60,6 +63,7 @@ class Recorder:
         begin = self._encoder.begin()
         # "x" refuses links as well, which may point elsewhere
         self._file = path.open("wb" if overwrite else "xb")
+        _log.debug("recording %s to %s", port, path)
         self._put(begin)
 
     def write(self, data: bytes, t_host: float) -> None:
@@ -118,7 +122,7 @@ def describe(path: Path) -> Description:
             for _ in read_chunks(path, parser, end.position):
                 pass
     if parser.description is None:
-        raise CaptureError(f"{path}: no recording of tactile-cdma, or its beginning is damaged")
+        raise CaptureError(f"{path}: not a recording of tactile-cdma, or its beginning is damaged")
     return parser.description
 
 
@@ -140,6 +144,8 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
             while data := file.read(_READ_BYTES):
                 yield from parser.feed(data)
         yield from parser.finish()
+        for loss in losses(parser):
+            _log.debug("%s: %s", path, loss)
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
     except CaptureError as error:  # of another version

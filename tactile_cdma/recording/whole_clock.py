@@ -32,7 +32,7 @@ REAL_TIME = 0.05
 """Largest rate difference of a device that keeps real time. Chosen: 500 × that of two crystals,
 as arrivals are late by varying amounts, and below that of any replay worth its option speed."""
 HELD_UP_S = 0.3
-"""What a bus may hold up arrivals for, s; chosen. In a short recording that looks like a rate."""
+"""Longest delay of arrivals by a bus, s; chosen. In a short recording it looks like a rate."""
 
 
 def fitted_clocks(

@@ -25,7 +25,7 @@ OPTIONS: tuple[Parameter, ...] = (
     Parameter("end", _LONGEST_S, "skip what was recorded after", "s", (0.0, _LONGEST_S)),
 )
 SLOWEST = 0.1
-"""Least speed but 0: a driver takes a slower port for dead."""
+"""Least speed above 0: a driver takes a slower port for dead."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +15,8 @@ from ..recording.recording_file import describe, is_recording, read_chunks, read
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, PacketWriter
 from .options import ReplayOptions
+
+_log = logging.getLogger(__name__)
 
 
 class Player:
@@ -32,7 +35,7 @@ class Player:
         path = options.path
         if not is_recording(path):
             raise CaptureError(
-                f"{path} is no recording; tactile-cdma record makes one (bytes alone have no "
+                f"{path} is not a recording; tactile-cdma record makes one (bytes alone have no "
                 "times: tactile-cdma decode reads these)"
             )
         describe(path)
@@ -86,6 +89,7 @@ class Player:
         return self._origin_s + passed_s / self._options.speed
 
     def _begin_again(self) -> None:
+        _log.debug("%s begins again", self._options.path)
         self._origin_s = self._clock()
         self._round = self._chunks()
         self._next = next(self._round, None)

@@ -112,7 +112,7 @@ def environment() -> Iterator[Check]:
     """Settings that decide who hears whom."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal() or int(text) > HIGHEST_DOMAIN:
-        yield problem("ROS_DOMAIN_ID", f"{text!r} is no number from 0 to {HIGHEST_DOMAIN}")
+        yield problem("ROS_DOMAIN_ID", f"{text!r} is not a number from 0 to {HIGHEST_DOMAIN}")
     elif int(text) > MOST_DOMAIN:
         yield warning("ROS_DOMAIN_ID", f"{text}: beyond {MOST_DOMAIN} ports may be taken on Linux")
     else:

@@ -22,11 +22,11 @@ from ..places.layout import Layout
 from ..places.poses import Pose
 
 ABOVE_M, FIRST_M, GROWTH, DEEPEST_M = 2e-3, 1e-4, 1.5, 0.02
-"""Where the depth that gives a force is looked for: from ABOVE_M over MuJoCo's place on, in steps
-that begin with FIRST_M, m, and grow. Chosen: MuJoCo's contacts are flatter than ABOVE_M, and the
-soft cover of a finger is thinner than DEEPEST_M."""
+"""The depth that gives a force is searched from ABOVE_M above MuJoCo's place down to DEEPEST_M, m,
+in steps that begin with FIRST_M and grow by GROWTH. Chosen: MuJoCo's contacts are flatter than
+ABOVE_M, and the soft cover of a finger is thinner than DEEPEST_M."""
 HALVINGS = 20
-"""Of the step in which the force is reached: to a few nm at most."""
+"""Halvings of the step in which the force is reached: the depth is then known to a few nm."""
 
 
 class MujocoSkin:

@@ -29,7 +29,7 @@ from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
 BY_THE_SECOND = -1
-"""Heartbeat of as many frames as nodes are given that were not told otherwise."""
+"""Heartbeat that `tactile-cdma node` gives to a node by default: about once a second."""
 MOST_SAMPLES = 1 << 23
 """Samples of a frame period. Chosen, as the next one, so that computing a frame, which nothing can
 interrupt, takes a few seconds at most."""

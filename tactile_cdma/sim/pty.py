@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import select
 import threading
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Protocol
 
 from ..base.errors import PortError
+
+_log = logging.getLogger(__name__)
 
 _CHUNK = 65_536
 """Bytes offered to the terminal at once; it takes what it has room for."""
@@ -51,6 +54,7 @@ def serve(
         host, path = stack.enter_context(_raw_terminal())
         if link is not None:
             stack.enter_context(_symlink(link, path))
+        _log.debug("a digitizer is at %s", path)
         digitizer = power_up()
         on_ready(link or path)
         _pump(digitizer, host, stop)
@@ -94,7 +98,7 @@ def _raw_terminal() -> Iterator[tuple[int, Path]]:
 @contextmanager
 def _symlink(link: Path, target: Path) -> Iterator[None]:
     if link.exists() and not link.is_symlink():
-        raise PortError(f"{link} exists and is no symbolic link; it is left alone")
+        raise PortError(f"{link} exists and is not a symbolic link; it is left alone")
     try:
         link.unlink(missing_ok=True)
         link.symlink_to(target)

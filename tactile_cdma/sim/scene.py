@@ -22,8 +22,8 @@ EXTERNAL = "external"
 """Name of the scene in which a program says what touches the skin."""
 
 REST_S, EVERY_S, BEGUN_S = 5.0, 20.0, 2.0
-"""Of the scene "demo", s: time without a touch, how often, and how much of the first has passed
-when it begins. Chosen: a tare wants every node to be heard, once per s, and then looks at 1 s."""
+"""In the scene "demo" nothing touches for REST_S in every EVERY_S, and at its begin BEGUN_S of the
+first such rest are over, s. Chosen: a tare needs a word of every node, once per s, and 1 s more."""
 
 
 @dataclass(frozen=True)

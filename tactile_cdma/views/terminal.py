@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..readings.stages import Status
+from ..readings.status import Status
 from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
@@ -30,8 +30,8 @@ _NO_READING = "/"
 """Shade of a taxel without a reading, which none of the others is."""
 _BARS = "▁▂▃▄▅▆▇█"
 TOUCH_PA = 1e3
-"""Pressure that is shown rather than that a taxel beside it has no reading, Pa; the default of
-contact_kpa."""
+"""Where several taxels share a character, a pressure above this is shown even if one of them has no
+reading; below it the missing reading is shown. Pa; the default of contact_kpa."""
 _LABEL = 7
 """Characters of a taxel's value with two marks, as 140.0?w."""
 _STATUS_LINES = 3
@@ -145,7 +145,7 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
 def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
     """(≤ lines, ≤ columns) the raster, or the most pressed taxel of each block of its cells.
 
-    One in service without a reading stands for a block in which no other reads more than TOUCH_PA.
+    Unless a taxel of a block reads more than TOUCH_PA, one without a reading stands for the block.
     """
     height, width = reading.raster.shape
     down, right = -(-height // max(1, lines)), -(-width // max(1, columns))

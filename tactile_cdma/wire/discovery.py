@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,6 +15,8 @@ from serial.tools import list_ports
 
 from ..base.errors import PortError
 from ..base.plain_text import plain
+
+_log = logging.getLogger(__name__)
 
 USB = "usb://"
 """Begins the URL of a port that is named by the serial number of its USB device."""
@@ -70,7 +73,11 @@ def device_of(url: str) -> str:
     scheme, mark, rest = url.partition("://")
     if mark:
         url = scheme.lower() + mark + rest
-    return find_usb(url, serial_ports()) if url.startswith(USB) else url
+    if not url.startswith(USB):
+        return url
+    device = find_usb(url, serial_ports())
+    _log.debug("%s is %s", url, device)
+    return device
 
 
 def find_usb(url: str, ports: Sequence[SerialPort]) -> str:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 
 from ..base.errors import PortError, ProtocolError
@@ -11,6 +12,8 @@ from .identity import is_simulated, shown_id
 from .messages import GetInfo, Info, OtherVersion
 from .packets import PacketParser, PacketWriter, diagnose
 from .port import Port
+
+_log = logging.getLogger(__name__)
 
 LISTEN_S = 1.5
 """s: one and a half times the second in which a digitizer sends INFO unasked (docs/protocol.md)."""
@@ -28,6 +31,7 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
         data, _ = port.read()
         for packet in parser.feed(data):
             if isinstance(packet, Info):
+                _log.debug("%s: %s", port.url, described_info(packet))
                 return packet
             if isinstance(packet, OtherVersion):
                 raise ProtocolError(f"{port.url}: {packet}")

@@ -11,24 +11,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, usual_amplitude
 from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels, frame_settings
-from .lateness import FEW, FEW_SHARE, displaced, least_left, out_of_place
+from ..code.separate import NodeLevels
+from .lateness import out_of_place
 from .leakage import unexplained
-from .stages import (
-    CLEAR_RHO,
-    SOUND_SHARE,
-    UNLIKE,
-    Settings,
-    decide,
-    find_active,
-    measure,
-    read,
-    reading_settings,
-)
+from .limits import CLEAR_RHO, SOUND_SHARE, UNLIKE
+from .stages import decide, find_active, measure
 
 AUTO_FLOOR = 6.0
 """With the amplitude unknown, words below this many noise deviations count as silence. Noise alone
@@ -72,6 +62,8 @@ class Words:
     odd: (n,) bool, active words whose parity had to be mended.
     astray: (n,) bool, nodes on whose rows there may be another one's word, of a node out of time.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
+
+    Treat the arrays as read-only: frames share those in which no node is True or heard.
     """
 
     active: Bools
@@ -112,13 +104,25 @@ class Words:
 
 
 def silent(nodes: int, noise_rms_v: float) -> Words:
-    """The words of a frame in which no node spoke."""
-    nothing, no = np.zeros(nodes, dtype=np.float32), np.zeros(nodes, dtype=bool)
-    codes = np.zeros(nodes, dtype=np.int32)
+    """The words of a frame in which no node spoke; these share their arrays."""
+    no, codes, nothing = _zeros(nodes)
     return Words(no, codes, nothing, nothing, nothing, no, no, no, no, noise_rms_v)
 
 
-def decode_in_stages(
+def nobody(nodes: int) -> Bools:
+    """(n,) bool, False for all nodes: an array that frames share, and nobody can write to."""
+    return _zeros(nodes)[0]
+
+
+@lru_cache(maxsize=4)
+def _zeros(nodes: int) -> tuple[Bools, NDArray[np.int32], Floats32]:
+    zeros = np.zeros(nodes, np.bool_), np.zeros(nodes, np.int32), np.zeros(nodes, np.float32)
+    for array in zeros:
+        array.flags.writeable = False
+    return zeros
+
+
+def decode(
     levels: NodeLevels,
     spec: FrameSpec,
     threshold: float = ACTIVE_SHARE,
@@ -176,40 +180,6 @@ def decode_in_stages(
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
     return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, astray, sigma)
-
-
-def decode_at_once(
-    levels: NodeLevels,
-    spec: FrameSpec,
-    threshold: float = ACTIVE_SHARE,
-    swing_v: ArrayLike | None = None,
-) -> Words:
-    """As decode_in_stages, but compiled where no word needs a closer look: as a rule."""
-    rows, noise = levels.rows, levels.noise_v
-    if rows is None or levels.unresolved or not rows.flags.c_contiguous:
-        return decode_in_stages(levels, spec, threshold, swing_v)
-    given = spec.node_swing_v if swing_v is None else swing_v
-    unknown = given is None
-    expected = np.empty(spec.nodes, np.float32) if given is None else _of_each(given, spec.nodes)
-    least_usual = AUTO_FLOOR * noise / threshold if unknown else math.nan
-    found = read(_settings(spec, threshold), rows, expected, spec.sign_mask, noise, least_usual)
-    if found is None:
-        return decode_in_stages(levels, spec, threshold, swing_v)
-    words, leave_energy = found
-    if leave_energy:
-        least = float(expected.min())
-        if displaced(levels, words.amplitude, words.active, least, spec) is not None:
-            return decode_in_stages(levels, spec, threshold, swing_v)
-    return Words(*words, np.zeros(spec.nodes, np.bool_), noise * math.sqrt(spec.order))
-
-
-@lru_cache(maxsize=8)
-def _settings(spec: FrameSpec, threshold: float) -> Settings:
-    reading = reading_settings(spec, threshold, least_left(spec), FEW, FEW_SHARE)
-    return frame_settings(spec), reading
-
-
-decode = decode_in_stages if kernel.compiled is None else decode_at_once
 
 
 def _of_each(swing_v: ArrayLike, nodes: int) -> Floats32:

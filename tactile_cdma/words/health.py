@@ -6,17 +6,15 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.amplitude import FAINT_SHARE
 from ..code.frame import FrameSpec
 from .decode import Words
-from .stages import DOUBLE_SHARE, LOW_MARGIN, LOW_RHO
+from .limits import DOUBLE_SHARE, LOW_MARGIN, LOW_RHO
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
@@ -51,6 +49,9 @@ class NodeHealth:
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
     any_suspect: whether there are suspect nodes.
+    sums: (5, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
+        doubled and odd ones.
+    weak_v: least amplitude of a word that is too weak to count as spoken, V; NaN where unknown.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -60,11 +61,9 @@ class NodeHealth:
             self.swing_v = np.full(spec.nodes, self._nominal_v, dtype=np.float32)
         self.state = np.full(spec.nodes, NodeState.UNHEARD, dtype=np.uint8)
         self.invalid = np.zeros(spec.nodes, dtype=bool)
-        # Fading sums per node: words, their amplitudes, uneven, doubled and odd words.
-        self._sums = np.zeros((5, spec.nodes), dtype=np.float32)
-        self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self._sums
-        # Of a word that is too weak to count as spoken, V; NaN where that is unknown.
-        self._weak_v = FAINT_SHARE * (self._nominal_v or math.nan)
+        self.sums = np.zeros((5, spec.nodes), dtype=np.float32)
+        self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self.sums
+        self.weak_v = FAINT_SHARE * (self._nominal_v or math.nan)
         self._frames = 0
         self.any_suspect = False
         self._suspected = np.zeros(spec.nodes, dtype=np.int32)  # for so many frames with words
@@ -76,10 +75,19 @@ class NodeHealth:
 
     def update(self, words: Words) -> None:
         """Count one frame's words."""
-        self.any_suspect = count(words, self._weak_v, self._sums, self._suspected)
+        self.any_suspect = count(words, self.weak_v, self.sums, self._suspected)
         self._frames += 1
         if self._frames % JUDGE_FRAMES == 0:
             self.judge()
+
+    @property
+    def only_counts(self) -> bool:
+        """Whether the next frame's words are to be added to `sums`, and nothing else."""
+        return not self.any_suspect and (self._frames + 1) % JUDGE_FRAMES != 0
+
+    def counted(self) -> None:
+        """Note that a frame's words were added to `sums`."""
+        self._frames += 1
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""
@@ -105,17 +113,20 @@ class NodeHealth:
         twice = amplitude_v > DOUBLE_SHARE * expected_v
         verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
         unknown = heard & (self.state == NodeState.UNHEARD)
-        self.state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
-        self.invalid = self.state >= NodeState.FAULTY
+        state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
+        if not np.array_equal(state, self.state):  # others keep what follows from these
+            self.state, self.invalid = state, state >= NodeState.FAULTY
         if self._nominal_v is not None and self.swing_v is not None:
             weak = due & (verdict == NodeState.WEAK)
             swing_v = np.where(weak, amplitude_v, np.float32(self._nominal_v))
-            self.swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
+            swing_v = np.where(due, swing_v, self.swing_v).astype(np.float32)
+            if not np.array_equal(swing_v, self.swing_v):
+                self.swing_v = swing_v
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
-        self._sums[:, due] *= 0.5
+        self.sums[:, due] *= 0.5
 
 
-def numpy_count(words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]) -> bool:
+def count(words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]) -> bool:
     """Add one frame's words to each node's sums (5, n), and note whom they make suspect, (n,).
 
     weak_v: least amplitude of a word that is too weak to count, V; NaN if unknown. Returns whether
@@ -132,30 +143,3 @@ def numpy_count(words: Words, weak_v: float, sums: Floats32, suspected: NDArray[
     sums[4] += words.odd & clear & ~weak
     np.maximum(suspected - 1, words.astray * np.int32(JUDGE_FRAMES), out=suspected)
     return bool(suspected.any())
-
-
-def compiled_count(
-    words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]
-) -> bool:
-    """As numpy_count."""
-    assert kernel.compiled is not None
-    is_any: bool = kernel.compiled.count_words(
-        _limits(weak_v), words.active, words.amplitude_v, words.rho, words.margin, words.doubtful,
-        words.doubled, words.odd, words.astray, sums, suspected,
-    )  # fmt: skip
-    return is_any
-
-
-@lru_cache(maxsize=8)
-def _limits(weak_v: float) -> NDArray[np.void]:
-    return kernel.settings(
-        "readings_limits",
-        weak_v=weak_v,
-        weak_rho=WEAK_RHO,
-        low_margin=LOW_MARGIN,
-        low_rho=LOW_RHO,
-        suspected_frames=JUDGE_FRAMES,
-    )
-
-
-count = numpy_count if kernel.compiled is None else compiled_count

@@ -13,14 +13,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.chips import chips_of, rows_of
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels, frame_settings
+from ..code.separate import NodeLevels
 from ..code.transform import correlate
 
 EDGE = 2
@@ -116,7 +114,7 @@ def late_scrambled(
     return found, left_v > HIDDEN * expected
 
 
-def numpy_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
+def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
     """Active nodes whose words show in chips of other bits than theirs, (n,) bool.
 
     amplitude: (n,) V, of every node's word. active: (n,) bool, those that spoke or may have.
@@ -141,28 +139,6 @@ def numpy_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: Fra
     limit = np.maximum(LATE_SHARE * amplitude, by_chance_v)
     found: Bools = active & (np.maximum(before, after) > limit)
     return found
-
-
-def compiled_late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
-    """As numpy_late."""
-    assert kernel.compiled is not None
-    assert levels.rows is not None
-    meant = np.zeros(spec.order, np.float32)
-    np.multiply(amplitude, active, out=meant[spec.node_slice])
-    found = np.empty(spec.nodes, np.bool_)
-    rows, edges = np.ascontiguousarray(levels.rows), _edge_rows(spec.book)
-    kernel.compiled.late(frame_settings(spec), _limits(), rows, meant, edges, found)
-    return found
-
-
-@lru_cache(maxsize=1)
-def _limits() -> NDArray[np.void]:
-    return kernel.settings(
-        "words_lateness", late_share=LATE_SHARE, leaked=LEAKED, by_chance=BY_CHANCE
-    )
-
-
-late = numpy_late if kernel.compiled is None else compiled_late
 
 
 def _variance_within(left: Floats32, begins: Floats32, ends: Floats32) -> float:
@@ -208,13 +184,15 @@ def _taken_apart(
 
 def _edges(book: CodeBook) -> tuple[Floats32, Floats32]:
     """The first and the last chips of all rows, (N, EDGE) each."""
-    rows = _edge_rows(book)
+    rows = edge_rows(book)
     return rows[EDGE:].T, rows[:EDGE].T
 
 
 @lru_cache(maxsize=8)
-def _edge_rows(book: CodeBook) -> Floats32:
-    """The last and then the first chips of all rows, (2·EDGE, N)."""
+def edge_rows(book: CodeBook) -> Floats32:
+    """The last and then the first chips of all rows, (2·EDGE, N); 0 where these are all chips."""
+    if book.order <= 2 * EDGE:
+        return np.zeros((2 * EDGE, book.order), np.float32)
     chosen = np.zeros((2 * EDGE, book.order), np.float32)
     chosen[np.arange(2 * EDGE), np.arange(-EDGE, EDGE)] = book.order
     return correlate(chosen, book)

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stages of `decode` that pass over all levels or all nodes.
-
-The kernel does them at once where no word needs a closer look; it gives the same decisions.
-"""
+"""The stages of `decode` that pass over all levels or all nodes."""
 
 from __future__ import annotations
 
@@ -13,44 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.amplitude import FAINT_SHARE
-from ..code.frame import FrameSpec
-
-SOUND_SHARE = 0.8
-"""Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
-Chosen: spreads of sound nodes are a few percent."""
-LOW_RHO = 5.0
-"""ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
-10."""
-LOW_MARGIN = 0.4
-"""A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
-DOUBLE_SHARE = 1.6
-"""Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
-bits give 2, one 60 % too strong is out of tolerance anyway."""
-SHARED_SHARE = 1.25
-"""Share of a node's amplitude above which a word may be that of more than one: two nodes with
-random bits give 1 on average, three give 1.5. Chosen between these."""
-CLEAR_RHO = 8.0
-"""ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
-deviations of a level."""
-UNLIKE = 0.2
-"""Share of a word's amplitude by which one of its levels may be off. Chosen on disturbed lines
-(make torture)."""
-
-LOWER_SHARE = 0.5
-"""Share of a word's strongest level below which its weakest one is that of fewer nodes. Chosen:
-three nodes give 3 and 1."""
-LEAST_NOISE = 1e-12
-"""V; less is taken for this, so that ρ stays finite."""
-
-NEED_STAGES, LEAVE_ENERGY = 0, 1
-"""What the kernel says of a frame that it read at once, as enum words_look in words.h."""
-
-
-Settings = tuple[NDArray[np.void], NDArray[np.void]]
-"""Of the kernel: those of a frame, and what its words are read by."""
+from .limits import (
+    CLEAR_RHO,
+    DOUBLE_SHARE,
+    LEAST_NOISE,
+    LOW_MARGIN,
+    LOW_RHO,
+    LOWER_SHARE,
+    SHARED_SHARE,
+    SOUND_SHARE,
+    UNLIKE,
+)
 
 
 class Measures(NamedTuple):
@@ -149,82 +121,12 @@ def decide(
     doubled = (cancelling | three) & (measures.strongest > two)
     doubtful |= doubled | (amplitude > two)
     doubtful &= active
-    uneven = measures.squares > amplitude * amplitude * np.float32(_most_square(bits))
+    uneven = measures.squares > amplitude * amplitude * np.float32(most_square(bits))
     is_uneven = active.size > 2 and bool((uneven & active).any())
     return Decided(codes, rho, margin, doubtful, doubled, odd, is_uneven)
 
 
-class Read(NamedTuple):
-    """The words of a frame of which none is faint or uneven; see Words.
-
-    codes: (n,) int32. amplitude, rho, margin: (n,) float32. The others: (n,) bool.
-    """
-
-    active: Bools
-    codes: NDArray[np.int32]
-    amplitude: Floats32
-    rho: Floats32
-    margin: Floats32
-    doubtful: Bools
-    doubled: Bools
-    odd: Bools
-
-
-def read(
-    settings: Settings,
-    rows: Floats32,
-    expected: Floats32,
-    sign_mask: NDArray[np.int32],
-    noise: float,
-    least_usual: float,
-) -> tuple[Read, bool] | None:
-    """All stages of `decode` at once, compiled; None if any word is faint or uneven.
-
-    Besides, whether the words leave over as much energy as a chip of one of them.
-
-    rows: (k, N) float32, V, contiguous. expected: (n,) V. least_usual: NaN; or least amplitude, V,
-    of the usual one, which is then written to `expected`. The others: as in `decide`.
-    """
-    assert kernel.compiled is not None
-    nodes = sign_mask.size
-    floats, ints = np.empty((6, nodes), np.float32), np.empty((3, nodes), np.int32)
-    flags = np.empty((5, nodes), np.bool_)
-    look: int = kernel.compiled.read_words(
-        *settings, 1 / max(noise, LEAST_NOISE), least_usual, rows, sign_mask, expected, floats,
-        ints, flags,
-    )  # fmt: skip
-    if look == NEED_STAGES:
-        return None
-    amplitude, rho, margin, *_ = floats
-    active, doubtful, doubled, odd, _ = flags
-    words = Read(active, ints[0], amplitude, rho, margin, doubtful, doubled, odd)
-    return words, look == LEAVE_ENERGY
-
-
-def reading_settings(
-    spec: FrameSpec, threshold: float, a_chip: float, few: int, few_share: float
-) -> NDArray[np.void]:
-    """What the kernel reads words by. threshold: see find_active. The others: see lateness.py."""
-    return kernel.settings(
-        "words_reading",
-        threshold=threshold,
-        faint_share=FAINT_SHARE,
-        sound_share=SOUND_SHARE,
-        most_square=_most_square(spec.line_bits),
-        a_chip=a_chip,
-        few=few,
-        few_share=few_share,
-        parity=spec.parity,
-        low_rho=LOW_RHO,
-        low_margin=LOW_MARGIN,
-        shared=SHARED_SHARE,
-        two=DOUBLE_SHARE,
-        clear_rho=CLEAR_RHO,
-        lower=LOWER_SHARE,
-    )
-
-
-def _most_square(bits: int) -> float:
+def most_square(bits: int) -> float:
     """Sum of squares over the squared amplitude, of a word with one level that is off by UNLIKE.
 
     Such a level adds 1/k − 1/k² of its square to the mean square of the word's k levels.

@@ -26,7 +26,7 @@ from serve import LiveSkin
 from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
 from test.support.firmware import need

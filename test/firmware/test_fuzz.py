@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from test.support.firmware import CORE, FIRMWARE, SANITIZE, STRICT, need, run
-from torture.commands.c_fuzzing import BUILD, best_kind, build, fuzz, harnesses
 from torture.fuzz import corpus
+from torture.fuzz.harnesses import BUILD, best_kind, build, fuzz, harnesses
 
 SECONDS, HANG_S = 20, 30
 HARNESSES = {  # sources of firmware/fuzz and of the core

@@ -14,7 +14,7 @@ import pytest
 
 from skin import CRYSTALS, Spread
 from tactile_cdma.config.parameters import read_file
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from test.support.firmware import need
 from thousand import FRAMES, PARAMS, QUICK, on_one_wire
 

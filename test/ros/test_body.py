@@ -414,7 +414,7 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
     [
         ({}, "no patches to gather"),
         ({"patches": ["/a/skin", "a/skin"]}, "patches has /a/skin twice"),
-        ({"patches": ["a b"]}, "patches has '/a b', which is no name of a node"),
+        ({"patches": ["a b"]}, "patches has '/a b', which is not a node's name"),
         ({"patches": [1, 2]}, r"patches is \[1, 2\]; it must be a list of names"),
         ({"patches": ["a"], "body_file": "b.yaml"}, "body_file and patches are both given"),
         ({"body_file": "/nowhere.yaml"}, "/nowhere.yaml: No such file"),

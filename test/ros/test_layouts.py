@@ -11,7 +11,7 @@ from sensor_msgs.msg import Image
 
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.ros.viewers.patches import layout_of
 from tactile_cdma.ros.viewers.view import in_use

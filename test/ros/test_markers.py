@@ -15,7 +15,7 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.places.mesh import MOST_SQUARES, taxel_squares
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.ros.common.cdr import Heading
 from tactile_cdma.ros.driver.markers import (

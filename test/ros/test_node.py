@@ -20,7 +20,7 @@ from sensor_msgs.msg import Image
 from tactile_cdma.config.parameters import PARAMETERS
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions

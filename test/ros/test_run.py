@@ -104,7 +104,7 @@ def test_a_wrong_time_is_refused_in_words_of_make(
         runpy.run_path(RUN[1], run_name="__main__")
     said = capsys.readouterr().err
     assert exit_.value.code == 2
-    assert f"SECONDS={seconds} is no number of seconds" in said
+    assert f"SECONDS={seconds} is not a number of seconds" in said
     assert said.startswith("usage: make run")
 
 

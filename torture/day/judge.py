@@ -12,7 +12,7 @@ import numpy as np
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from test.support.oracle import Held
 
 from .laps import Stretch

@@ -4,5 +4,6 @@
 
     seeds ──▶ mutations (atheris, hypothesis, test/corpus) ──▶ target ──▶ Find or None
 
-`python -m torture.fuzz` searches on all cores; torture/hostile runs a slice of it.
+`python -m torture.fuzz` searches on all cores. campaign.py runs a slice of it, and what no fuzzer
+finds: files that exhaust memory, endless garbage, storms on the sync line, languages that differ.
 """

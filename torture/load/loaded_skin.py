@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image
 
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
 
 from ..outcome import Outcome, Tally

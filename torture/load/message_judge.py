@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.ros.common.convert import nanoseconds
 from test.support.oracle import Held
 

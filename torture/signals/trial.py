@@ -16,7 +16,7 @@ from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.stuck import StuckNodes
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.disturbance import Waveform

@@ -174,7 +174,7 @@ class BagSource:
     def _camera(self, bag: AnyReader, topic: str, asked: bool) -> Stream | None:
         """The stream of an image topic; None, with a note, for images that are not taken."""
         if (kind := self._connections(bag, topic)[0].msgtype) not in fields.IMAGES:
-            raise CaptureError(f"{self.path}: {topic} is {kind}, no image")
+            raise CaptureError(f"{self.path}: {topic} is {kind}, not an image")
         first = self._first(bag, topic)
         reason = images.problem(first)
         if reason is not None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,8 @@ from ...config.parameters import Value
 from ...recording.recording_file import is_recording
 from ..samples import MOST_SHOWN, SampleSource
 from .recording_source import RecordingSource, check_bytes
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +43,11 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
             from .bag_source import BagSource  # slow to load, and needed here only
 
         refuse_parameters(path, wanted.asked)
-        return BagSource(
+        bag = BagSource(
             path, wanted.topics, wanted.derived, wanted.cameras, wanted.state, wanted.action
         )
+        _log.debug("%s is a bag with %s", path, ", ".join(bag.streams) or "nothing wanted")
+        return bag
     source = RecordingSource(path, wanted.asked, wanted.derived)
     of_bags = {"--topic": wanted.topics, "--image": wanted.cameras}
     of_bags |= {"--state": wanted.state, "--action": wanted.action}

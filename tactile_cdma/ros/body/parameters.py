@@ -75,7 +75,7 @@ def _names(value: object) -> tuple[str, ...]:
             validate_full_topic_name(name)
         except InvalidTopicNameException:
             raise ParameterError(
-                f"{_PATCHES} has {name!r}, which is no name of a node; they look like "
+                f"{_PATCHES} has {name!r}, which is not a node's name; names look like "
                 "/left_palm/skin"
             ) from None
         if names.count(name) > 1:

@@ -109,7 +109,7 @@ class CdrReader:
     def __init__(self, message: bytes) -> None:
         if message[:2] != ENCAPSULATION[:2]:
             raise CdrError(
-                f"the message begins with {message[:4].hex(' ') or 'nothing'}, which is no plain "
+                f"the message begins with {message[:4].hex(' ') or 'nothing'}, which is not plain "
                 "little-endian CDR: does its sender use another middleware?"
             )
         self._data, self._size, self._end = message[4:], len(message) - 4, 0

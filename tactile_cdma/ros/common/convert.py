@@ -28,7 +28,7 @@ from ...driver.pipeline import TactileFrame
 from ...messages.fields import array_fields, info_fields
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
-from .cdr import ENCAPSULATION, PADDING, CdrWriter, Heading
+from .cdr import CdrWriter, Heading
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
@@ -46,28 +46,19 @@ def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | arr
 def tactile_array(
     frame: TactileFrame, layout: Layout, heading: Heading, info_id: int, with_voltage: bool
 ) -> bytes:
-    """One frame as the message TactileArray, which a manipulation stack subscribes to.
-
-    Written without CdrWriter, as every frame waits for it.
-    """
+    """One frame as the message TactileArray, which a manipulation stack subscribes to."""
     fields = array_fields(frame, layout, info_id, _as_bytes, with_voltage)
     *numbers, pressure, voltage, status, noise_v = fields.values()
-    header = heading.fields
-    return b"".join(
-        (
-            ENCAPSULATION,
-            header,
-            PADDING[-len(header) % 8],
-            _ARRAY.pack(*numbers, len(status)),
-            pressure,
-            _COUNT.pack(len(voltage) // 4),
-            voltage,
-            _COUNT.pack(len(status)),
-            status,
-            PADDING[-len(status) % 4],
-            _FLOAT.pack(noise_v),
-        )
-    )
+    writer = CdrWriter()
+    writer.header(heading)
+    writer.add(_ARRAY.pack(*numbers, len(status)), 8)
+    writer.add(pressure)
+    writer.count(len(voltage) // 4)
+    writer.add(voltage)
+    writer.count(len(status))
+    writer.add(status)
+    writer.add(_FLOAT.pack(noise_v), 4)
+    return writer.message
 
 
 def wrench_stamped(heading: Heading, force_n: Floats, torque_nm: Floats) -> bytes:
@@ -137,7 +128,7 @@ def _point_fields(kind: np.dtype[np.void]) -> bytes:
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
-_ARRAY, _COUNT, _FLOAT = Struct("<QQIHHI"), Struct("<I"), Struct("<f")
+_ARRAY, _FLOAT = Struct("<QQIHHI"), Struct("<f")
 _WRENCH = Struct("<6d")
 _SIZE = Struct("<II")
 _STEP, _STEPS, _FIELD = Struct("<I"), Struct("<?3xII"), Struct("<IB3xI")

@@ -5,6 +5,10 @@
 rclpy's own gathers all that a node has and makes a new wait set before every callback, and once
 more after it, as every callback wakes the executor. That takes 0.5 to 1 ms a message for a node
 with 20 services and topics, several times what the message itself does.
+
+rclpy.experimental.EventsExecutor costs as little as this one, but in Jazzy's rclpy (7.1) it calls
+nobody while it waits without a time limit, fails where a callback wants what the middleware knows
+of a message, and has no Gate.
 """
 
 from __future__ import annotations

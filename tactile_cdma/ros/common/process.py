@@ -25,6 +25,7 @@ from ...base.named_file import existing
 from ...config.arguments import params_of
 from ...config.parameters import read_sections
 from .executor import LeanExecutor
+from .logs import forward_logs
 
 WAKE_S = 0.1
 """Longest time, s, after which a program without messages notices that it is told to end."""
@@ -54,6 +55,7 @@ def run_node(make: Callable[[], Node], program: str) -> int:
             for path in params_of(sys.argv):
                 read_sections(path, None)  # so are these, of a file that is none
             raise
+        forward_logs()
         node = make()
     except (RCLError, UnknownROSArgsError, TactileError) as error:
         unknown = "unknown arguments: " if isinstance(error, UnknownROSArgsError) else ""
@@ -109,6 +111,7 @@ def viewing(make: Callable[[], N], seconds: float | None = None) -> Iterator[Vie
     """
     with stop_event(seconds) as stop:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        forward_logs()
         try:
             running = Viewing(make(), stop.is_set)
             yield running

@@ -25,7 +25,7 @@ STREAM, NODES, LINK, SOURCE, HOST = "stream", "nodes", "link", "source", "host"
 ENTRIES = (STREAM, NODES, LINK, SOURCE, HOST)
 NO_FRAMES = "no frames come, see stream"
 _OF_STREAM = ("frames", "lost frames", "rejected")
-"""How counts begin that are shown in the entry of the stream; all others are in the link's."""
+"""Counts whose names begin so stand in the entry of the stream; all others in that of the link."""
 
 Values = Mapping[str, object]
 

@@ -21,7 +21,7 @@ from ..common.convert import vector
 
 TF_STATIC = "/tf_static"
 MIDDLE = "_middle"
-"""What the name of a skin's middle has after the skin's frame_id."""
+"""Ending, after the skin's frame_id, of the name of the frame in its middle."""
 
 
 class Mount:

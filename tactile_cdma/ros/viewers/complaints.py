@@ -14,7 +14,7 @@ LEVELS = {
     DiagnosticStatus.WARN: "WARN",
     DiagnosticStatus.ERROR: "ERROR",
 }
-"""In the order of their severity."""
+"""Names of the levels, in rising order of severity."""
 _BADNESS = list(LEVELS)
 MOST_ENTRIES = 32
 """Entries kept of a node, which has a handful: anybody may publish under its name. Chosen."""

@@ -26,7 +26,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...config.arguments import positive
 from ...places.layout import Layout
-from ...readings.stages import Status
+from ...readings.status import Status
 from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines

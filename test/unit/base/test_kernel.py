@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.code.codes import code_book, is_feasible
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.separate import frame_fields, frame_settings
 from tactile_cdma.code.transform import compiled_transform, correlate, numpy_transform
 
 needs_kernel = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
@@ -162,3 +164,49 @@ def test_misuse_of_a_transform_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match="Transform: "):
             new(*arguments)
+
+
+@needs_kernel
+def test_misuse_is_refused_and_says_of_which_argument() -> None:
+    assert kernel.compiled is not None
+    spec = FrameSpec(nodes=5, order=8)
+    out = [np.empty(shape, np.float32) for shape in ((2, 5), (2, 5), 2, 2, 2, 2)]
+    sound = [frame_settings(spec), np.zeros((2, 10, 8), np.float32), *out]
+    kernel.compiled.fit_words(*sound)
+    read_only = out[2].copy()
+    read_only.flags.writeable = False
+    for place, wrong, error in (
+        (0, np.zeros(6), "words_frame: 56 bytes of settings expected, not 48"),
+        (1, sound[1][:, :9], r"rows: ndarray is not C-contiguous"),
+        (1, sound[1][:, :9].copy(), r"rows: \(10, 8\) with 5 nodes from row 1 on expected"),
+        (1, sound[1][0], r"rows: 3 axes \(ckN\) expected, not 2"),
+        (2, out[0][:, :4].copy(), r"uneven: n of \(cn\) is 4, not 5"),
+        (4, out[2].astype(np.float64), "pedestal: values of type 'f' expected, not 'd'"),
+        (4, np.empty(3, np.float32), "pedestal: 2 values expected, not 3"),
+        (4, None, "pedestal: a bytes-like object"),
+        (4, read_only, "pedestal: buffer source array is read-only"),
+    ):
+        with pytest.raises((TypeError, ValueError, BufferError), match=f"fit_words: {error}"):
+            kernel.compiled.fit_words(*sound[:place], wrong, *sound[place + 1 :])
+    with pytest.raises(TypeError, match="fit_words: 8 arguments expected, not 7"):
+        kernel.compiled.fit_words(*sound[:-1])
+    with pytest.raises(TypeError, match="to_volts: zero: must be real number, not str"):
+        kernel.compiled.to_volts("0", 1.0, np.zeros(1, np.int16), np.zeros(1, np.float32))
+
+
+@needs_kernel
+def test_settings_have_the_members_of_their_struct() -> None:
+    assert kernel.compiled is not None
+    for name, (size, members) in kernel.compiled.STRUCTS.items():
+        end = 0
+        for _, offset, kind in members:
+            width = np.dtype(kind).itemsize
+            assert end <= offset < end + width + 8 and offset % width == 0, "no member is left out"
+            end = offset + width
+        assert end <= size < end + 8
+        for wrong in ({}, {**dict.fromkeys((m[0] for m in members), 1), "more": 1}):
+            with pytest.raises(TypeError, match=name):
+                kernel.settings(name, **wrong)
+    made = frame_settings(FrameSpec(nodes=5, order=8))
+    expected = frame_fields(FrameSpec(nodes=5, order=8))
+    assert dict(zip(made.dtype.names, made.tolist(), strict=True)) == pytest.approx(expected)

@@ -21,7 +21,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -152,7 +152,7 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(
         (["--offset", 3], "--offset goes with --capture only"),
         (["--settle", 5], "--settle goes with --capture only"),
         (["--png", "no/skin.png"], "no/skin.png: there is no such folder"),
-        (["-o", "."], "no file that could be overwritten"),
+        (["-o", "."], "not a regular file, so it is not overwritten"),
         (["-o", "loads.csv"], "loads.csv: would overwrite another file of this very command"),
         (["--png", "./loads.csv"], "loads.csv: would overwrite another"),
         (["--png", "skin.yaml"], "skin.yaml: would overwrite another"),
@@ -371,7 +371,7 @@ def test_answers_are_loads_and_none_is_lost(
         with dialogue(*common) as cal:
             hear(cal, "load 1, in kPa, applied to node 5 (Enter: end) ")
             answer(cal, "hard")
-            assert "'hard' is no pressure in kPa" in hear(cal, "\n")
+            assert "'hard' is not a pressure in kPa" in hear(cal, "\n")
             answer(cal, "0")
             hear(cal, "0 kPa: 3.297 V\n")
             hear(cal, "(Enter: end) ")
@@ -415,7 +415,7 @@ def test_nothing_taken_is_said(
     monkeypatch.setattr("builtins.input", lambda question: "")
     nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
     assert "no load was taken" in refusal(capsys, *nothing)
-    assert "no file that could" in refusal(capsys, "/dev/full", *nothing, "--append")
+    assert "not a regular file" in refusal(capsys, "/dev/full", *nothing, "--append")
     assert not list(tmp_path.iterdir())
 
 

@@ -40,9 +40,9 @@ def way(request: pytest.FixtureRequest) -> Iterator[None]:
             patch.setattr(kernel, "compiled", None)
         elif kernel.compiled is None:
             pytest.skip(kernel.why_numpy)
-        transform._transform.cache_clear()
+        transform.transform_of.cache_clear()
         yield
-    transform._transform.cache_clear()
+    transform.transform_of.cache_clear()
 
 
 def reference(chips: np.ndarray, order: int, rows: np.ndarray) -> np.ndarray:

@@ -274,3 +274,16 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])
     assert end.value.code == 0 and command in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("line", "completions"),
+    [("tactile-cdma de", {"decode"}), ("tactile-cdma export t.skin --b", {"--bag", "--bits"})],
+)
+def test_a_shell_that_asks_is_told_what_can_follow(line: str, completions: set[str]) -> None:
+    pytest.importorskip("argcomplete")
+    asks = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
+    command = ["sh", "-c", f"{sys.executable} -m tactile_cdma 8>&1 9>&2"]  # it answers on 8
+    environment = os.environ | asks | {"COMP_POINT": str(len(line))}
+    answer = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert set(answer.stdout.split()) == completions

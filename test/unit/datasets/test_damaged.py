@@ -116,7 +116,7 @@ def test_a_damaged_npz(
     with np.load(path) as table:
         assert len(table["sequence"]) == 78
     path.write_bytes(damage(path.read_bytes()))
-    assert f"{path}: no table of tactile-cdma, or damaged: " in told(["info", str(path)], capsys)
+    assert f"{path}: not a table of tactile-cdma, or damaged: " in told(["info", str(path)], capsys)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_dataset_with_damaged_metadata(
     text = info.read_text()
     assert value in text
     info.write_text(text.replace(value, damaged))
-    assert f"{out}: no dataset of LeRobot v3, or damaged: " in told(["info", str(out)], capsys)
+    assert f"{out}: not a dataset of LeRobot v3, or damaged: " in told(["info", str(out)], capsys)
 
 
 def test_a_dataset_without_its_data(
@@ -153,7 +153,7 @@ def test_a_dataset_without_its_data(
     assert "problem" not in capsys.readouterr().out
     [file] = (out / "data").glob("*/*.parquet")
     file.write_bytes(file.read_bytes()[:-100])
-    assert f"{out}: no dataset of LeRobot v3, or damaged" in told(["info", str(out)], capsys)
+    assert f"{out}: not a dataset of LeRobot v3, or damaged" in told(["info", str(out)], capsys)
     shutil.rmtree(out / "data")
     assert main(["info", str(out)]) == 0
     said = capsys.readouterr().out

@@ -549,7 +549,7 @@ def test_what_cannot_be_is_one_clear_error(
         ([bag, *out, "--clock", "/none"], "/none is not exported (but /left_palm/skin/tactile, "),
         ([bag, *out, *fps, "--topic", "/none"], "no skin's frames in /none"),
         ([bag, *out, *fps, "--image", "/none"], "no topic /none"),
-        ([bag, *out, *fps, "--image", "/joint_states"], "no image"),
+        ([bag, *out, *fps, "--image", "/joint_states"], "not an image"),
         (
             [bag, *out, *fps, "--state", "/front/image_raw"],
             "state takes sensor_msgs/msg/JointState",

@@ -12,7 +12,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Taxels
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours, heatmap
 from tactile_cdma.words.decode import Words, silent

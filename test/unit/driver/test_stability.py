@@ -22,7 +22,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.wire.messages import FrameLayout, Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import decode

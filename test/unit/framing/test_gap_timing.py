@@ -90,7 +90,7 @@ def test_frames_where_the_raster_expects_them_are_those_that_a_search_finds(
         wire.send((slot + 0.25) * wire.period + late, words, stretch=0.03)
     volts = wire.volts(rho=rho)
     found = run(GapTiming(DEFAULT, wire.rate_hz), volts)
-    monkeypatch.setattr(GapSearch, "_by_raster", lambda *_: None)
+    monkeypatch.setattr(GapSearch, "carried", lambda *_: None)
     searched = run(GapTiming(DEFAULT, wire.rate_hz), volts)
     assert sum(frame.levels is not None for frame in found) >= 55
     for one, other in zip(found, searched, strict=True):

@@ -132,7 +132,7 @@ def test_larger_skins_are_not_stale_by_default(
         ),
         (["--read", "no.hex"], "no.hex: No such file"),
         (["--read", "blank.bin"], "blank.bin: the memory is blank"),
-        (["--read", "file.hex"], "file.hex: line 1: 'words' is no Intel HEX record"),
+        (["--read", "file.hex"], "file.hex: line 1: 'words' is not an Intel HEX record"),
     ],
 )
 def test_mistakes_are_one_clear_error(

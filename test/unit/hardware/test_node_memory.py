@@ -313,8 +313,8 @@ def test_gaps_in_the_hex_are_blank() -> None:
         ("", "no end record"),
         (to_hex(MEMORY).replace(":00000001FF", ""), "no end record"),
         (to_hex(MEMORY).replace("54", "55", 1), "line 1: wrong checksum"),
-        ("#!/bin/sh\n", "line 1: '#!/bin/sh' is no Intel HEX record"),
-        (":0100\n", "line 1: ':0100' is no Intel HEX record"),
+        ("#!/bin/sh\n", "line 1: '#!/bin/sh' is not an Intel HEX record"),
+        (":0100\n", "line 1: ':0100' is not an Intel HEX record"),
         (":020000040001F9\n:00000001FF\n", "line 1: Intel HEX record of type 4"),
     ],
 )

@@ -18,7 +18,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.words.decode import silent
 from test.support.simulated import run, stream

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import tactile_cdma
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 
 pytestmark = pytest.mark.xdist_group("package")  # its fixture is made once
 ROOT = Path(__file__).resolve().parents[3]

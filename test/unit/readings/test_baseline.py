@@ -14,7 +14,7 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.dynamics import Dynamics
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.words.decode import Words, silent
 from tactile_cdma.words.health import NodeHealth

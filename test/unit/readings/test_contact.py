@@ -20,7 +20,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.places.components import connected
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import SMOOTHING_S, Contacts, ContactThresholds, ContactTracker
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Coverage, Readings
 from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth

@@ -13,7 +13,7 @@ from tactile_cdma.base import kernel
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.readings.gather import CompiledGatherer, NumpyGatherer
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)

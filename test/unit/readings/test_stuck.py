@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.stuck import LOOK_S, SWINGS, StuckNodes
 from tactile_cdma.readings.taxels import Readings
 

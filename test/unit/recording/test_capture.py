@@ -98,8 +98,8 @@ def test_missing_samples_split_the_recording_and_are_noted(tmp_path: Path) -> No
         (rows()[:8], "only 8 samples"),
         ([*rows()[:50], "oops,0.1", *rows()[50:]], "line 51 is not two numbers.*'oops,0.1'"),
         ([*rows()[:50], "0.1", *rows()[50:]], "line 51 is not two numbers.*'0.1'"),
-        (rows(TIME_S[::-1]), "no rising time"),
-        (rows(np.zeros(400)), "no rising time"),
+        (rows(TIME_S[::-1]), "not a rising time"),
+        (rows(np.zeros(400)), "not a rising time"),
         (rows(np.r_[TIME_S[:300], TIME_S[:100]]), "time runs backwards in line 301"),
     ],
 )

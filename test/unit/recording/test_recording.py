@@ -288,7 +288,7 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     empty.write_bytes(b"")
     assert not is_recording(other)
     for path in (other, empty):
-        with pytest.raises(CaptureError, match="no recording"):
+        with pytest.raises(CaptureError, match="not a recording"):
             survey(path)
     with pytest.raises(CaptureError, match="No such file"):
         survey(tmp_path / "none.skin")

@@ -209,7 +209,7 @@ def test_a_damaged_and_cut_recording_plays_what_it_has_and_says_what_is_missing(
         ("replay://PATH?loop=maybe", "true or false"),
         ("replay://PATH?start=3&end=2", "not before end"),
         ("replay://PATH?start=50", "no bytes between"),
-        ("replay://OTHER", "is no recording"),
+        ("replay://OTHER", "is not a recording"),
     ],
 )
 def test_what_cannot_be_replayed_is_one_clear_error(

@@ -84,7 +84,7 @@ def test_links_replace_links_only(tmp_path: Path) -> None:
     with plugged(VirtualDigitizer, link):
         assert Path(os.readlink(link)).exists()
     link.write_text("precious")
-    with pytest.raises(PortError, match="no symbolic link"):
+    with pytest.raises(PortError, match="not a symbolic link"):
         serve(VirtualDigitizer, link, threading.Event(), lambda path: None)
     assert link.read_text() == "precious"
     with pytest.raises(PortError, match="cannot create the link"):

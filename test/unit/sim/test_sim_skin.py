@@ -16,7 +16,7 @@ from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import SIMULATION, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import BEGUN_S, EVERY_S, PEAK_PA, REST_S, SCENES, SkinGeometry

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.views.heatmap import colours
 from tactile_cdma.views.terminal import (
     Look,

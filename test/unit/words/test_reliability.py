@@ -14,7 +14,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.readings.stages import Status
+from tactile_cdma.readings.status import Status
 from tactile_cdma.words.decode import Words, decode
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
 

@@ -17,13 +17,11 @@ from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire import packets
 from tactile_cdma.wire.packets import Scanner
-from torture.commands.c_fuzzing import FIRMWARE
-from torture.fuzz import corpus, streams
+from torture.fuzz import bombs, campaign, corpus, garbage, streams
+from torture.fuzz.harnesses import FIRMWARE
 from torture.fuzz.search import search
 from torture.fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, inputs, trying
 from torture.fuzz.targets import TARGETS
-from torture.hostile import bombs, garbage
-from torture.hostile import campaign as hostile
 from torture.outcome import Plan
 
 QUICK = Plan(quick=True, seed=2)
@@ -77,13 +75,13 @@ def test_anything_near_a_seed_is_read_or_refused(name: str, data: st.DataObject)
 def test_a_slice_of_the_campaign_finds_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(hostile.GARBAGE_S, True, 0.03)
-    assert hostile.waiting(tmp_path).good
-    assert hostile.oversized(tmp_path, 1 << 16).good
-    assert hostile.fed(QUICK).good
+    monkeypatch.setitem(campaign.GARBAGE_S, True, 0.03)
+    assert campaign.waiting(tmp_path).good
+    assert campaign.oversized(tmp_path, 1 << 16).good
+    assert campaign.fed(QUICK).good
 
 
-@pytest.mark.parametrize("bomb", sorted(bombs.YAML_BOMBS.keys() - hostile.LONG))
+@pytest.mark.parametrize("bomb", sorted(bombs.YAML_BOMBS.keys() - campaign.LONG))
 def test_bombs_are_refused(tmp_path: Path, bomb: str) -> None:
     path = tmp_path / "bomb.yaml"
     path.write_bytes(bombs.YAML_BOMBS[bomb]())
@@ -187,7 +185,7 @@ def test_readers_that_hang_or_take_what_they_should_not_are_found(
     os.mkfifo(fifo)
     with pytest.raises(TimeoutError):
         bombs.refuse(Path.read_bytes, fifo)
-    outcome = hostile._refused("planted", [(Path.read_bytes, fifo, True), (Path, fifo, True)])
+    outcome = campaign._refused("planted", [(Path.read_bytes, fifo, True), (Path, fifo, True)])
     assert (outcome.crashes, outcome.hangs) == (1, 1)
 
 

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hostile bytes: a slice of fuzzing, files made to exhaust memory, and endless garbage."""
+"""Hostile input: a slice of fuzzing, files made to exhaust memory, endless garbage, and firmware.
+
+`make fuzz` searches the same targets, and the harnesses of firmware/fuzz, for as long as one likes.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,21 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tactile_cdma.base.errors import TactileError
 
-from ..fuzz.search import search
-from ..fuzz.target import CRASH, SLOW, UNCOUNTED, WRONG, Target, inputs, trying
-from ..fuzz.targets import GROUPS
 from ..outcome import Outcome, Plan
 from . import bombs, garbage
+from .both_languages import same_answers, same_samples
+from .harnesses import BUILD, build
+from .sync_storms import storms
+from .target import CRASH, SLOW, UNCOUNTED, WRONG, Target, inputs, trying
+from .targets import GROUPS
 
 SLICE_S = {True: 0.12, False: 18.0}
-"""Time for a target, s; processor time if quick, wall-clock time of its own process if not."""
-JOBS = 2
-MOST_RUNS = 10**9
-"""Never reached: time ends a search."""
+"""Processor time for a target, s."""
 QUICK_BYTES, FULL_BYTES = 2 << 20, 50 << 20
 """Most bytes of each kind of garbage."""
 GARBAGE_S = {True: 0.1, False: 8.0}
@@ -36,14 +37,18 @@ CRAFTED_BYTES = {True: 1 << 18, False: 4 << 20}
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """Run everything; quick: mutations in this process instead of searches by coverage."""
+    """Mutations of what every reader reads, then bombs and garbage, then the firmware."""
     for fault, targets in GROUPS.items():
-        yield tried(fault, targets, plan) if plan.quick else searched(fault, targets, plan)
+        yield tried(fault, targets, plan)
     with TemporaryDirectory() as folder:
         yield yaml_bombs(Path(folder), bombs.YAML_BOMBS.keys() - (LONG if plan.quick else set()))
         yield waiting(Path(folder))
         yield oversized(Path(folder), CRAFTED_BYTES[plan.quick])
     yield fed(plan)
+    build("replay-native")
+    yield same_answers(BUILD / "replay" / "replay", plan)
+    yield same_samples(BUILD / "replay" / "replay", plan)
+    yield from storms(plan)
 
 
 def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
@@ -60,24 +65,6 @@ def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
                 if time.thread_time() > until_s:
                     break
     return _outcome(fault, done, kinds, f"{len(targets)} targets")
-
-
-def searched(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
-    """Search each target by coverage, in its own process."""
-    with TemporaryDirectory() as folder, ThreadPoolExecutor(JOBS) as pool:
-        jobs = [
-            pool.submit(search, name, Path(folder, name), MOST_RUNS, int(SLICE_S[False]), plan.seed)
-            for name in (target.name for target in targets)
-        ]
-        found = [job.result() for job in jobs]
-    for each in found:
-        if each.finds:
-            print(each, file=sys.stderr)
-    kinds = Counter(kind for each in found for kind, _ in each.finds)
-    branches = sum(each.coverage for each in found)
-    peak_mb = max(each.peak_mb for each in found)
-    said = f"{len(targets)} targets, {branches} branches, at most {peak_mb} MB"
-    return _outcome(fault, sum(each.inputs for each in found), kinds, said)
 
 
 def yaml_bombs(folder: Path, names: Set[str]) -> Outcome:

@@ -17,7 +17,7 @@ from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
 from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_RESTART, SYNC_UNIT_US
 
 from ..outcome import Outcome, Plan
-from .c_fuzzing import BUILD, FIRMWARE, SIMAVR, build
+from .harnesses import BUILD, FIRMWARE, SIMAVR, build
 
 sys.path.append(str(FIRMWARE / "sim"))
 from emulated import EmulatedNodes, Node

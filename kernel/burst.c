@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "burst.h"
+
+#include <math.h>
+
+#include "fit.h"
+
+static double least_of(double some, double other)
+{
+    return some < other ? some : other;
+}
+
+static double most_of(double some, double other)
+{
+    return some > other ? some : other;
+}
+
+size_t burst_scratch(const struct burst_search *search, size_t size)
+{
+    return 3 * (size / search->half + 1);
+}
+
+/* Mean of a half chip. */
+static inline double mean_of(const double *volts, size_t half)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < half; i++)
+        sum += volts[i];
+    return sum * (1.0 / (double)half);
+}
+
+bool burst_gap(const struct burst_search *search, const double *volts, size_t size,
+               const struct burst_gap *known, struct burst_gap *gap, double *scratch)
+{
+    size_t count = size / search->half, width = search->window < count ? search->window : count;
+    double *sums = scratch, *squares = scratch + count + 1, least = INFINITY, level = 0;
+
+    if (width < 4)
+        return false;
+    sums[0] = squares[0] = 0;
+    for (size_t i = 0; i < count; i++) {
+        double off = mean_of(volts + i * search->half, search->half) - known->level;
+        sums[i + 1] = sums[i] + off;
+        squares[i + 1] = squares[i] + off * off;
+    }
+    for (size_t i = 0; i + width <= count; i++) {
+        double power = squares[i + width] - squares[i];
+        if (power < least) {
+            least = power;
+            level = (sums[i + width] - sums[i]) / (double)width;
+            gap->begin = i * search->half;
+        }
+    }
+    double fresh = search->bias * most_of(least / (double)width - level * level, 0);
+    gap->level = known->level + level;
+    gap->variance = least_of((1 - search->newest) * known->variance + search->newest * fresh,
+                             search->calmer * fresh);
+    return true;
+}
+
+/* What a search finds on the way: energy (count) of half chips, gain (cells + 1) of cells. */
+struct view {
+    size_t count, cells;
+    double *energy, *gain;
+};
+
+/* Cells from `begin` to `end` that may be the frame: of all of a possible length those with the greatest
+ * excess over half of its power, without quiet ones at the ends. */
+static void cut_frame(const struct burst_search *search, const struct view *view, size_t low,
+                      size_t *begin, size_t *end)
+{
+    const double *gain = view->gain;
+    double best = -INFINITY;
+    size_t top = 0, span = search->high - search->low;
+
+    for (size_t b = 0; b + low <= view->cells; b++) {
+        size_t first = b + low, last = first + span < view->cells ? first + span : view->cells;
+        if (b && top >= first)
+            top = gain[last] > gain[top] ? last : top;
+        else
+            for (size_t i = top = first; i <= last; i++)
+                top = gain[i] > gain[top] ? i : top;
+        if (gain[top] - gain[b] > best) {
+            best = gain[top] - gain[b];
+            *begin = b;
+            *end = top;
+        }
+    }
+    size_t first = *begin, last = *end > search->bit ? *end - search->bit : *end;
+    for (size_t i = first; i <= *begin + search->bit && i <= view->cells; i++)
+        first = gain[i] < gain[first] ? i : first;
+    for (size_t i = last; i <= *end; i++)
+        last = gain[i] > gain[last] ? i : last;
+    *begin = first;
+    *end = last;
+}
+
+/* Where the frame is first silent for longer than one would be: every bit has the same energy, and `width`
+ * holds a whole one. */
+static size_t pause_of(const struct burst_search *search, const double *energy, size_t count, size_t first,
+                       size_t last, double power, double variance, double limit)
+{
+    double sum = 0;
+
+    for (size_t i = first; i < last; i++) {
+        sum += energy[i] - (i - first < search->width ? 0 : energy[i - search->width]);
+        if (i + 1 - first < search->width)
+            continue;
+        if (sum / (double)search->width - variance < 0.2 * power) {
+            size_t begin = i + 1 - search->width, stop = begin + search->width, pause = begin;
+            for (size_t next = begin; next < stop && next < count; next++)
+                pause = energy[next] > limit ? next + 1 : pause;
+            return pause;
+        }
+    }
+    return last;
+}
+
+bool burst_find(const struct burst_search *search, const double *volts, size_t size, double least_power,
+                double variance, struct burst_found *found, double *scratch)
+{
+    size_t count = size / search->half, group = search->group, begin = 0, end = 0;
+    struct view view = {count, count / group, scratch, scratch + count};
+    size_t low = search->low < view.cells ? search->low : view.cells;
+    double sum = 0, peak = 0;
+
+    if (low < 8)
+        return false;
+    for (size_t i = 0; i < count; i++) {
+        double mean = mean_of(volts + i * search->half, search->half);
+        view.energy[i] = mean * mean;
+    }
+    for (size_t cell = 0; cell < view.cells; cell++) {
+        view.gain[cell + 1] = mean_of(view.energy + cell * group, group);
+        sum += view.gain[cell + 1] - (cell < low ? 0 : view.gain[cell + 1 - low]);
+        peak = cell + 1 >= low && sum > peak ? sum : peak;
+    }
+    peak /= (double)low;
+    variance = most_of(variance, 1e-8 * peak);
+    double power = peak - variance, half_power = variance + 0.5 * power;
+    if (!(power >= most_of(search->no_power,
+                           most_of(search->snr_floor * variance, least_power))))
+        return false;
+    view.gain[0] = 0;
+    for (size_t cell = 0; cell < view.cells; cell++)
+        view.gain[cell + 1] = view.gain[cell] + (view.gain[cell + 1] - half_power);
+    cut_frame(search, &view, low, &begin, &end);
+    /* Loud half chips are sharper than that, and reach beyond where chips are small. Hum stays below. */
+    double node_power = most_of(least_power, power / (16 * (double)search->nodes));
+    double limit = most_of(search->loud * search->loud * variance, node_power);
+    size_t first = begin * group, last = end * group, reach = search->bit * group;
+    size_t from = first > reach ? first - reach : 0, i = from, until = last + reach;
+    while (i < first + group && i < count && !(view.energy[i] > limit))
+        i++;
+    bool sharp = i < first + group && i < count;
+    size_t back = until < count ? until : count, least = last > group ? last - group : 0;
+    while (back > least && !(view.energy[back - 1] > limit))
+        back--;
+    sharp = sharp && back > least;
+    first = i < first + group && i < count ? i : first;
+    last = back > least ? back : last;
+    double snr = power / variance;
+    size_t pause = last;
+    if (snr > 8 && last > first + search->width)
+        pause = pause_of(search, view.energy, count, first, last, power, variance, limit);
+    found->slack = search->chip * (1.5 + 60.0 / snr);
+    if (!sharp)
+        found->slack += (double)(search->half * (group - 1));
+    found->first = (double)(first * search->half) - 0.5;
+    found->last = (double)(last * search->half) - 0.5;
+    found->pause = (double)(pause * search->half) - 0.5;
+    found->power = power;
+    found->variance = variance;
+    return true;
+}
+
+/* One side of a frame: half chips, nearest first, of `count` samples from `volts` on. */
+static size_t side_of(const double *volts, size_t count, size_t half, bool backwards, float *side)
+{
+    size_t halves = count / half;
+
+    for (size_t i = 0; i < halves; i++)
+        side[i] = (float)mean_of(backwards ? volts + count - (i + 1) * half : volts + i * half, half);
+    return halves;
+}
+
+static bool is_quiet(const struct burst_search *search, const float *side, size_t count,
+                     double variance, double power)
+{
+    double sum = 0, squares = 0, size = (double)(count < search->side ? count : search->side);
+
+    for (size_t i = 0; i < count && i < search->side; i++) {
+        sum += (double)side[i];
+        squares += (double)side[i] * (double)side[i];
+    }
+    double excess = squares / size - variance * (1.5 + 5 * sqrt(2 / size));
+    double drift = fabs(sum / size) - 6 * sqrt(variance / size);
+    return !(drift > search->beside_level * sqrt(power) || excess > search->beside * power);
+}
+
+struct burst_beside burst_beside(const struct burst_search *search, const double *volts, size_t size,
+                                 size_t first, size_t end, double variance, double power,
+                                 float *scratch)
+{
+    size_t begin = first > search->gap_size ? first - search->gap_size : 0;
+    size_t stop = end + search->gap_size < size ? end + search->gap_size : size;
+    size_t before = side_of(volts + begin, first - begin, search->half, true, scratch);
+    size_t after = end < stop ? side_of(volts + end, stop - end, search->half, false, scratch + before) : 0;
+    struct burst_beside found = {0, variance, true};
+    float *steps = scratch + before + after;
+    size_t count = 0;
+
+    for (size_t i = 0; i < before + after; i++) {
+        found.level += (double)scratch[i] / (double)(before + after);
+        float step = scratch[i] - (i ? scratch[i - 1] : 0);
+        steps[count] = step * step;
+        count += i != 0 && i != before;
+    }
+    if (count >= 8) {
+        double noise = (double)fit_ranked(steps, (ptrdiff_t)count, (ptrdiff_t)count / 2);
+        noise /= 2 * search->median;
+        if (noise > 0)
+            found.variance = most_of(noise, least_of(variance, search->drifting * noise));
+    }
+    found.quiet = is_quiet(search, scratch, before, found.variance, power) &&
+                  is_quiet(search, scratch + before, after, found.variance, power);
+    return found;
+}

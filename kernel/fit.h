@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* A frame of a start and a chip duration: its chips, and where its edges are. What framing/fit.py does for
+ * one candidate; in C because each is some twenty passes over a few hundred values, which take numpy
+ * longer to begin than to make.
+ *
+ * Times are in samples; sample i is the line's level at instant i. */
+#ifndef TACTILE_FIT_H
+#define TACTILE_FIT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "transform.h"
+#include "words.h"
+
+/* Samples of a line without its level of rest, V, and their sums: sums[i] is that of the first i. */
+struct fit_line {
+    size_t size;
+    const double *volts, *sums;
+};
+
+/* How frames are sent and read. flips: (k, N) of the scrambler, or NULL. places: (k·N) of the coded chips
+ * among all `span` of a frame, rising. */
+struct fit_code {
+    struct words_frame frame;
+    size_t span;
+    const struct transform *correlate, *spread;
+    const float *flips;
+    const int32_t *places;
+};
+
+struct fit {
+    double start, chip;
+};
+
+/* How a fit is refined; see refine in fit.py. reaches: of a chip on either side of an edge, in each turn. */
+struct fit_refining {
+    double blur, settled_chips;
+    size_t turns;
+    const double *reaches;
+};
+
+/* Mean level, V, of `count` chips on end, of which number `lead` is the first of the fit. */
+void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
+                size_t count, float *levels);
+
+/* Correlations of all rows with the chips at `places` of these levels: (k, N). */
+void fit_rows(const struct fit_code *code, const float *levels, float *rows);
+
+/* The chips (k, N) that words of these amplitudes make, from their rows; V. */
+void fit_model(const struct fit_code *code, const float *rows, const float *amplitude, float pedestal,
+               float *chips);
+
+size_t fit_scratch(const struct fit_code *code);
+/* As refine in fit.py. scratch: so many values. */
+struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
+                      const struct fit_refining *refining, struct fit fit, double earliest,
+                      double latest, float *scratch);
+
+/* The value of this rank, from 0; changes their order. Hoare's selection. */
+float fit_ranked(float *values, ptrdiff_t size, ptrdiff_t rank);
+
+#endif

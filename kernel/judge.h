@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Weighs candidate frames against each other: the chips' bounded votes of framing/judge.py. In C because
+ * every frame has some nine candidates, of which each takes two transforms and ten passes over its chips:
+ * numpy would take longer for that than for all the rest. Candidates a whole chip apart share their chips'
+ * levels. */
+#ifndef TACTILE_JUDGE_H
+#define TACTILE_JUDGE_H
+
+#include "fit.h"
+
+/* As `Limits` in limits.py; blur: see fit.py. */
+struct judge_limits {
+    double distortion, most, most_deviations, vote, blur;
+};
+
+/* c candidates, and the line from `begin` to `end`. */
+struct judge_candidates {
+    size_t count;
+    const double *start, *chip;
+    double begin, end;
+};
+
+/* What is found out of each candidate: rows (c, k, N); amplitude, uneven (c, n); the others (c,), as in
+ * WordFit. cost: negative log-likelihood. */
+struct judge_found {
+    float *rows, *amplitude, *uneven, *pedestal, *power, *spread, *misfit;
+    double *cost;
+};
+
+/* How chips vote: δ, V, and σ², V². */
+struct judge_votes {
+    double distortion, variance;
+};
+
+/* Chips of the longest view among the candidates; 0 where one is not within the view. */
+size_t judge_chips(const struct fit_code *code, const struct judge_candidates *candidates);
+
+/* Fills in what is found. votes: found out, too, where their variance is 0; noise: of a chip's level in the
+ * gap, V². scratch: 2 · judge_chips + k · N values. */
+void judge_weigh(const struct fit_code *code, const struct fit_line *line,
+                 const struct judge_limits *limits, const struct judge_candidates *candidates,
+                 double noise, const struct judge_found *found, struct judge_votes *votes,
+                 float *scratch);
+
+#endif

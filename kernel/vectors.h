@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* How the compiler is told to compute many values at once.
+ *
+ * A VECTORS function is compiled for AVX2 besides what every processor has, and chosen when the module is
+ * loaded; what it inlines is compiled with it. Each value goes through the same operations in the same
+ * order either way, so that every processor gives the same bits. */
+#ifndef TACTILE_VECTORS_H
+#define TACTILE_VECTORS_H
+
+#include <stddef.h> /* says which C library this is: only glibc's loader chooses */
+
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
+#if defined(__GNUC__) && defined(__x86_64__) && defined(__gnu_linux__)
+#define VECTORS __attribute__((target_clones("avx2", "default")))
+#else
+#define VECTORS
+#endif
+
+#endif

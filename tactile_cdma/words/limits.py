@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Limits by which words are told from noise, from each other, and from what is no word."""
+
+SOUND_SHARE = 0.8
+"""Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
+Chosen: spreads of sound nodes are a few percent."""
+LOW_RHO = 5.0
+"""ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
+10."""
+LOW_MARGIN = 0.4
+"""A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
+DOUBLE_SHARE = 1.6
+"""Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
+bits give 2, one 60 % too strong is out of tolerance anyway."""
+SHARED_SHARE = 1.25
+"""Share of a node's amplitude above which a word may be that of more than one: two nodes with
+random bits give 1 on average, three give 1.5. Chosen between these."""
+CLEAR_RHO = 8.0
+"""ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
+deviations of a level."""
+UNLIKE = 0.2
+"""Share of a word's amplitude by which one of its levels may be off. Chosen on disturbed lines
+(make torture)."""
+
+LOWER_SHARE = 0.5
+"""Share of a word's strongest level below which its weakest one is that of fewer nodes. Chosen:
+three nodes give 3 and 1."""
+LEAST_NOISE = 1e-12
+"""V; less is taken for this, so that ρ stays finite."""

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is logged: files, ports and whatever changes how frames are made, but no single frame."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tactile_cdma import Decoder, read_recording
+from tactile_cdma.base.whole_file import replace_file
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.parameters import read_file
+
+
+@pytest.fixture
+def log(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
+    caplog.set_level(logging.DEBUG, "tactile_cdma")
+    return caplog
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "touch.skin"
+    assert main(["record", "sim://?scene=moving&speed=0", str(path), "--seconds", "0.3"]) == 0
+    return path
+
+
+def test_files_that_are_read_or_written_are_logged(
+    tmp_path: Path, log: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "skin.yaml"
+    replace_file(path, "/left/skin:\n  ros__parameters: {nodes: 20}\n")
+    read_file(path)
+    assert log.messages == [
+        f"wrote {path}",
+        f"reading {path}",
+        f"{path} has parameters for /left/skin",
+    ]
+    assert {record.name.rpartition(".")[0] for record in log.records} == {
+        "tactile_cdma.base",
+        "tactile_cdma.config",
+    }
+
+
+def test_frames_are_not_logged(recording: Path, log: pytest.LogCaptureFixture) -> None:
+    decoder, frames, logged = Decoder(nodes=16), [0], [0]
+    for data, t_host in read_recording(recording):
+        frames.append(frames[-1] + len(decoder.feed(data, t_host)))
+        logged.append(len(log.records))
+    assert frames[-1] > 100
+    begun = next(i for i, count in enumerate(frames) if count >= 10)
+    assert logged[-1] == logged[begun], log.messages[logged[begun] :]
+
+
+def test_losses_of_a_recording_are_logged(recording: Path, log: pytest.LogCaptureFixture) -> None:
+    recording.write_bytes(recording.read_bytes()[:-100])
+    assert sum(len(data) for data, _ in read_recording(recording))
+    assert any(message.startswith(f"{recording}: ") for message in log.messages)
+
+
+@pytest.mark.parametrize("verbose", [True, False])
+def test_the_command_logs_on_stderr_if_asked_to(recording: Path, verbose: bool) -> None:
+    words = ["-v"] * verbose + ["info", str(recording)]
+    done = subprocess.run(
+        [sys.executable, "-m", "tactile_cdma", *words], capture_output=True, text=True, check=True
+    )
+    assert (f"tactile_cdma.base.named_file: reading {recording}\n" in done.stderr) == verbose
+    assert "checksum: right" in done.stdout
