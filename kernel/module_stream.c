@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The class Stream of the Python module; see stream.h and CompiledStream in
+/* The class Stream of the Python module; see frame_stream.h and CompiledStream in
  * tactile_cdma/driver/compiled_stream.py, its only user. */
 #include "binding.h"
 
@@ -8,7 +8,7 @@
 #include <time.h>
 
 #include "reader.h"
-#include "stream.h"
+#include "frame_stream.h"
 
 enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 

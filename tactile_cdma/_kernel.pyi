@@ -163,7 +163,7 @@ class Scanner:
 
 @final
 class Stream:
-    """Goes from event to event; see kernel/stream.h, and driver/compiled_stream.py, its only user.
+    """Goes from event to event; see kernel/frame_stream.h.
 
     Methods raise RuntimeError while another thread is in `next`.
     """

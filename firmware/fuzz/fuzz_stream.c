@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The driver's compiled stream (../kernel/stream.h): packets as a digitizer sends them, more or less, in
- * pieces, with any answers to what it asks. A model of what was sent says which frames there are, which
- * samples they have, and when they must be decided. */
+/* The driver's compiled stream (../kernel/frame_stream.h): packets as a digitizer sends them, more or
+ * less, in pieces, with any answers to what it asks. A model of what was sent says which frames there
+ * are, which samples they have, and when they must be decided. */
 #include "reference.h"
-#include "stream.h"
+#include "frame_stream.h"
 
 #include <math.h>
 
@@ -13,6 +13,7 @@ enum { MOST_PACKETS = 400, MOST_COUNT = 64, MOST_INDEX = MOST_PACKETS * MOST_COU
 enum { RATE_US = 1 }; /* a sample per microsecond */
 #define BEHIND_US 10
 #define UNKNOWN NAN
+#define UNTIL (SIZE + 7.3)
 
 /* What was sent: packets of samples by their sequence numbers. */
 struct sent {
@@ -98,6 +99,14 @@ static void decide(int64_t start, bool final)
     run.waiting = -1;
 }
 
+/* The index up to which samples may be waited for at most: the end of a frame has to be seen, too. */
+static int64_t latest(void)
+{
+    int64_t seen = run.open + (int64_t)ceil(UNTIL);
+
+    return run.has_timing && seen > run.due ? seen : run.due;
+}
+
 static void compare(int64_t start, const double *volts, size_t count)
 {
     MUST(start >= 0 && start + (int64_t)count <= run.end, WRONG_VALUE);
@@ -137,7 +146,7 @@ static void carry(struct stream *stream)
         .asks = run.asks && draw(2),
         .has_frame = run.has_timing,
         .frame = {.chip = CHIP,
-                  .until = SIZE + (draw(3) ? 4 : 7.3),
+                  .until = draw(3) ? DUE : UNTIL,
                   .edges = {EDGES, whole, share, number},
                   .places = places,
                   .heard = SIZE,
@@ -196,7 +205,7 @@ static void answer_doubt(struct stream *stream)
         MUST(about->final && about->count == 1, WRONG_VALUE);
         stop = run.end;
     } else {
-        MUST(stop == (about->final ? stop : run.due), WRONG_VALUE);
+        MUST(about->final || (stop >= run.due && stop <= latest()), WRONG_VALUE);
         compare(start, about->volts, about->count);
     }
     add((uint64_t)about->look);
@@ -257,7 +266,7 @@ static void take(struct stream *stream, enum stream_event event)
         MUST(stream_look(stream, run.end + draw(200)), WRONG_VALUE);
         break;
     case STREAM_NEEDS_BYTES:
-        MUST(run.open < 0 || run.end < run.due, UNCOUNTED_LOSS);
+        MUST(run.open < 0 || run.end < latest(), UNCOUNTED_LOSS);
         MUST(run.waiting < 0, WRONG_VALUE);
         break;
     default:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A stream in the compiled kernel (kernel/stream.h): one call per frame.
+"""A stream in the compiled kernel (kernel/frame_stream.h): one call per frame.
 
 The kernel decides the frames that leave nothing to decide. Of others it says why they are in doubt,
 and goes on with the verdict that is reached here, by the same recognisers as with numpy.
@@ -45,7 +45,7 @@ log = logging.getLogger(__name__)
 
 
 class _Kind(IntEnum):
-    """Of the kernel's events: enum stream_event in kernel/stream.h."""
+    """Of the kernel's events: enum stream_event in kernel/frame_stream.h."""
 
     NEEDS_BYTES = 0
     FULL = 1

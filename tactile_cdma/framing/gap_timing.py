@@ -125,11 +125,6 @@ class GapTiming(Timing):
         """Process a block in which no node transmitted."""
         return self.feed(block.samples())
 
-    @property
-    def due(self) -> int:
-        """Stream index up to which samples are needed to decide what is next."""
-        return self._due
-
     def flush(self) -> list[FrameLevels]:
         """End of the recording: decode a last frame if it is complete."""
         frames: list[FrameLevels] = []

@@ -160,7 +160,6 @@ def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
         (SMALL, "scene=all&threshold=0&stretch=0.1", "unexplained"),
         (SMALL, "scene=all&threshold=0&rail=1.0", "clipped"),
         (SMALL, "scene=idle&heartbeat=0&noise=0.4", "no timing yet, or not refined for long"),
-        (SMALL | {"amplitude_mv": 20.0}, "scene=idle&heartbeat=0&noise=0.1", "noisy silence"),
         (GAP, "scene=moving", "gap timing"),
     ],
 )
@@ -503,7 +502,7 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     made = kernel.compiled.Stream(PacketParser().scanner)
     with pytest.raises(TypeError, match="transform: a Transform of the kernel"):
         made.describe(rules, made, flips, rows)
-    with pytest.raises(ValueError, match="stream_rules: .* bytes of settings"):
+    with pytest.raises(ValueError, match=r"stream_rules: .* bytes of settings"):
         made.describe(rules["size"], transform, flips, rows)
     with pytest.raises(ValueError, match="rows: "):
         made.describe(rules, transform, flips, rows[:, :4].copy())
@@ -535,12 +534,12 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     made.give(b"\1\2", 0.0, False)
     with pytest.raises(RuntimeError, match="not used up"):
         made.give(b"\3", 0.0, False)
-    for answer in (lambda: made.open(1), lambda: made.decide(1, 2, 0.0), lambda: made.look(1)):
+    for answer, arguments in ((made.open, (1,)), (made.decide, (1, 2, 0.0)), (made.look, (1,))):
         with pytest.raises(ValueError, match="nothing of the kind was asked"):
-            answer()
+            answer(*arguments)
     with pytest.raises(ValueError, match="nothing of the kind was asked"):
         made.place(Answer.TAKE, 0, False, 0.0, 0.0)
     with pytest.raises(ValueError, match="answer: "):
         made.place(17, 0, False, 0.0, 0.0)
-    del made, pipeline
+    del made, pipeline, answer
     gc.collect()

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include "stream.h"
+#include "frame_stream.h"
 
 #include <math.h>
 #include <stdlib.h>

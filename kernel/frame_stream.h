@@ -11,8 +11,8 @@
  * In C because it is all that a packet passes through: in Python that took 400 calls for a frame of 16
  * nodes, one millisecond after a pause, and held the interpreter's lock. Nothing is allocated here per
  * packet or frame. */
-#ifndef TACTILE_STREAM_H
-#define TACTILE_STREAM_H
+#ifndef TACTILE_FRAME_STREAM_H
+#define TACTILE_FRAME_STREAM_H
 
 #include <stdbool.h>
 #include <stddef.h>
