@@ -41,7 +41,7 @@ from .description import Description
 from .stream import Decisions, Event
 from .timeline import CLOCK_SLACK_S, MAX_DEVICE_TIME_US, Answer, Placement, Step
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 class _Kind(IntEnum):
@@ -67,11 +67,14 @@ DOUBTS = (
     "clipped",
     "noisy silence",
     "rest unknown yet",
-    "no timing yet, or not refined for long",
+    "no timing yet",
     "unexplained",
     "line not at rest",
 )
 """Why a frame is decided in Python: enum frame_look in kernel/marked_frame.h."""
+_NO_TIMING = DOUBTS.index("no timing yet")
+REFINED = "timing refined"
+"""Instead, where an earlier frame's timing was used as often as it may be."""
 GAP_TIMING = "gap timing"
 
 _NO_EDGES = (np.empty(0, np.int32), np.empty(0), np.empty(0), np.empty(0, np.int32))
@@ -88,6 +91,7 @@ class CompiledStream:
         self._frames: deque[FrameLevels] = deque()  # decided, but not told yet
         self._asked: Samples | Quiet | None = None
         self._ending = False
+        self._reason = ""  # why the last frame was decided in Python, if it was
         self._read = 0.0, False  # t_host and backlog of the last event
         self._rows = np.empty((0, 0), np.float32)
         self._fit: Fit | None = None
@@ -167,6 +171,9 @@ class CompiledStream:
         line = self._marked.line
         line.level_known = known
         self.decisions.compiled += 1
+        if self._reason:
+            _log.debug("frames are decided in the kernel from sample %d on", start)
+            self._reason = ""
         fit, levels = line.nominal, None
         if kind == _Kind.HEARD:
             fit, rows = self._fit or fit, self._rows.copy()
@@ -211,12 +218,15 @@ class CompiledStream:
         else:
             frame = MarkedFrame(start, samples, final, opened, carried, ended)
             verdict = timing.recognise(frame)
+        reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
         due, over = (-1 if at is None else at for at in (verdict.due, verdict.over))
         self._kernel.decide(due, over, line.level_v)
         self._carry(timing)
         if verdict.due is None:
-            self.decisions.in_python[DOUBTS[look]] += 1
-            log.debug("frame at %d decided in Python: %s", start, DOUBTS[look])
+            self.decisions.in_python[reason] += 1
+            if reason not in (REFINED, self._reason):
+                _log.debug("frames are decided in Python from sample %d on: %s", start, reason)
+                self._reason = reason
         return verdict.frame
 
     def _look(self, start: int, volts: bytes) -> None:
@@ -252,7 +262,6 @@ class CompiledStream:
         if carried is not None and fit is not None and carried.edges is not None:
             edges = carried.edges.within(carried.due)
             if fit is not self._fit:
-                log.debug("frames are read with chips of %.6g samples", fit.chip)
                 spec = timing.line.spec
                 end = fit.end(spec)
                 setting["over"], setting["chip"] = timing.line.over(fit), fit.chip

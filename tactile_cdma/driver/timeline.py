@@ -19,7 +19,7 @@ from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import SEQUENCES
 from .clock import DeviceClock
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 class AcceptedPacket(NamedTuple):
@@ -277,7 +277,7 @@ class Timeline:
         if not self._anchors:
             self._origin = packet.first_index
         if step is not Step.CONTINUES:
-            log.debug("%s before sample %d", step.name.lower(), packet.first_index)
+            _log.debug("%s before sample %d", step.name.lower(), packet.first_index)
         return Placement(answer, self._origin, step)
 
     def _step(self, arrival: Arrival, pace: Pace) -> Step:

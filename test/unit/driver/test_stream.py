@@ -159,7 +159,7 @@ def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     [
         (SMALL, "scene=all&threshold=0&stretch=0.1", "unexplained"),
         (SMALL, "scene=all&threshold=0&rail=1.0", "clipped"),
-        (SMALL, "scene=idle&heartbeat=0&noise=0.4", "no timing yet, or not refined for long"),
+        (SMALL, "scene=idle&heartbeat=0&noise=0.4", "no timing yet"),
         (GAP, "scene=moving", "gap timing"),
     ],
 )
