@@ -45,7 +45,7 @@ COUNT ?= 1000000
 SINCE ?= HEAD~1
 PYTEST ?= -n 4 --dist loadgroup --timeout 300
 # Folders that `make check` tests: from bytes to frames.
-CORE = base code places wire words framing clocks readings config views driver skin
+CORE = base code places wire words framing clocks readings config views driver rest skin
 export LC_ALL ?= C.UTF-8
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.

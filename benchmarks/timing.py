@@ -14,11 +14,15 @@ as guessed: half of their bits are wrong.
 - decorrelated: least squares with clocks estimated from one simulated roll call.
 - scrambled: the same, where all nodes flip their chips by one common pseudo-random sequence.
 
-Times are those of one thread.
+Times are those of one thread. "Age" is that of frames in stream time: from the end of the last chip
+on the wire to the frame out of the pipeline, whose bytes come as a USB digitizer sends them;
+computing counts with the CPU time it takes. With gap timing, packets of 3 ms are part of it, and
+"proof": the silence that proves the end of a frame, counted when samples come chip by chip.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -38,13 +42,19 @@ from tactile_cdma.clocks.roll_call import RollCallListener
 from tactile_cdma.clocks.sampling import INTEGRATED, Sampling
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
-from tactile_cdma.config.parameters import Value, read_file
+from tactile_cdma.config.parameters import GAP, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.framing.fit import Line, integrate
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
-from tactile_cdma.wire.messages import FrameLayout
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.packets import PacketWriter
 
 RHO = 15.0
 CHIP_S = 10e-6
@@ -66,6 +76,18 @@ SCRAMBLED: dict[int, dict[str, Value]] = {
 }
 """Skins whose decoding is timed with and without the scrambler: parameters by nodes."""
 SCRAMBLED_ROUNDS = 5 if QUICK else 15
+
+SKINS: dict[int, dict[str, Value]] = {
+    16: {},
+    256: {"nodes": 256, "chip_us": 6.25, "samples_per_chip": 4, "frame_period_ms": 20.0},
+}
+"""Skins whose frames are timed by line and by gaps: parameters by nodes."""
+LEARNT = 45
+"""Frames after which gap timing knows its raster."""
+LIVE_FRAMES = 100 if QUICK else 400
+LIVE_ROUNDS = 5 if QUICK else 15
+POLL_S = 125e-6
+"""Between two reads of a port: a microframe of USB."""
 
 
 def frame_spec(nodes: int, scramble: bool = False) -> FrameSpec:
@@ -311,6 +333,86 @@ def scrambling_costs(report: Report) -> dict[int, float]:
     return middle
 
 
+# Line and gap timing through the pipeline
+
+
+def live_reads(config: SkinConfig, stretch: float) -> list[tuple[float, bytes]]:
+    """What a digitizer sends while every node speaks: time of each read, s, and its bytes."""
+    now_s, reads, writer = [0.0], list[tuple[float, bytes]](), PacketWriter()
+    options = SimOptions.from_url(f"sim://?scene=all&threshold=0&seed=1&stretch={stretch}")
+    digitizer = VirtualDigitizer(options, lambda: now_s[0])
+    layout = FrameLayout.of(config.spec, config.samples_per_chip)
+    if config.timing == GAP:
+        configure = Configure(layout, SyncMode.NONE)
+    else:
+        configure = Configure(layout, SyncMode.DRIVE, quiet_uv=quiet_uv(config.spec))
+    for command in (configure, Start()):
+        digitizer.receive(writer.encode(command))
+    for number in range(int(LIVE_FRAMES * config.spec.frame_period_s / POLL_S)):
+        now_s[0] = number * POLL_S
+        digitizer.advance()
+        if digitizer.pending:
+            reads.append((now_s[0], digitizer.take(digitizer.pending)))
+    return reads
+
+
+def live_ages(config: SkinConfig, reads: list[tuple[float, bytes]]) -> tuple[float, list[float]]:
+    """CPU time per frame, s, and the frames' ages, s, once the raster is known."""
+    pipeline, ages, spent_s = Pipeline(config), list[float](), 0.0
+    for t_s, data in reads:
+        begin_s = time.thread_time()
+        frames = pipeline.feed(data, t_s)
+        took_s = time.thread_time() - begin_s
+        spent_s += took_s if len(ages) >= LEARNT else 0.0
+        spans = [frame.t_start + config.spec.span_chips * frame.chip_s for frame in frames]
+        ages += [t_s + took_s - end_s for end_s in spans]
+    return spent_s / (len(ages) - LEARNT), ages[LEARNT:]
+
+
+def proof_chips(nodes: int) -> float:
+    """Chips of silence after which a frame is given, in the middle."""
+    spec, per_chip, rng = frame_spec(nodes), 4, np.random.default_rng(5)
+    timing, taken, chips = GapTiming(replace(spec, amplitude_v=1.0), per_chip / CHIP_S), 0, []
+    lines = [
+        line
+        for _ in range(60 // FRAMES[nodes] + 1)
+        for _, line in common_lines(spec, 0.0, 0.0, per_chip, rng)
+    ]
+    for volts in np.concatenate(lines).astype(np.float32).reshape(-1, per_chip):
+        frames = timing.feed(SampleBlock(taken, volts))
+        taken += per_chip
+        chips += [(taken - frame.start) / frame.chip_samples - spec.chips for frame in frames]
+    return float(np.median(chips[LEARNT:]))
+
+
+def line_and_gap(report: Report) -> dict[str, float]:
+    """Table of CPU time and age per frame with either timing; the figures of the last line.
+
+    In turns, because the speed of a machine drifts.
+    """
+    rows, figures = [], dict[str, float]()
+    for nodes, values in SKINS.items():
+        skins = {}
+        for timing, stretch in (("line", 0.0), ("gap", 0.0), ("gap", 0.1)):
+            config = SkinConfig.of({**values, "timing": timing})
+            skins[timing, stretch] = config, live_reads(config, stretch)
+        turns = [{key: live_ages(*skin) for key, skin in skins.items()} for _ in range(LIVE_ROUNDS)]
+        for timing, stretch in skins:
+            took_s = float(np.median([turn[timing, stretch][0] for turn in turns]))
+            ages_s = np.concatenate([turn[timing, stretch][1] for turn in turns])
+            middle_ms, last_ms = 1e3 * np.quantile(ages_s, (0.5, 0.99))
+            proof_ms = 1e3 * proof_chips(nodes) * config.spec.chip_s if timing == "gap" else 0.0
+            rows.append([nodes, timing, stretch, 1e6 * took_s, middle_ms, last_ms, proof_ms])
+            if not stretch:
+                figures[f"{timing}_us_{nodes}"] = 1e6 * took_s
+                if nodes == 16:
+                    figures[f"{timing}_age_ms"] = middle_ms
+                    figures |= {"gap_p99_ms": last_ms, "gap_proof_ms": proof_ms}
+    headers = "nodes,timing,stretch to,µs/frame,age ms,p99,proof ms"
+    report.table(headers.split(","), rows)
+    return figures
+
+
 COLOURS = {
     "plain": "C3",
     "line": "C2",
@@ -392,6 +494,7 @@ def main() -> None:
     report.table(headers.split(","), sampling_rows())
     decorrelate_ms = costs(report)
     scrambling = scrambling_costs(report)
+    live = line_and_gap(report)
     report.finish(
         figure,
         plain_ber=max(some["plain"] for some in (stretched, jittered, drifting, delayed)),
@@ -402,6 +505,7 @@ def main() -> None:
         decorrelate_ms_256=decorrelate_ms,
         scrambled_cost_16=scrambling[16],
         scrambled_cost_900=scrambling[900],
+        **live,
     )
 
 

@@ -33,7 +33,7 @@
 
 #include "scanner.h"
 
-#define BINDING_MOST 20 /* arguments of a function */
+#define BINDING_MOST 24 /* arguments of a function */
 
 /* ---- arguments --------------------------------------------------------------------------------- */
 
@@ -169,7 +169,6 @@ PyObject *file_error(int failure);
 
 /* The types of the module, each in a file of its own or in module.c. */
 extern PyType_Spec stream_spec, code_spec;
-extern PyMethodDef burst_functions[];
 #define STREAM_LAYOUTS 2
 extern const struct layout stream_layouts[STREAM_LAYOUTS];
 

@@ -46,35 +46,39 @@ void fit_levels(const struct fit_line *line, const struct fit *fit, double blur,
     }
 }
 
-void fit_rows(const struct fit_code *code, const float *levels, float *rows)
+void fit_chips(const struct fit_code *code, const float *levels, size_t bits, float *chips)
 {
-    size_t size = code->frame.bits * code->frame.order;
+    size_t size = bits * code->frame.order;
 
-    if (code->span == size)
-        memcpy(rows, levels, size * sizeof *rows);
-    for (size_t i = 0; code->span != size && i < size; i++)
-        rows[i] = levels[code->places[i]];
-    for (size_t i = 0; code->flips && i < size; i++)
-        rows[i] *= code->flips[i];
-    transform_multiply(code->correlate, rows, rows, code->frame.bits);
-}
-
-void fit_model(const struct fit_code *code, const float *rows, const float *amplitude, float pedestal,
-               float *chips)
-{
-    const struct words_frame *frame = &code->frame;
-    size_t size = frame->bits * frame->order;
-
-    memset(chips, 0, size * sizeof *chips);
-    for (size_t at = frame->first; at < size; at += frame->order)
-        for (size_t i = 0; i < frame->nodes; i++) {
-            float level = amplitude[i];
-            chips[at + i] = rows[at + i] > 0 ? level : rows[at + i] < 0 ? -level : 0;
-        }
-    transform_multiply(code->spread, chips, chips, frame->bits);
+    if (code->span == code->frame.bits * code->frame.order)
+        memcpy(chips, levels, size * sizeof *chips);
+    else
+        for (size_t i = 0; i < size; i++)
+            chips[i] = levels[code->places[i]];
     for (size_t i = 0; code->flips && i < size; i++)
         chips[i] *= code->flips[i];
-    for (size_t i = 0; frame->unipolar && i < size; i++)
+}
+
+void fit_symbols(const struct fit_code *code, size_t bits, const float *rows, const float *amplitude,
+                 float *symbols)
+{
+    const struct words_frame *frame = &code->frame;
+
+    memset(symbols, 0, bits * frame->order * sizeof *symbols);
+    for (size_t at = frame->first; at < bits * frame->order; at += frame->order)
+        for (size_t i = 0; i < frame->nodes; i++) {
+            float level = amplitude[i];
+            symbols[at + i] = rows[at + i] > 0 ? level : rows[at + i] < 0 ? -level : 0;
+        }
+}
+
+void fit_model(const struct fit_code *code, size_t bits, float pedestal, float *chips)
+{
+    size_t size = bits * code->frame.order;
+
+    for (size_t i = 0; code->flips && i < size; i++)
+        chips[i] *= code->flips[i];
+    for (size_t i = 0; code->frame.unipolar && i < size; i++)
         chips[i] += pedestal;
 }
 
@@ -127,10 +131,13 @@ struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
 
     for (size_t turn = 0; turn < refining->turns; turn++) {
         fit_levels(line, &fit, refining->blur, 0, code->span, levels);
-        fit_rows(code, levels, rows);
+        fit_chips(code, levels, frame->bits, rows);
+        transform_multiply(code->correlate, rows, rows, frame->bits);
         words_fit(frame, rows, amplitude, uneven, &pedestal, &power, &spread, &misfit);
         model[0] = model[chips + 1] = 0; /* the gap on either side */
-        fit_model(code, rows, amplitude, pedestal, model + 1);
+        fit_symbols(code, frame->bits, rows, amplitude, model + 1);
+        transform_multiply(code->spread, model + 1, model + 1, frame->bits);
+        fit_model(code, frame->bits, pedestal, model + 1);
         struct fit next = moved(line, fit, refining->reaches[turn] * fit.chip, chips + 1, model,
                                 earliest, latest);
         double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)chips;

@@ -45,12 +45,15 @@ struct fit_refining {
 void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
                 size_t count, float *levels);
 
-/* Correlations of all rows with the chips at `places` of these levels: (k, N). */
-void fit_rows(const struct fit_code *code, const float *levels, float *rows);
+/* The chips at `places` of these levels, without flips: (bits, N), of the first `bits` bits. */
+void fit_chips(const struct fit_code *code, const float *levels, size_t bits, float *chips);
 
-/* The chips (k, N) that words of these amplitudes make, from their rows; V. */
-void fit_model(const struct fit_code *code, const float *rows, const float *amplitude, float pedestal,
-               float *chips);
+/* What rows hold that words of these amplitudes send, from what rows held: (bits, N). */
+void fit_symbols(const struct fit_code *code, size_t bits, const float *rows, const float *amplitude,
+                 float *symbols);
+
+/* The line's chips from those that the code gives: with flips, and the level that unipolar nodes add. */
+void fit_model(const struct fit_code *code, size_t bits, float pedestal, float *chips);
 
 size_t fit_scratch(const struct fit_code *code);
 /* As refine in fit.py. scratch: so many values. */

@@ -3,6 +3,7 @@
 #include "judge.h"
 
 #include <math.h>
+#include <stdbool.h>
 #include <string.h>
 
 #define LANES 16 /* sums that are kept apart, so that they can be added at once */
@@ -146,22 +147,6 @@ static double votes_of(float *off, size_t size, const struct judge_votes *votes,
     return sum;
 }
 
-/* What a candidate's words leave of each chip of its view. model: (k, N) for scratch. */
-static void find_off(const struct fit_code *code, const struct seen *seen, const float *levels,
-                     const float *rows, const float *amplitude, float pedestal, float *off,
-                     float *model)
-{
-    size_t size = code->frame.bits * code->frame.order;
-
-    memcpy(off, levels, seen->count * sizeof *off);
-    fit_model(code, rows, amplitude, pedestal, model);
-    off += seen->lead;
-    for (size_t i = 0; code->span == size && i < size; i++)
-        off[i] -= model[i];
-    for (size_t i = 0; code->span != size && i < size; i++)
-        off[code->places[i]] -= model[i];
-}
-
 /* Those of a line on which even the best candidate leaves `off` over; see _Votes.of in judge.py. */
 static struct judge_votes votes_by(const struct judge_limits *limits, const float *levels, float *off,
                                    size_t count, double noise)
@@ -192,36 +177,187 @@ static struct judge_votes votes_by(const struct judge_limits *limits, const floa
     return (struct judge_votes){distortion, variance};
 }
 
+/* What all functions below work with. off: (chips) left over by a candidate. model, part: chips. */
+struct weighing {
+    const struct fit_code *code;
+    const struct fit_line *line;
+    const struct judge_limits *limits;
+    const struct judge_candidates *all;
+    const struct judge_found *found;
+    struct judge_votes *votes;
+    struct seen there; /* whose `levels` these are */
+    float *levels, *off, *model, *part;
+    double noise;
+};
+
+/* The first bits of a frame, which rule out most candidates. Chosen: half of them; what is wrong by whole chips
+ * is wrong in all. */
+static size_t bits_of_part(const struct words_frame *frame)
+{
+    return (frame->bits + 1) / 2 < 2 ? 2 : (frame->bits + 1) / 2;
+}
+
+size_t judge_scratch(const struct fit_code *code, const struct judge_candidates *all)
+{
+    size_t bits = code->frame.bits + all->count * bits_of_part(&code->frame);
+
+    return 2 * judge_chips(code, all) + bits * code->frame.order;
+}
+
+static struct seen look_at(struct weighing *w, size_t c)
+{
+    struct seen seen = seen_of(w->code, w->all, c);
+
+    find_levels(w->line, w->limits->blur, &seen, &w->there, w->levels);
+    return seen;
+}
+
+/* Finds the words of a candidate. Returns the power that they leave over, of all chips of its view. */
+static double find_words(struct weighing *w, size_t c)
+{
+    const struct words_frame *frame = &w->code->frame;
+    const struct judge_found *found = w->found;
+    struct seen seen = look_at(w, c);
+    float *rows = found->rows + c * frame->bits * frame->order;
+    float *amplitude = found->amplitude + c * frame->nodes;
+
+    fit_chips(w->code, w->levels + seen.lead, frame->bits, rows);
+    transform_multiply(w->code->correlate, rows, rows, frame->bits);
+    words_fit(frame, rows, amplitude, found->uneven + c * frame->nodes, &found->pedestal[c],
+              &found->power[c], &found->spread[c], &found->misfit[c]);
+    double left = (double)frame->order * left_in_rows(w->code, rows, amplitude, found->pedestal[c]);
+    size_t silent = copy_silent(w->code, &seen, w->levels, w->off);
+    return seen.weight * (left + square_sum(w->off, silent));
+}
+
+/* Takes the model's chips of the first `bits` bits from the levels in the view that `off` has. */
+static void leave_off(const struct weighing *w, const struct seen *seen, size_t bits, const float *model)
+{
+    size_t size = bits * w->code->frame.order;
+    float *off = w->off + seen->lead;
+
+    if (w->code->span == w->code->frame.bits * w->code->frame.order)
+        for (size_t i = 0; i < size; i++)
+            off[i] -= model[i];
+    else
+        for (size_t i = 0; i < size; i++)
+            off[w->code->places[i]] -= model[i];
+}
+
+/* The cost of a candidate whose words are known; and first, how chips vote, unless that is known. */
+static double find_cost(struct weighing *w, size_t c)
+{
+    const struct words_frame *frame = &w->code->frame;
+    struct seen seen = look_at(w, c);
+
+    memcpy(w->off, w->levels, seen.count * sizeof *w->off);
+    fit_symbols(w->code, frame->bits, w->found->rows + c * frame->bits * frame->order,
+                w->found->amplitude + c * frame->nodes, w->model);
+    transform_multiply(w->code->spread, w->model, w->model, frame->bits);
+    fit_model(w->code, frame->bits, w->found->pedestal[c], w->model);
+    leave_off(w, &seen, frame->bits, w->model);
+    if (!(w->votes->variance > 0))
+        *w->votes = votes_by(w->limits, w->levels, w->off, seen.count, w->noise);
+    return seen.weight * votes_of(w->off, seen.count, w->votes, w->limits->vote);
+}
+
+/* The chips (c, part) that the first bits of all candidates say by themselves, into `part`; what transforms
+ * do at once costs little more than one of them. */
+static void find_parts(struct weighing *w)
+{
+    struct words_frame frame = w->code->frame;
+    const struct judge_found *found = w->found;
+    size_t count = w->all->count, size = frame.bits * frame.order;
+
+    frame.bits = bits_of_part(&frame);
+    size_t part = frame.bits * frame.order;
+    for (size_t c = 0; c < count; c++) {
+        struct seen seen = look_at(w, c);
+        fit_chips(w->code, w->levels + seen.lead, frame.bits, w->part + c * part);
+    }
+    transform_multiply(w->code->correlate, w->part, w->part, count * frame.bits);
+    for (size_t c = 0; c < count; c++) {
+        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * frame.nodes;
+        memset(rows, 0, size * sizeof *rows);
+        memcpy(rows, w->part + c * part, part * sizeof *rows);
+        words_fit(&frame, rows, amplitude, found->uneven + c * frame.nodes, &found->pedestal[c],
+                  &found->power[c], &found->spread[c], &found->misfit[c]);
+        fit_symbols(w->code, frame.bits, rows, amplitude, w->part + c * part);
+    }
+    transform_multiply(w->code->spread, w->part, w->part, count * frame.bits);
+    for (size_t c = 0; c < count; c++)
+        fit_model(w->code, frame.bits, found->pedestal[c], w->part + c * part);
+}
+
+/* The cost of a candidate by its first bits, and by what is silent in its view. */
+static double part_cost(struct weighing *w, size_t c)
+{
+    size_t bits = bits_of_part(&w->code->frame), part = bits * w->code->frame.order;
+    struct seen seen = look_at(w, c);
+    size_t coded = seen.lead + (size_t)w->code->places[part - 1] + 1, end = seen.lead + w->code->span;
+
+    memcpy(w->off, w->levels, seen.count * sizeof *w->off);
+    leave_off(w, &seen, bits, w->part + c * part);
+    double cost = votes_of(w->off, coded, w->votes, w->limits->vote);
+    cost += votes_of(w->off + end, seen.count - end, w->votes, w->limits->vote);
+    return seen.weight * cost;
+}
+
+/* Weighs the likely candidate, and of the others those that their first bits do not rule out. False where
+ * one of them leaves less over than the likely one does: then it is the one by which chips vote. */
+static bool weigh_likely(struct weighing *w)
+{
+    size_t likely = w->all->likely;
+    double *cost = w->found->cost;
+
+    find_parts(w);
+    double left = find_words(w, likely), least = cost[likely] = find_cost(w, likely);
+    for (size_t c = 0; c < w->all->count; c++) {
+        if (c == likely || (cost[c] = part_cost(w, c)) > least + w->all->margin)
+            continue;
+        if (find_words(w, c) < left)
+            return false;
+        cost[c] = find_cost(w, c);
+    }
+    return true;
+}
+
+static void weigh_all(struct weighing *w)
+{
+    double *cost = w->found->cost;
+    size_t best = 0;
+
+    for (size_t c = 0; c < w->all->count; c++) {
+        cost[c] = find_words(w, c);
+        best = cost[c] < cost[best] ? c : best;
+    }
+    cost[best] = find_cost(w, best);
+    for (size_t c = 0; c < w->all->count; c++)
+        cost[c] = c == best ? cost[c] : find_cost(w, c);
+}
+
 void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                  const struct judge_limits *limits, const struct judge_candidates *all, double noise,
                  const struct judge_found *found, struct judge_votes *votes, float *scratch)
 {
-    const struct words_frame *frame = &code->frame;
-    size_t size = frame->bits * frame->order, nodes = frame->nodes, chips = judge_chips(code, all);
-    size_t best = 0;
-    float *levels = scratch, *off = levels + chips, *model = off + chips;
-    struct seen there = {.count = 0};
+    size_t chips = judge_chips(code, all), size = code->frame.bits * code->frame.order;
+    struct judge_votes given = *votes;
+    struct weighing w = {.code = code, .line = line, .limits = limits, .all = all, .found = found,
+                         .votes = votes, .noise = noise, .levels = scratch, .off = scratch + chips,
+                         .model = scratch + 2 * chips, .part = scratch + 2 * chips + size};
 
-    for (size_t c = 0; c < all->count; c++) {
-        struct seen seen = seen_of(code, all, c);
-        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * nodes;
-        find_levels(line, limits->blur, &seen, &there, levels);
-        fit_rows(code, levels + seen.lead, rows);
-        words_fit(frame, rows, amplitude, found->uneven + c * nodes, &found->pedestal[c],
-                  &found->power[c], &found->spread[c], &found->misfit[c]);
-        double left = (double)frame->order * left_in_rows(code, rows, amplitude, found->pedestal[c]);
-        left += square_sum(off, copy_silent(code, &seen, levels, off));
-        found->cost[c] = seen.weight * left;
-        best = found->cost[c] < found->cost[best] ? c : best;
-    }
-    for (size_t turn = 0; turn < all->count; turn++) { /* the best one first */
-        size_t c = turn == 0 ? best : turn == best ? 0 : turn;
-        struct seen seen = seen_of(code, all, c);
-        find_levels(line, limits->blur, &seen, &there, levels);
-        find_off(code, &seen, levels, found->rows + c * size, found->amplitude + c * nodes,
-                 found->pedestal[c], off, model);
-        if (!(votes->variance > 0))
-            *votes = votes_by(limits, levels, off, seen.count, noise);
-        found->cost[c] = seen.weight * votes_of(off, seen.count, votes, limits->vote);
-    }
+    if (all->likely < all->count && weigh_likely(&w))
+        return;
+    *votes = given;
+    weigh_all(&w);
+}
+
+double judge_most(const struct judge_limits *limits, double disturbed, const struct judge_votes *votes,
+                  size_t chips)
+{
+    double d = votes->distortion / sqrt(votes->variance), count = (double)chips;
+    double density = exp(-0.5 * d * d) / sqrt(2 * 3.14159265358979323846);
+    double usual = count * ((1 + d * d) * 0.5 * erfc(d / sqrt(2)) - d * density);
+
+    return usual + 5 * sqrt(usual) + disturbed * count * limits->vote;
 }

@@ -6,9 +6,8 @@
 #include <errno.h>
 #include <math.h>
 
-#include "burst.h"
 #include "contacts.h"
-#include "judge.h"
+#include "gap.h"
 #include "reader.h"
 #include "readout.h"
 #include "samples.h"
@@ -91,11 +90,19 @@ static const struct field burst_fields[] = {
     FIELD(burst_search, median),    FIELD(burst_search, beside_level), FIELD(burst_search, beside),
 };
 
+static const struct field rules_fields[] = {
+    FIELD(gap_rules, shortest),      FIELD(gap_rules, longest),       FIELD(gap_rules, bit),
+    FIELD(gap_rules, period),        FIELD(gap_rules, beyond),        FIELD(gap_rules, carried_noise),
+    FIELD(gap_rules, carried_misfit), FIELD(gap_rules, doubt),        FIELD(gap_rules, disturbed),
+    FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
+};
+
 static const struct layout layouts[] = {
     LAYOUT(words_frame, frame_fields),
     LAYOUT(readout_settings, readout_fields),
     LAYOUT(judge_limits, votes_fields),
     LAYOUT(burst_search, burst_fields),
+    LAYOUT(gap_rules, rules_fields),
 };
 
 /* ---- Transform --------------------------------------------------------------------------------- */
@@ -406,17 +413,15 @@ FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usua
                                   rest,
                                   rest + nodes,
                                   v[15].data};
-    double stale_from_s = NAN;
 
     if (!are_of(call, &settings->frame))
         return NULL;
     if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
         return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,
                       settings->taxels, nodes, axis(call, 't'));
-    enum readout_look look =
-        readout_read(reader->readout, v[0].data, (float)v[1].number, (float)v[2].number, v[3].size,
-                     v[4].number, v[5].number, v[6].data, v[7].data, &frame, &stale_from_s);
-    return Py_BuildValue("(id)", look, stale_from_s);
+    return PyLong_FromLong(readout_read(reader->readout, v[0].data, (float)v[1].number,
+                                        (float)v[2].number, v[3].size, v[4].number, v[5].number,
+                                        v[6].data, v[7].data, &frame));
 }
 
 static PyMethodDef readout_methods[] = {ENTRY(read), {0}};
@@ -531,7 +536,7 @@ static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
         add_type(module, &readout_spec) || add_type(module, &stream_spec) ||
-        add_type(module, &code_spec) || PyModule_AddFunctions(module, burst_functions))
+        add_type(module, &code_spec))
         return -1;
     PyObject *structs = PyDict_New();
     int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The classes Code and Bursts of the Python module, with which frames are looked for: see fit.h, judge.h and
- * burst.h, and tactile_cdma/_kernel.pyi. */
+/* The class Code of the Python module, which looks for frames: see fit.h, judge.h and gap.h, and
+ * tactile_cdma/_kernel.pyi. */
 #include "binding.h"
 
 #include <math.h>
 
-#include "burst.h"
-#include "judge.h"
+#include "gap.h"
 
 /* ---- Code -------------------------------------------------------------------------------------- */
 
@@ -69,6 +68,18 @@ static bool is_line(struct call *call, size_t volts, struct fit_line *line)
     return false;
 }
 
+/* Whether rows (…, k, N) and amplitudes (…, n) are those of such frames; if not, with an exception. */
+static bool is_frame(const struct call *call, const struct fit_code *code)
+{
+    const struct words_frame *frame = &code->frame;
+
+    if (axis(call, 'k') == frame->bits && axis(call, 'N') == frame->order &&
+        axis(call, 'n') == frame->nodes)
+        return true;
+    refuse(call, "rows: (%zu, %zu) with %zu nodes expected", frame->bits, frame->order, frame->nodes);
+    return false;
+}
+
 FUNCTION(refine, ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"), NUMBER("blur"),
          NUMBER("settled_chips"), ARRAY("reaches", 'd', "r"), NUMBER("start"), NUMBER("chip"),
          NUMBER("earliest"), NUMBER("latest"), OUT("scratch", 'f', "f"))
@@ -90,37 +101,81 @@ FUNCTION(refine, ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"), NUMBER("blur
 
 FUNCTION(weigh, SETTINGS(judge_limits), ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"),
          ARRAY("start", 'd', "c"), ARRAY("chip", 'd', "c"), NUMBER("begin"), NUMBER("end"),
-         NUMBER("noise"), NUMBER("distortion"), NUMBER("variance"),
+         NUMBER("noise"), SIZE("likely"), NUMBER("margin"), NUMBER("distortion"), NUMBER("variance"),
          OUT("rows", 'f', "ckN"), OUT("amplitude", 'f', "cn"), OUT("uneven", 'f', "cn"),
          OUT("pedestal", 'f', "c"), OUT("power", 'f', "c"), OUT("spread", 'f', "c"),
          OUT("misfit", 'f', "c"), OUT("cost", 'd', "c"), OUT("scratch", 'f', "f"))
 {
     const struct fit_code *code = &((struct code *)held_by(call->self))->code;
-    struct judge_candidates candidates = {axis(call, 'c'), call->value[3].data, call->value[4].data,
-                                          call->value[5].number, call->value[6].number};
-    struct judge_found found = {call->value[10].data, call->value[11].data, call->value[12].data,
-                                call->value[13].data, call->value[14].data, call->value[15].data,
-                                call->value[16].data, call->value[17].data};
-    struct judge_votes votes = {call->value[8].number, call->value[9].number};
+    const union value *value = call->value;
+    struct judge_candidates candidates = {axis(call, 'c'),  value[8].size,   value[3].data,
+                                          value[4].data,    value[5].number, value[6].number,
+                                          value[9].number};
+    struct judge_found found = {value[12].data, value[13].data, value[14].data, value[15].data,
+                                value[16].data, value[17].data, value[18].data, value[19].data};
+    struct judge_votes votes = {value[10].number, value[11].number};
     struct fit_line line;
 
     if (!is_line(call, 1, &line))
         return NULL;
-    if (!(axis(call, 'k') == code->frame.bits && axis(call, 'N') == code->frame.order &&
-          axis(call, 'n') == code->frame.nodes))
-        return refuse(call, "rows: (c, %zu, %zu) with %zu nodes expected", code->frame.bits,
-                      code->frame.order, code->frame.nodes);
+    if (!is_frame(call, code))
+        return NULL;
     size_t chips = judge_chips(code, &candidates);
     if (!chips)
         return refuse(call, "start: a candidate is not within the view");
-    if (axis(call, 'f') < 2 * chips + code->frame.bits * code->frame.order)
-        return refuse(call, "scratch: %zu values expected", 2 * chips + code->frame.bits * code->frame.order);
-    judge_weigh(code, &line, call->value[0].data, &candidates, call->value[7].number, &found, &votes,
-                call->value[18].data);
+    if (axis(call, 'f') < judge_scratch(code, &candidates))
+        return refuse(call, "scratch: %zu values expected", judge_scratch(code, &candidates));
+    judge_weigh(code, &line, value[0].data, &candidates, value[7].number, &found, &votes,
+                value[20].data);
     return Py_BuildValue("(ddn)", votes.distortion, votes.variance, (Py_ssize_t)chips);
 }
 
-static PyMethodDef code_methods[] = {ENTRY(refine), ENTRY(weigh), {0}};
+/* Whether the lengths of a search are possible. */
+static bool is_search(const struct burst_search *search)
+{
+    return search->half && search->group && search->low <= search->high && search->high < 1 << 20 &&
+           search->bit < 1 << 20 && search->window && search->width && search->gap_size < 1 << 26 &&
+           search->group < 1 << 20;
+}
+
+FUNCTION(look, SETTINGS(burst_search), SETTINGS(judge_limits), SETTINGS(gap_rules),
+         ARRAY("reaches", 'd', "r"), ARRAY("volts", 'd', "m"), NUMBER("least_power"), NUMBER("level"),
+         NUMBER("variance"), NUMBER("start"), NUMBER("scatter"), NUMBER("chip"), NUMBER("slips"),
+         OUT("rows", 'f', "1kN"), OUT("amplitude", 'f', "1n"), OUT("uneven", 'f', "1n"),
+         OUT("pedestal", 'f', "1"), OUT("power", 'f', "1"), OUT("spread", 'f', "1"),
+         OUT("misfit", 'f', "1"), OUT("values", 'd', "v"), OUT("scratch", 'f', "f"))
+{
+    const struct fit_code *code = &((struct code *)held_by(call->self))->code;
+    const union value *value = call->value;
+    const struct burst_search *search = value[0].data;
+    struct burst_gap known = {value[6].number, value[7].number, 0};
+    struct gap_expected expected = {value[8].number, value[9].number, value[10].number,
+                                    value[11].number};
+    struct gap_seen seen = {.words = {value[12].data, value[13].data, value[14].data, value[15].data,
+                                      value[16].data, value[17].data, value[18].data, NULL}};
+    enum gap_look look;
+
+    if (!is_frame(call, code))
+        return NULL;
+    if (!is_search(search))
+        return refuse(call, "burst_search: a length is 0 or too large");
+    if (!(axis(call, 'v') >= gap_values(search, axis(call, 'm')) &&
+          axis(call, 'f') >= gap_scratch(code, search)))
+        return refuse(call, "values, scratch: %zu and %zu expected", gap_values(search, axis(call, 'm')),
+                      gap_scratch(code, search));
+    if (!gap_look(code, search, value[1].data, value[2].data, value[3].data, axis(call, 'r'),
+                  value[4].data, axis(call, 'm'), value[5].number, &known, &expected, &seen, &look,
+                  value[19].data, value[20].data))
+        Py_RETURN_NONE;
+    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddO)", (int)look, seen.gap.level, seen.gap.variance,
+                         (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last,
+                         seen.burst.slack, seen.burst.power, seen.burst.variance, seen.burst.pause,
+                         seen.proven, seen.fit.start, seen.fit.chip, seen.unaided ? Py_True : Py_False,
+                         seen.beside.level, seen.beside.variance,
+                         seen.beside.quiet ? Py_True : Py_False);
+}
+
+static PyMethodDef code_methods[] = {ENTRY(refine), ENTRY(weigh), ENTRY(look), {0}};
 
 static PyType_Slot code_slots[] = {
     {Py_tp_new, Code},
@@ -135,66 +190,3 @@ PyType_Spec code_spec = {
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
     .slots = code_slots,
 };
-
-/* ---- bursts ------------------------------------------------------------------------------------ */
-
-/* Whether a search is one, and there is scratch for so many samples; if not, with an exception. */
-static bool is_search(const struct call *call, const struct burst_search *search, size_t size)
-{
-    if (!(search->half && search->group && search->low <= search->high && search->high < 1 << 20 &&
-          search->bit < 1 << 20 && search->window && search->width && search->gap_size < 1 << 26 &&
-          search->group < 1 << 20)) {
-        refuse(call, "burst_search: a length is 0 or too large");
-        return false;
-    }
-    if (axis(call, 's') >= burst_scratch(search, size))
-        return true;
-    refuse(call, "scratch: %zu values expected", burst_scratch(search, size));
-    return false;
-}
-
-FUNCTION(find_gap, SETTINGS(burst_search), ARRAY("volts", 'd', "m"), NUMBER("level"), NUMBER("variance"),
-         OUT("scratch", 'd', "s"))
-{
-    const struct burst_search *search = call->value[0].data;
-    struct burst_gap known = {call->value[2].number, call->value[3].number, 0}, gap = known;
-
-    if (!is_search(call, search, axis(call, 'm')))
-        return NULL;
-    if (!burst_gap(search, call->value[1].data, axis(call, 'm'), &known, &gap, call->value[4].data))
-        Py_RETURN_NONE;
-    return Py_BuildValue("(ddn)", gap.level, gap.variance, (Py_ssize_t)gap.begin);
-}
-
-FUNCTION(find_burst, SETTINGS(burst_search), ARRAY("volts", 'd', "m"), NUMBER("least_power"),
-         NUMBER("variance"), OUT("scratch", 'd', "s"))
-{
-    const struct burst_search *search = call->value[0].data;
-    struct burst_found found;
-
-    if (!is_search(call, search, axis(call, 'm')))
-        return NULL;
-    if (!burst_find(search, call->value[1].data, axis(call, 'm'), call->value[2].number,
-                    call->value[3].number, &found, call->value[4].data))
-        Py_RETURN_NONE;
-    return Py_BuildValue("(dddddd)", found.first, found.last, found.slack, found.power, found.variance,
-                         found.pause);
-}
-
-FUNCTION(look_beside, SETTINGS(burst_search), ARRAY("volts", 'd', "m"), SIZE("first"), SIZE("end"),
-         NUMBER("variance"), NUMBER("power"), OUT("scratch", 'd', "s"))
-{
-    const struct burst_search *search = call->value[0].data;
-    size_t first = call->value[2].size, end = call->value[3].size;
-
-    if (!is_search(call, search, 2 * search->gap_size))
-        return NULL;
-    if (!(first <= axis(call, 'm')))
-        return refuse(call, "first: beyond the samples");
-    struct burst_beside found =
-        burst_beside(search, call->value[1].data, axis(call, 'm'), first, end, call->value[4].number,
-                     call->value[5].number, call->value[6].data);
-    return Py_BuildValue("(ddO)", found.level, found.variance, found.quiet ? Py_True : Py_False);
-}
-
-PyMethodDef burst_functions[] = {ENTRY(find_gap), ENTRY(find_burst), ENTRY(look_beside), {0}};

@@ -63,12 +63,11 @@ static enum readout_look find_displaced(struct readout *readout, const float *ro
     size_t spoken = 0;
 
     memset(meant, 0, frame->order * sizeof *meant);
-    for (size_t i = 0; i < frame->nodes; i++)
-        if (out->active[i]) {
-            spoken++;
-            meant[frame->first + i] = out->amplitude[i];
-            least = out->amplitude[i] < least ? out->amplitude[i] : least;
-        }
+    for (size_t i = 0; i < frame->nodes; i++) {
+        spoken += out->active[i];
+        meant[frame->first + i] = out->active[i] ? out->amplitude[i] : 0.0f;
+        least = out->active[i] && out->amplitude[i] < least ? out->amplitude[i] : least;
+    }
     if (settings->scrambled || spoken <= settings->reading.few)
         return READOUT_LEFT;
     words_late(frame, rows, meant, readout->skin.edges, &settings->lateness, readout->late);
@@ -89,6 +88,8 @@ static bool is_disturbed(const struct readout *readout, const struct readout_fra
 {
     int disturbed = 0;
 
+    if (!memchr(out->doubtful, 1, readout->settings.frame.nodes))
+        return false;
     for (size_t i = 0; i < readout->settings.frame.nodes; i++)
         disturbed |= out->doubtful[i] & (out->rho[i] > readout->settings.reading.limits.clear_rho) &
                      !readout->skin.invalid[i];
@@ -121,105 +122,117 @@ VECTORS static void count(size_t nodes, const struct readout_frame *out,
 
 /* ---- readings ---------------------------------------------------------------------------------- */
 
-/* Takes the words of `size` nodes from number `at` on into what is kept: `hear` in readings/stages.py.
- * raised_v: V, but at rest at least for the highest code. Returns when the oldest word came that is not
- * stale, s. */
-INLINE double hear(const struct readout *readout, const struct readout_frame *out, size_t at, size_t size,
-                   double now_s, double stale_after_s, float *restrict voltage_v,
-                   uint8_t *restrict status)
+/* The nodes from number `at` on, which go through these steps together. Loops are short, without branches
+ * and on arrays that are known to differ, so that they are done for many nodes at once; flags are 0 or 1,
+ * thus −flag a mask. */
+struct block {
+    size_t at, size;
+    float volts[BLOCK], pressure_pa[BLOCK];
+    uint8_t beyond[BLOCK], stale[BLOCK];
+};
+
+/* Takes words into what is kept of the nodes: `hear` in readings/stages.py. */
+VECTORS static void keep_words(const struct readout_skin *skin, const struct readout_frame *out,
+                               double now_s, double stale_after_s, struct block *block)
 {
-    const struct readout_skin *skin = &readout->skin;
-    const struct readout_bits bits = readout->settings.bits;
-    const size_t highest = readout->settings.codes - 1;
-    const uint8_t *restrict active = out->active + at, *restrict doubtful = out->doubtful + at;
-    const uint8_t *restrict state = skin->state + at, *restrict invalid = skin->invalid + at;
-    const uint8_t *restrict masked = skin->masked + at;
-    int32_t *restrict codes = skin->kept_codes + at;
-    uint8_t *restrict flags = skin->kept_flags + at, *restrict valid = out->valid + at;
-    double *restrict heard_s = skin->heard_s + at, oldest_s = INFINITY;
-    float *restrict raised_v = out->node_v + at;
+    const size_t size = block->size;
+    const uint8_t *restrict active = out->active + block->at;
+    const int32_t *restrict words = out->codes + block->at;
+    int32_t *restrict codes = skin->kept_codes + block->at;
+    double *restrict heard_s = skin->heard_s + block->at;
+    uint8_t *restrict stale = block->stale;
 
     for (size_t i = 0; i < size; i++) {
-        codes[i] = active[i] ? out->codes[at + i] : codes[i];
-        heard_s[i] = active[i] ? now_s : heard_s[i];
-        uint8_t uncertain = doubtful[i] ? bits.low_snr : 0;
-        flags[i] = active[i] | doubtful[i] ? uncertain : flags[i];
+        int32_t before = codes[i], now = words[i];
+        codes[i] = active[i] ? now : before;
     }
     for (size_t i = 0; i < size; i++) {
-        float volts = skin->table_v[codes[i]], rest = skin->rest_v[at + i];
-        voltage_v[i] = volts;
-        raised_v[i] = (size_t)codes[i] == highest && volts < rest ? rest : volts;
+        double before_s = heard_s[i];
+        heard_s[i] = active[i] ? now_s : before_s;
     }
-    for (size_t i = 0; i < size; i++) {
-        int stale = now_s - heard_s[i] > stale_after_s;
-        uint8_t known = flags[i] | state[i] | (active[i] ? 0 : bits.silent);
-        status[i] = stale ? bits.silent | bits.stale : known;
-        valid[i] = (uint8_t)(!stale & !invalid[i] & !masked[i]);
-        oldest_s = !stale & (heard_s[i] < oldest_s) ? heard_s[i] : oldest_s;
-    }
-    return oldest_s;
+    for (size_t i = 0; i < size; i++)
+        stale[i] = now_s - heard_s[i] > stale_after_s;
 }
 
-/* Pressures of the same nodes: `convert` there; and what is beyond the curves' range. */
-INLINE void convert(const struct readout *readout, const struct readout_frame *out, size_t at, size_t size,
-                    const float *restrict drift_v, float *restrict beyond)
+/* Looks up voltages; raised_v: at rest at least, for the highest code. */
+static void look_up(const struct readout_skin *skin, int32_t highest, float *raised_v,
+                    struct block *block)
 {
-    size_t nodes = readout->settings.frame.nodes;
-    const float *pieces = readout->skin.pieces + at, *restrict end_v = readout->skin.end_v + at;
-    const float *restrict volts = out->node_v + at;
-    float *restrict pressure_pa = out->node_pa + at;
+    const size_t size = block->size;
 
-    drift_v += at;
+    for (size_t i = 0; i < size; i++) {
+        int32_t code = skin->kept_codes[block->at + i];
+        float volts = skin->table_v[code], rest_v = skin->rest_v[block->at + i];
+        block->volts[i] = volts;
+        raised_v[block->at + i] = (code == highest) & (volts < rest_v) ? rest_v : volts;
+    }
+}
+
+/* Pressures, and which are beyond the curves' range: `convert` there. */
+VECTORS static void convert(const struct readout *readout, const float *restrict raised_v,
+                            const float *restrict drift_v, float *restrict node_pa, struct block *block)
+{
+    const size_t at = block->at, size = block->size, nodes = readout->settings.frame.nodes;
+    const float *restrict pieces = readout->skin.pieces + at, *restrict end_v = readout->skin.end_v + at;
+    float *restrict pressure_pa = block->pressure_pa;
+    uint8_t *restrict beyond = block->beyond;
+
     for (size_t i = 0; i < size; i++) {
         pressure_pa[i] = 0;
-        beyond[i] = volts[i] + drift_v[i] < end_v[i] ? 1.0f : 0.0f;
+        beyond[i] = raised_v[at + i] + drift_v[at + i] < end_v[i];
     }
-    for (size_t piece = 0; piece < readout->settings.pieces; piece++, pieces += 3 * nodes) {
-        const float *restrict begin_v = pieces, *restrict width_v = pieces + nodes;
-        const float *restrict gain = pieces + 2 * nodes;
+    for (size_t piece = 0; piece < readout->settings.pieces; piece++, pieces += 3 * nodes)
         for (size_t i = 0; i < size; i++) {
-            float fall_v = begin_v[i] - (volts[i] + drift_v[i]);
+            float fall_v = pieces[i] - (raised_v[at + i] + drift_v[at + i]), width_v = pieces[nodes + i];
             fall_v = fall_v < 0 ? 0 : fall_v;
-            fall_v = fall_v > width_v[i] ? width_v[i] : fall_v;
-            pressure_pa[i] += fall_v * gain[i];
+            fall_v = fall_v > width_v ? width_v : fall_v;
+            pressure_pa[i] += fall_v * pieces[2 * nodes + i];
         }
-    }
+    for (size_t i = 0; i < size; i++)
+        node_pa[at + i] = pressure_pa[i];
 }
 
-/* Readings of all nodes: `finish` there. */
-VECTORS static double read_nodes(const struct readout *readout, const struct readout_frame *out,
-                                 double now_s, double stale_after_s, const float *drift_v,
-                                 const float *tare_pa, float *restrict pressure_pa,
-                                 float *restrict voltage_v, uint8_t *restrict status)
+/* Readings and their status: the rest of `hear`, and `finish`. */
+VECTORS static void finish(const struct readout *readout, const struct readout_frame *out,
+                           const float *restrict tare_pa, const struct block *block,
+                           float *restrict pressures_pa, float *restrict voltages_v,
+                           uint8_t *restrict statuses)
 {
     const struct readout_bits bits = readout->settings.bits;
-    const uint8_t *restrict uncalibrated = readout->skin.uncalibrated;
-    const uint8_t *restrict masked = readout->skin.masked, *restrict valid = out->valid;
-    const float *restrict node_pa = out->node_pa;
-    size_t nodes = readout->settings.frame.nodes;
-    double oldest_s = INFINITY;
-    float beyond[BLOCK];
+    const struct readout_skin *skin = &readout->skin;
+    const size_t at = block->at, size = block->size;
+    const uint8_t *restrict active = out->active + at, *restrict doubtful = out->doubtful + at;
+    const uint8_t *restrict state = skin->state + at, *restrict invalid = skin->invalid + at;
+    const uint8_t *restrict masked = skin->masked + at, *restrict bare = skin->uncalibrated + at;
+    const uint8_t *restrict beyond = block->beyond, *restrict stale = block->stale;
+    uint8_t *restrict flags = skin->kept_flags + at, *restrict valid = out->valid + at;
+    uint8_t *restrict status = statuses + at;
+    float *restrict pressure_pa = pressures_pa + at, *restrict voltage_v = voltages_v + at;
 
-    for (size_t at = 0; at < nodes; at += BLOCK) {
-        size_t size = nodes - at < BLOCK ? nodes - at : BLOCK;
-        double of_block = hear(readout, out, at, size, now_s, stale_after_s, voltage_v + at, status + at);
-        oldest_s = of_block < oldest_s ? of_block : oldest_s;
-        convert(readout, out, at, size, drift_v, beyond);
-        for (size_t i = at; i < at + size; i++) {
-            uint8_t saturated = beyond[i - at] != 0 && valid[i] ? bits.saturated : 0;
-            uint8_t all = status[i] | saturated | (uncalibrated[i] ? bits.uncalibrated : 0);
-            status[i] = masked[i] ? bits.masked : all;
-            pressure_pa[i] = valid[i] ? node_pa[i] - tare_pa[i] : NAN;
-            voltage_v[i] = valid[i] ? voltage_v[i] : NAN;
-        }
+    APART
+    for (size_t i = 0; i < size; i++) {
+        uint8_t is_new = (uint8_t)-(active[i] | doubtful[i]), old = (uint8_t)-stale[i];
+        uint8_t out_of_use = (uint8_t)-masked[i], is_valid = !(stale[i] | invalid[i] | masked[i]);
+        uint8_t flag = (flags[i] & (uint8_t)~is_new) | (bits.low_snr & (uint8_t)-doubtful[i]);
+        uint8_t known = flag | state[i] | (bits.silent & (uint8_t)(active[i] - 1));
+        uint8_t all = (known & (uint8_t)~old) | ((bits.silent | bits.stale) & old);
+        all |= bits.saturated & (uint8_t)-(beyond[i] & is_valid);
+        all |= bits.uncalibrated & (uint8_t)-bare[i];
+        flags[i] = flag;
+        valid[i] = is_valid;
+        status[i] = (all & (uint8_t)~out_of_use) | (bits.masked & out_of_use);
     }
-    return oldest_s;
+    for (size_t i = 0; i < size; i++) {
+        float reading_pa = block->pressure_pa[i] - tare_pa[at + i], volts = block->volts[i];
+        pressure_pa[i] = valid[i] ? reading_pa : NAN;
+        voltage_v[i] = valid[i] ? volts : NAN;
+    }
 }
 
 enum readout_look readout_read(struct readout *readout, const float *rows, float per_noise,
                                float least_usual, bool in_place, double now_s, double stale_after_s,
                                const float *drift_v, const float *tare_pa,
-                               const struct readout_frame *out, double *stale_from_s)
+                               const struct readout_frame *out)
 {
     const struct readout_settings *settings = &readout->settings;
     const struct readout_skin *skin = &readout->skin;
@@ -245,8 +258,14 @@ enum readout_look readout_read(struct readout *readout, const float *rows, float
     float *pressure_pa = source ? floats : out->pressure_pa;
     float *voltage_v = source ? floats + nodes : out->voltage_v;
     uint8_t *status = source ? readout->late : out->status;
-    *stale_from_s = stale_after_s + read_nodes(readout, out, now_s, stale_after_s, drift_v, tare_pa,
-                                               pressure_pa, voltage_v, status);
+    struct block block = {.at = 0};
+    for (; block.at < nodes; block.at += BLOCK) {
+        block.size = nodes - block.at < BLOCK ? nodes - block.at : BLOCK;
+        keep_words(skin, out, now_s, stale_after_s, &block);
+        look_up(skin, (int32_t)settings->codes - 1, out->node_v, &block);
+        convert(readout, out->node_v, drift_v, out->node_pa, &block);
+        finish(readout, out, tare_pa, &block, pressure_pa, voltage_v, status);
+    }
     for (size_t i = 0; source && i < settings->taxels; i++) {
         out->pressure_pa[i] = source[i] < 0 ? NAN : pressure_pa[source[i]];
         out->voltage_v[i] = source[i] < 0 ? NAN : voltage_v[source[i]];

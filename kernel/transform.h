@@ -17,7 +17,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define TRANSFORM_MOST_DENSE 512   /* order of a dense factor */
+#define TRANSFORM_MOST_DENSE 1024  /* order of a dense factor; MOST_FACTOR in codes.py */
 #define TRANSFORM_MOST_FACTORS 8   /* dense ones */
 #define TRANSFORM_MOST_ORDER 65536 /* of the product */
 

@@ -16,6 +16,15 @@
 #define INLINE static inline
 #endif
 
+/* Before a loop whose arrays differ, where `restrict` is not enough: there are many of them. */
+#if defined(__clang__)
+#define APART _Pragma("clang loop vectorize(assume_safety)")
+#elif defined(__GNUC__)
+#define APART _Pragma("GCC ivdep")
+#else
+#define APART
+#endif
+
 #if defined(__GNUC__) && defined(__x86_64__) && defined(__gnu_linux__)
 #define VECTORS __attribute__((target_clones("avx2", "default")))
 #else

@@ -84,12 +84,13 @@ INLINE int odd_of(uint32_t word)
     return (int)((word ^ word >> 1) & 1);
 }
 
-/* Whether any word is uneven: decide in stages.py. Without branches, and with pointers that are known to
- * differ, so that it is done for many nodes at once. */
-VECTORS static bool decide(size_t nodes, const struct words_measures *measures, const uint8_t *restrict active,
-                   const float *restrict expected, const int32_t *restrict sign_mask,
-                   float per_noise, unsigned bits, bool parity, float most_square,
-                   const struct words_limits *limits, const struct words_decided *decided)
+/* Without branches, and with pointers that are known to differ, so that it is done for many nodes at once:
+ * `parity` is a constant where this is inlined. */
+INLINE bool decide_by(const bool parity, size_t nodes, const struct words_measures *measures,
+                      const uint8_t *restrict active, const float *restrict expected,
+                      const int32_t *restrict sign_mask, float per_noise, unsigned bits,
+                      float most_square, const struct words_limits *limits,
+                      const struct words_decided *decided)
 {
     const float *restrict amplitudes = measures->amplitude, *restrict least = measures->weakest;
     const float *restrict most = measures->strongest, *restrict squares = measures->squares;
@@ -101,6 +102,7 @@ VECTORS static bool decide(size_t nodes, const struct words_measures *measures, 
     const struct words_limits limit = *limits;
     int any_uneven = 0;
 
+    APART
     for (size_t i = 0; i < nodes; i++) {
         float amplitude = amplitudes[i], two = limit.two * expected[i];
         float rho = amplitude * per_noise;
@@ -128,6 +130,19 @@ VECTORS static bool decide(size_t nodes, const struct words_measures *measures, 
     return any_uneven && nodes > 2;
 }
 
+/* Whether any word is uneven: decide in stages.py. */
+VECTORS static bool decide(size_t nodes, const struct words_measures *measures, const uint8_t *active,
+                           const float *expected, const int32_t *sign_mask, float per_noise,
+                           unsigned bits, bool parity, float most_square,
+                           const struct words_limits *limits, const struct words_decided *decided)
+{
+    if (parity)
+        return decide_by(true, nodes, measures, active, expected, sign_mask, per_noise, bits,
+                         most_square, limits, decided);
+    return decide_by(false, nodes, measures, active, expected, sign_mask, per_noise, bits, most_square,
+                     limits, decided);
+}
+
 /* ---- fit --------------------------------------------------------------------------------------- */
 
 /* Sum of squares; many partial sums keep its error at that of a few additions. */
@@ -149,6 +164,23 @@ INLINE double power_of(const float *values, size_t size)
             power += (double)partial[lane];
     }
     return power;
+}
+
+/* Sum of a block of squares, the same way. */
+INLINE double sum_of(const float *squares, size_t size)
+{
+    float partial[16] = {0};
+    double sum = 0;
+    size_t i = 0;
+
+    for (; i + 16 <= size; i += 16)
+        for (size_t lane = 0; lane < 16; lane++)
+            partial[lane] += squares[i + lane];
+    for (; i < size; i++)
+        partial[0] += squares[i];
+    for (size_t lane = 0; lane < 16; lane++)
+        sum += (double)partial[lane];
+    return sum;
 }
 
 /* Means of |r| and of r² of each node. */
@@ -288,30 +320,69 @@ double words_noise(const struct words_frame *frame, const float *rows, size_t sp
 
 /* ---- read -------------------------------------------------------------------------------------- */
 
+/* What the words of a frame add up to. */
+struct spoken {
+    size_t words;
+    double power, rows_power; /* of the words; of their rows in all bits */
+    float least;              /* amplitude */
+};
+
+/* Clears what silent nodes have, and adds up the rest. least: share of the expected amplitude below which
+ * a margin says nothing. */
+VECTORS static struct spoken clear_silent(size_t nodes, const struct words_measures *measures,
+                                          const struct words_decided *decided,
+                                          const uint8_t *restrict active,
+                                          const float *restrict expected, float share)
+{
+    struct spoken spoken = {.least = INFINITY};
+    const float *restrict amplitude = measures->amplitude;
+    float *restrict margins = decided->margin;
+    int32_t *restrict codes = decided->codes;
+    uint8_t *restrict doubled = decided->doubled, *restrict odd = decided->odd;
+    const uint8_t *restrict doubtful = decided->doubtful;
+
+    for (size_t begin = 0; begin < nodes; begin += BLOCK) {
+        size_t size = nodes - begin < BLOCK ? nodes - begin : BLOCK;
+        float level[BLOCK], loud[BLOCK], least = INFINITY;
+        unsigned words = 0;
+        for (size_t i = 0; i < size; i++) {
+            size_t node = begin + i;
+            float margin = margins[node], amplitude_v = amplitude[node];
+            margins[node] = amplitude_v > share * expected[node] ? margin : 0.0f;
+            level[i] = active[node] ? amplitude_v : 0.0f;
+            loud[i] = active[node] ? amplitude_v : INFINITY;
+            codes[node] &= -(int32_t)active[node];
+        }
+        for (size_t i = begin; i < begin + size; i++) {
+            doubled[i] &= doubtful[i];
+            odd[i] &= active[i];
+        }
+        for (size_t i = 0; i < size; i++) {
+            words += active[begin + i];
+            least = loud[i] < least ? loud[i] : least;
+        }
+        spoken.words += words;
+        spoken.least = least < spoken.least ? least : spoken.least;
+        spoken.power += power_of(level, size);
+        spoken.rows_power += sum_of(measures->squares + begin, size);
+    }
+    return spoken;
+}
+
 /* Whether words leave over less than a chip of the weakest: what out_of_place in lateness.py asks. */
 static bool leave_little(const struct words_frame *frame, const struct words_reading *reading,
-                         const float *rows, const float *amplitude, const uint8_t *active)
+                         const float *rows, const struct spoken *spoken)
 {
-    double total, words = 0;
-    float least = INFINITY;
-    size_t spoken = 0;
+    const size_t from = !frame->unipolar && frame->first > 0, end = frame->first + frame->nodes;
+    double total = spoken->rows_power, share = spoken->words <= reading->few ? (double)reading->few_share : 1;
 
-    for (size_t begin = 0; begin < frame->nodes; begin += BLOCK) {
-        size_t size = frame->nodes - begin < BLOCK ? frame->nodes - begin : BLOCK;
-        float level[BLOCK];
-        for (size_t i = 0; i < size; i++) {
-            level[i] = active[begin + i] ? amplitude[begin + i] : 0.0f;
-            spoken += active[begin + i];
-        }
-        for (size_t i = 0; i < size; i++)
-            least = active[begin + i] && level[i] < least ? level[i] : least;
-        words += power_of(level, size);
-    }
-    if (!spoken)
+    if (!spoken->words)
         return true;
-    total = frame_power(frame, rows);
-    double most = (spoken <= reading->few ? (double)reading->few_share : 1.0) * (double)reading->a_chip * (double)least;
-    return total / (double)frame->bits - words < most * (double)least / (double)frame->order;
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order)
+        total += power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
+    double most = share * (double)reading->a_chip * (double)spoken->least;
+    return total / (double)frame->bits - spoken->power <
+           most * (double)spoken->least / (double)frame->order;
 }
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
@@ -339,14 +410,9 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
                      decided))
         return WORDS_NEED_STAGES;
     float share = threshold < reading->faint_share ? threshold : reading->faint_share;
-    for (size_t i = 0; i < frame->nodes; i++) {
-        decided->margin[i] = amplitude[i] > share * expected[i] ? decided->margin[i] : 0.0f;
-        decided->codes[i] = active[i] ? decided->codes[i] : 0;
-        decided->doubled[i] &= decided->doubtful[i];
-        decided->odd[i] &= active[i];
-    }
-    return leave_little(frame, reading, rows, amplitude, active) ? WORDS_ARE_PLAIN
-                                                                 : WORDS_LEAVE_ENERGY;
+    struct spoken spoken =
+        clear_silent(frame->nodes, measures, decided, active, expected, share);
+    return leave_little(frame, reading, rows, &spoken) ? WORDS_ARE_PLAIN : WORDS_LEAVE_ENERGY;
 }
 
 /* ---- late -------------------------------------------------------------------------------------- */

@@ -84,8 +84,8 @@ class Readout:
         tare_pa: NDArray[np.float32],
         /,
         *out: NDArray[np.generic],
-    ) -> tuple[int, float]:
-        """Enum readout_look; device time when the next node goes stale, s.
+    ) -> int:
+        """Enum readout_look.
 
         out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
         pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
@@ -258,6 +258,8 @@ class Code:
         begin: float,
         end: float,
         noise: float,
+        likely: int,
+        margin: float,
         distortion: float,
         variance: float,
         rows: NDArray[np.float32],
@@ -271,40 +273,50 @@ class Code:
         scratch: NDArray[np.float32],
         /,
     ) -> tuple[float, float, int]:
-        """As numpy_weigh in framing/judge.py, into the arrays from rows on.
+        """As weigh in framing/judge.py, into the arrays from rows on; likely: c for none.
 
         distortion, variance: by which to vote; 0 for what the line gives. Returns these, and the
         chips of the longest view.
         """
 
-def find_gap(
-    search: NDArray[np.void],
-    volts: NDArray[np.float64],
-    level: float,
-    variance: float,
-    scratch: NDArray[np.float64],
-    /,
-) -> tuple[float, float, int] | None:
-    """The fields of a Gap, as numpy_find_gap in framing/burst.py finds it."""
+    def look(
+        self,
+        search: NDArray[np.void],
+        limits: NDArray[np.void],
+        rules: NDArray[np.void],
+        reaches: NDArray[np.float64],
+        volts: NDArray[np.float64],
+        least_power: float,
+        level: float,
+        variance: float,
+        start: float,
+        scatter: float,
+        chip: float,
+        slips: float,
+        rows: NDArray[np.float32],
+        amplitude: NDArray[np.float32],
+        uneven: NDArray[np.float32],
+        pedestal: NDArray[np.float32],
+        power: NDArray[np.float32],
+        spread: NDArray[np.float32],
+        misfit: NDArray[np.float32],
+        values: NDArray[np.float64],
+        scratch: NDArray[np.float32],
+        /,
+    ) -> (
+        tuple[
+            int,
+            tuple[float, float, int],
+            tuple[float, float, float, float, float, float],
+            float,
+            tuple[float, float],
+            bool,
+            tuple[float, float, bool],
+        ]
+        | None
+    ):
+        """What GapSearch.look in framing/gap.py makes a Look of; the words into the arrays.
 
-def find_burst(
-    search: NDArray[np.void],
-    volts: NDArray[np.float64],
-    least_power: float,
-    variance: float,
-    scratch: NDArray[np.float64],
-    /,
-) -> tuple[float, float, float, float, float, float] | None:
-    """The fields of a Burst, as numpy_find_burst finds it."""
-
-def look_beside(
-    search: NDArray[np.void],
-    volts: NDArray[np.float64],
-    first: int,
-    end: int,
-    variance: float,
-    power: float,
-    scratch: NDArray[np.float64],
-    /,
-) -> tuple[float, float, bool]:
-    """The fields of Beside, as numpy_look_beside finds them."""
+        Returns what there is, gap, burst, proven, fit, unaided and beside. chip: 0 where no frame
+        is expected. None where there are too few samples for a gap.
+        """

@@ -454,16 +454,13 @@ static void read_frames(struct input *input)
             float level = byte & 64 ? level_of(byte) : 0.3f + (float)(byte & 31) * spread;
             rows[i] = i % order % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
         }
-        double stale_from_s = -1;
         float words = *skin.sums;
-        enum readout_look look =
-            readout_read(readout, rows, 100, learnt ? 0.01f : NAN, options & 8, now_s, 1.5, drift_v,
-                         tare_pa, &found, &stale_from_s);
+        enum readout_look look = readout_read(readout, rows, 100, learnt ? 0.01f : NAN, options & 8,
+                                              now_s, 1.5, drift_v, tare_pa, &found);
         if (look <= READOUT_LEFT) {
-            MUST(*skin.sums == words && stale_from_s == -1, WRONG_VALUE);
+            MUST(*skin.sums == words, WRONG_VALUE);
             continue;
         }
-        MUST(stale_from_s >= now_s, WRONG_VALUE);
         for (size_t i = 0; i < nodes; i++) {
             check_word(&settings, &skin, &found, rows, i);
             MUST(!found.active[i] || (skin.kept_codes[i] == found.codes[i] && heard_s[i] == now_s),

@@ -2,17 +2,21 @@
 
 /* Runs a harness without libFuzzer:
  *
- *     HARNESS [-runs=N] [-seed=N] [-max_total_time=S] FILE-OR-FOLDER …
+ *     HARNESS [-runs=N] [-seed=N] [-max_total_time=S] [-timeout=S] FILE-OR-FOLDER …
  *
- * Runs the files, then N mutants of them, or as many as S seconds allow. It is not guided by coverage:
- * it shows that past findings stay fixed, and little more. */
+ * Runs the files, then N mutants of them, or as many as S seconds allow; ends with an error where one takes
+ * longer than -timeout. It is not guided by coverage: it shows that past findings stay fixed, and little more.
+ * Seconds are those of the processor, so that what it finds is the same on a busy machine. */
 #include <dirent.h>
+#include <signal.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/time.h>
 #include <time.h>
+#include <unistd.h>
 
 #define MOST 4096 /* bytes of an input */
 
@@ -123,11 +127,22 @@ static void mutate(struct file *file, const struct corpus *corpus)
     }
 }
 
-static void run(const struct file *file)
+static void hangs(int signal)
 {
+    static const char said[] = "SUMMARY: timeout\n";
+
+    (void)signal;
+    (void)!write(STDERR_FILENO, said, sizeof said - 1);
+    _exit(70);
+}
+
+static void run(const struct file *file, long timeout_s)
+{
+    const struct itimerval limit = {.it_value.tv_sec = timeout_s};
     uint8_t *bytes = malloc(file->size + !file->size); /* its ends are watched */
 
     memcpy(bytes, file->bytes, file->size);
+    setitimer(ITIMER_PROF, &limit, NULL); /* 0: never */
     LLVMFuzzerTestOneInput(bytes, file->size);
     free(bytes);
 }
@@ -137,27 +152,31 @@ int main(int argc, char **argv)
     struct corpus corpus = {0};
     static struct file mutant;
     unsigned long runs = 0, done = 0;
-    time_t begin = time(NULL), most_s = 0;
+    clock_t most = 0;
+    long timeout_s = 0;
 
+    signal(SIGPROF, hangs);
     for (int i = 1; i < argc; i++) {
         if (!strncmp(argv[i], "-runs=", 6))
             runs = strtoul(argv[i] + 6, NULL, 10);
         else if (!strncmp(argv[i], "-seed=", 6))
             seed = strtoul(argv[i] + 6, NULL, 10);
         else if (!strncmp(argv[i], "-max_total_time=", 16))
-            most_s = strtol(argv[i] + 16, NULL, 10);
+            most = strtol(argv[i] + 16, NULL, 10) * CLOCKS_PER_SEC;
+        else if (!strncmp(argv[i], "-timeout=", 9))
+            timeout_s = strtol(argv[i] + 9, NULL, 10);
         else
             add(&corpus, argv[i]);
     }
     if (!corpus.size)
         fail("no input", argc > 1 ? argv[argc - 1] : "");
     for (size_t i = 0; i < corpus.size; i++)
-        run(&corpus.files[i]);
-    for (; done < runs && (!most_s || time(NULL) - begin < most_s); done++) {
+        run(&corpus.files[i], timeout_s);
+    for (; done < runs && (!most || clock() < most); done++) {
         mutant = corpus.files[random_number(corpus.size)];
         for (uint64_t changes = 1 + random_number(6); changes; changes--)
             mutate(&mutant, &corpus);
-        run(&mutant);
+        run(&mutant, timeout_s);
     }
     printf("%lu inputs\n", (unsigned long)corpus.size + done);
     free(corpus.files);

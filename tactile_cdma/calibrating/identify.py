@@ -89,7 +89,7 @@ def identify(
 ) -> Identified:
     """Identify the dynamics that all sensors of a skin share; needs scipy.
 
-    t_s: (m,) rising, s. reference_pa: (m,) the known pressure on all taxels, Pa. pressure_pa:
+    t_s: (m,) rising, s. reference_pa: (m,) the known pressure on all taxels, Pa, ≥ 0. pressure_pa:
     (m, n) what the static curves make of the voltages of n nodes, Pa; NaN where there is none.
     uncertain_s: bound of the offset, early or late, of the reference's clock, s.
 
@@ -217,18 +217,10 @@ def _compensated(dynamics: Dynamics, t_s: Floats, pressure_pa: NDArray[np.floati
 
 
 def _check(t_s: Floats, reference_pa: Floats, pressure_pa: NDArray[np.floating]) -> None:
-    points = len(t_s)
-    if reference_pa.shape != (points,) or pressure_pa.ndim != 2 or len(pressure_pa) != points:
-        raise CalibrationError(
-            f"{points} times, {reference_pa.shape} reference pressures and {pressure_pa.shape} "
-            "readings: there must be one of each, and one reading per node, for every frame"
-        )
-    if points < LEAST_POINTS:
-        raise CalibrationError(f"{points} frames; dynamics take {LEAST_POINTS} or more")
-    if not (np.isfinite(t_s).all() and np.all(np.diff(t_s) > 0)):
+    if len(t_s) < LEAST_POINTS:
+        raise CalibrationError(f"{len(t_s)} frames; dynamics take {LEAST_POINTS} or more")
+    if not np.all(np.diff(t_s) > 0):
         raise CalibrationError("times must rise from frame to frame")
-    if not np.isfinite(reference_pa).all():
-        raise CalibrationError("the reference pressure is not known for every frame")
     if np.isfinite(pressure_pa).any(axis=1).mean() < 0.5:
         raise CalibrationError("in more than half of the frames no node has a reading")
     if (highest_pa := reference_pa.max()) < LEAST_LOAD_PA:
@@ -238,8 +230,6 @@ def _check(t_s: Floats, reference_pa: Floats, pressure_pa: NDArray[np.floating])
         )
     if np.ptp(reference_pa) < 0.1 * highest_pa:
         raise CalibrationError("the reference pressure hardly changes; dynamics take cycles")
-    if (lowest_pa := reference_pa.min()) < -0.05 * highest_pa:
-        raise CalibrationError(f"the reference pressure falls to {lowest_pa:.0f} Pa, below zero")
 
 
 def _cycles(reference_pa: Floats) -> int:

@@ -8,8 +8,9 @@ A code book is a matrix C of ±1 with C·Cᵀ = N·I. Three constructions cover 
 - Paley I (1933): order q + 1 for a prime power q ≡ 3 (mod 4);
 - Paley II: order 2(q + 1) for a prime power q ≡ 1 (mod 4);
 
-and the Kronecker product of two Hadamard matrices is one again. Powers of two are always
-Sylvester's matrix in natural order, which is also what MATLAB's and scipy's `hadamard` give.
+and the Kronecker product of two Hadamard matrices is one again. Factors above MOST_FACTOR are left
+out. Powers of two are always Sylvester's matrix in natural order, which is also what MATLAB's and
+scipy's `hadamard` give.
 docs/protocol.md defines every entry of every book, for implementations elsewhere.
 """
 
@@ -28,6 +29,9 @@ from .paley import paley
 
 MAX_ORDER = 65_536
 """Largest code order. Chosen; make bench-speed goes up to it."""
+MOST_FACTOR = 1024
+"""Largest factor of a book. Chosen: a product with larger ones takes longer than a chip more or two
+cost, and every order up to it that has a matrix stays."""
 SMALL_FACTOR = 100
 """Largest factor of books that are several times cheaper to correlate than others (make
 bench-speed)."""
@@ -106,8 +110,8 @@ def default_order(rows: int) -> int:
     """The default order for so many rows: short, and cheap to correlate.
 
     The smallest order with at least this many rows or, if that has a large factor, the next one
-    within MOST_EXTRA that has none: for 4097 rows 4160 = 2²·20·52 instead of 4100, a single Paley
-    matrix. Raises SpecError above MAX_ORDER rows.
+    within MOST_EXTRA that has none: for 1025 rows 1040 = 20·52 instead of 1032 = 2·516. Raises
+    SpecError above MAX_ORDER rows.
     """
     smallest = smallest_order(rows)
     limit = min(int(smallest * (1 + MOST_EXTRA)), MAX_ORDER)
@@ -176,7 +180,7 @@ def _plan(order: int) -> tuple[int, ...] | None:
         return (2,) * (order.bit_length() - 1)
     if order % 4:
         return None
-    plans: list[tuple[int, ...]] = [(order,)] if paley(order) else []
+    plans: list[tuple[int, ...]] = [(order,)] if order <= MOST_FACTOR and paley(order) else []
     for small in (d for d in range(2, int(order**0.5) + 1) if order % d == 0):
         left, right = _plan(small), _plan(order // small)
         if left and right:

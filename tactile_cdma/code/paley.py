@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Paley's Hadamard matrices (1933): their rows, and products with them, without the matrix.
+"""Paley's Hadamard matrices (1933): their rows.
 
 Over a field GF(q) of odd order q = pᵐ let χ be the quadratic character (+1 on squares, −1 on
 non-squares, 0 at 0), Q[i, j] = χ(aᵢ − aⱼ), and S = [[0, 1ᵀ], [∓1, Q]]. Then
@@ -9,8 +9,7 @@ non-squares, 0 at 0), Q[i, j] = χ(aᵢ − aⱼ), and S = [[0, 1ᵀ], [∓1, Q]
 - S ⊗ [[1, 1], [1, −1]] + I ⊗ [[1, −1], [−1, −1]] is one of order 2(q + 1) where q ≡ 1 (mod 4),
   with +1 in S (construction II). Its column 1 is negated here, so that row 0 is all ones.
 
-Elements are numbered by their coefficients as base-p digits. Q is circulant over their additive
-group (Z_p)ᵐ, so a product with it is a convolution, done by FFT.
+Elements are numbered by their coefficients as base-p digits.
 """
 
 from __future__ import annotations
@@ -18,12 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats, Floats32, Indices
+from ..base.arrays import Indices
 
 
 @dataclass(frozen=True)
@@ -62,28 +60,6 @@ class Paley:
         rows[:, 0, 1] *= -1
         return rows.reshape(len(indices), self.order)
 
-    def multiply(self, vectors: Floats32, transposed: bool = False) -> Floats:
-        """The matrix, or its transpose, times vectors (…, order), which may be strided.
-
-        Returns (…, order) float64, exact to the rounding of that; O(order·log order).
-        """
-        x = vectors.astype(np.float64)
-        if not self.doubled:
-            turned = self._core_product(x)
-            return x - turned if transposed else x + turned
-        # S is symmetric here, and so is the matrix but for the negated column.
-        pairs = x.reshape(*x.shape[:-1], self.q + 1, 2)
-        if not transposed:
-            pairs[..., 0, 1] *= -1
-        sums = np.stack((pairs[..., 0] + pairs[..., 1], pairs[..., 0] - pairs[..., 1]))
-        result = np.empty_like(pairs)
-        result[..., 0], result[..., 1] = self._core_product(sums)
-        result[..., 0] += sums[1]
-        result[..., 1] -= sums[0]
-        if transposed:
-            result[..., 0, 1] *= -1
-        return result.reshape(x.shape)
-
     def _core_rows(self, indices: Indices) -> NDArray[np.int8]:
         """Rows of S, (len(indices), q + 1) int8."""
         rows = np.empty((len(indices), self.q + 1), dtype=np.int8)
@@ -98,34 +74,6 @@ class Paley:
         top = indices == 0
         rows[top, 0], rows[top, 1:] = 0, 1
         return rows
-
-    def _core_product(self, x: Floats) -> Floats:
-        """S times vectors (…, q + 1)."""
-        group, axes = (self.p,) * self.m, tuple(range(-self.m, 0))
-        elements = x[..., 1:].reshape(*x.shape[:-1], *group)
-        spectrum = np.fft.rfftn(elements, self._fft_shape, axes)
-        spectrum *= self._spectrum
-        inside = np.fft.irfftn(spectrum, self._fft_shape, axes)[..., : self.p]
-        result = np.empty_like(x)
-        result[..., 1:] = inside.reshape(*x.shape[:-1], self.q)
-        result[..., 1:] += x[..., :1] if self.doubled else -x[..., :1]
-        result[..., 0] = x[..., 1:].sum(axis=-1)
-        return result
-
-    @cached_property
-    def _fft_shape(self) -> tuple[int, ...]:
-        """Shape of the FFT: prime lengths are slow, so a single dimension is padded."""
-        return (_smooth(2 * self.p - 1),) if self.m == 1 else (self.p,) * self.m
-
-    @cached_property
-    def _spectrum(self) -> NDArray[np.complex128]:
-        """Transform of χ on the group, continued periodically where the FFT is padded."""
-        kernel: NDArray[Any] = self._character.reshape((self.p,) * self.m)
-        for axis, length in enumerate(self._fft_shape):
-            step = np.arange(length)
-            step = np.where(step < self.p, step, (step - length) % self.p)
-            kernel = np.take(kernel, step, axis)
-        return np.fft.rfftn(kernel.astype(np.float64))
 
     @cached_property
     def _character(self) -> NDArray[np.int8]:
@@ -173,9 +121,3 @@ def _prime_power(q: int) -> tuple[int, int] | None:
     while q % p == 0:
         q, m = q // p, m + 1
     return (p, m) if q == 1 else None
-
-
-def _smooth(least: int) -> int:
-    """The smallest 2ᵃ·3ᵇ·5ᶜ from `least` on: lengths that an FFT likes."""
-    lengths = range(least, 2 * least + 1)  # 30ᵉ is a multiple of a smooth length for large e
-    return next(length for length in lengths if pow(30, length.bit_length(), length) == 0)

@@ -6,10 +6,9 @@ A book is a Kronecker product A ⊗ B ⊗ …, so correlating means multiplying 
 seen as an array of shape (a, b, …), by its own small matrix: O(N·(a + b + …)) instead of O(N²).
 Each stage multiplies the slowest axis and leaves it as the fastest one, which costs no copy, as
 BLAS reads transposed matrices; after the last stage the axes are back in order. Small factors are
-merged to blocks that suit BLAS; large Paley factors are multiplied by FFT.
+merged to blocks that suit BLAS.
 
-The compiled kernel (kernel/transform.h) does the same with fewer operations, where no factor is
-large.
+The compiled kernel (kernel/transform.h) does the same with fewer operations.
 """
 
 from __future__ import annotations
@@ -26,11 +25,9 @@ from ..base import kernel
 from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from .codes import MAX_ORDER, CodeBook
-from .paley import Paley, paley
 
 _LARGEST_BLOCK = 512
-"""Order above which an FFT beats a dense product (measured when it was introduced, by what is now
-make bench-speed)."""
+"""Order to which factors are merged."""
 _BLAS_PRODUCTS = 1 << 18
 """Multiplications in one BLAS call. OpenBLAS spreads longer ones over its threads, which then wait
 for each other: milliseconds, on a machine that has anything else to do."""
@@ -116,22 +113,6 @@ class _Dense:
             np.matmul(values, self.matrix[:, part], out=result[..., part])
 
 
-class _Fourier:
-    """A stage that is a large Paley factor, times a scale."""
-
-    def __init__(self, factor: Paley, rest: int, transposed: bool, scale: float) -> None:
-        """rest: product of the other blocks' orders."""
-        self.factor, self.rest = factor, rest
-        self.transposed, self.scale = transposed, scale
-
-    def apply(self, values: Floats32, result: Floats32) -> None:
-        """(c, order·rest) to (c, rest·order)."""
-        order = self.factor.order
-        columns = values.reshape(-1, order, self.rest).swapaxes(1, 2)
-        product = self.factor.multiply(columns, self.transposed)
-        np.multiply(product, self.scale, out=result.reshape(product.shape), casting="same_kind")
-
-
 class _Scratch(threading.local):
     """A buffer for intermediate results; each thread has its own."""
 
@@ -147,7 +128,7 @@ class _Stages:
     """The product as stages in numpy. most: vectors that go through them together."""
 
     order: int
-    stages: tuple[_Dense | _Fourier, ...]
+    stages: tuple[_Dense, ...]
     most: int
 
     def multiply(self, source: Floats32, out: Floats32, /) -> None:
@@ -166,13 +147,13 @@ class _Stages:
 
 def is_compiled(book: CodeBook) -> bool:
     """Whether the kernel multiplies with this book."""
-    return kernel.compiled is not None and max(book.plan) <= _LARGEST_BLOCK
+    return kernel.compiled is not None
 
 
 @lru_cache(maxsize=64)
 def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
     """The product with a code book of this plan, scaled by 1/N unless spreading."""
-    if is_compiled(CodeBook(plan)):
+    if kernel.compiled is not None:
         return compiled_transform(plan, spreading)
     return numpy_transform(plan, spreading)
 
@@ -196,17 +177,12 @@ def compiled_transform(plan: tuple[int, ...], spreading: bool, lanes: int = 0) -
 def numpy_transform(plan: tuple[int, ...], spreading: bool) -> Transform:
     """That of numpy; the first stage of those that correlate scales."""
     order = math.prod(plan)
-    stages: list[_Dense | _Fourier] = []
+    stages: list[_Dense] = []
     for group in _groups(plan):
         block = math.prod(group)
         scale = 1.0 if spreading or stages else 1.0 / order
-        if block > _LARGEST_BLOCK:
-            factor = paley(block)
-            assert factor is not None, "all other factors are small"
-            stages.append(_Fourier(factor, order // block, spreading, scale))
-        else:
-            matrix = CodeBook(group).matrix if spreading else CodeBook(group).matrix.T
-            stages.append(_Dense((matrix * scale).astype(np.float32, order="C"), order // block))
+        matrix = CodeBook(group).matrix if spreading else CodeBook(group).matrix.T
+        stages.append(_Dense((matrix * scale).astype(np.float32, order="C"), order // block))
     most = _most_rows(order) if len(stages) == 1 else _CHUNK // order
     return _Stages(order, tuple(stages), most)
 
@@ -217,7 +193,7 @@ def _most_rows(order: int) -> int:
 
 
 def _groups(plan: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """The plan's factors merged to the blocks that cost least, none above _LARGEST_BLOCK."""
+    """The plan's factors merged to the blocks that cost least, merged up to _LARGEST_BLOCK."""
     per_stage = _STAGE_COST + _CALL_COST / math.prod(plan)
     best: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(0.0, ())]  # for plan[:i]
     for end in range(1, len(plan) + 1):

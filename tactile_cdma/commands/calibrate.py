@@ -229,13 +229,9 @@ def _check_options(arguments: argparse.Namespace) -> None:
     for source, names in OPTIONS_OF.items():
         if not getattr(arguments, source) and (wrong := changed(names)):
             raise CalibrationError(f"--{wrong[0]} goes with --{source} only")
-    if arguments.dynamics:
-        _check_scipy()
-
-
-def _check_scipy() -> None:
     try:
-        import scipy.optimize  # noqa: F401
+        if arguments.dynamics:
+            import scipy.optimize  # noqa: F401
     except ImportError as error:
         raise CalibrationError(
             f"--dynamics needs scipy ({error}): sudo apt install python3-scipy, or "

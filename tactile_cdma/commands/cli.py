@@ -16,17 +16,7 @@ from types import ModuleType
 from .. import __version__
 from ..base.errors import TactileError
 from ..doctor import command as doctor
-from . import (
-    calibrate,
-    decode,
-    export,
-    info,
-    layout,
-    node,
-    ports,
-    record,
-    simulate,
-)
+from . import calibrate, decode, export, info, layout, node, ports, record, simulate
 
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),

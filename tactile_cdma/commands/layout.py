@@ -12,7 +12,7 @@ import numpy as np
 from ..base.errors import LayoutError
 from ..base.listing import listed
 from ..base.plain_text import plain
-from ..config.parameters import BY_NAME, Values, read_file
+from ..config.parameters import DEFAULTS, Values, read_file
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
@@ -23,12 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     parser.add_argument("file", type=Path, help="layout file")
     parser.add_argument("--png", type=Path, metavar="OUT", help="also write a picture")
-    parser.add_argument(
-        "--params",
-        type=Path,
-        metavar="FILE",
-        help="ROS 2 parameter file of the skin, to check the layout against",
-    )
+    text = "ROS 2 parameter file of the skin, to check the layout against"
+    parser.add_argument("--params", type=Path, metavar="FILE", help=text)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,13 +32,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.png and arguments.png.resolve() == arguments.file.resolve():
         raise LayoutError(f"{arguments.png}: the picture would overwrite the layout")
     values = read_file(arguments.params) if arguments.params else {}
-    get: Values = {name: parameter.default for name, parameter in BY_NAME.items()} | values
-    first_row = get["first_row"]
+    get: Values = {**DEFAULTS, **values}
     nodes = get["nodes"] if arguments.params else None
-    layout = read_layout(arguments.file, Wiring(nodes, first_row, get["skin"]))
+    layout = read_layout(arguments.file, Wiring(nodes, get["first_row"], get["skin"]))
     print(describe_layout(layout))
     if arguments.png:
-        draw_layout(layout, arguments.png, first_row)
+        draw_layout(layout, arguments.png, get["first_row"])
         print(f"written: {arguments.png}")
     return 0
 

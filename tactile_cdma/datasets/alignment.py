@@ -17,7 +17,7 @@ from itertools import count
 from statistics import median
 
 from .episodes import Episode
-from .samples import ACTION, NANO, Sample, SkinFrame, Stream, Value
+from .samples import ACTION, NANO, Sample, SampleStream, SkinFrame, Value
 from .touch import Touch, TouchStream
 
 WAIT_S = 2.0
@@ -76,7 +76,7 @@ class Aligner:
 
     def __init__(
         self,
-        streams: Mapping[str, Stream],
+        streams: Mapping[str, SampleStream],
         touch: Mapping[str, TouchStream],
         episodes: Sequence[Episode],
         fps: float,

@@ -14,8 +14,8 @@ from .samples import (
     Completeness,
     PatchInfo,
     SampleSource,
+    SampleStream,
     SkinFrame,
-    Stream,
     check_patches,
     check_same,
     missing_between,
@@ -67,7 +67,7 @@ class PatchFrames:
                 self.notes.append(f"{source.path}: no frame of {self._name} in its episodes")
             before += len(episodes)
 
-    def _stream(self, source: SampleSource) -> Stream:
+    def _stream(self, source: SampleSource) -> SampleStream:
         return next(stream for stream in patches_of(source) if stream.feature == self._name)
 
     def _of(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
 from ..base.listing import listed
-from ..readings.status import Status
+from ..readings.status import is_in_service
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
 """Elements of a sample of contacts; x, y, z: centre of pressure in the patch's frame."""
@@ -75,12 +75,6 @@ class SkinFrame:
     voltage_v: Floats32
     status: NDArray[np.uint8]
 
-    @property
-    def in_service(self) -> Bools:
-        """(t,) taxels with a node that the layout does not mask."""
-        in_service: Bools = self.status & np.uint8(Status.MASKED) == 0
-        return in_service
-
 
 @dataclass(frozen=True, slots=True)
 class RawImage:
@@ -106,7 +100,7 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class SampleStream:
     """What is the same in all samples of a stream.
 
     key: its name, unique. kind: TACTILE … IMAGE. feature: name for datasets, [a-z0-9_].
@@ -139,7 +133,7 @@ class SampleSource(Protocol):
     end_ns: int
 
     @property
-    def streams(self) -> Mapping[str, Stream]: ...
+    def streams(self) -> Mapping[str, SampleStream]: ...
 
     @property
     def problem(self) -> str | None: ...
@@ -156,7 +150,7 @@ class SampleSource(Protocol):
         ...
 
 
-def patches_of(source: SampleSource) -> list[Stream]:
+def patches_of(source: SampleSource) -> list[SampleStream]:
     """The source's skin patches, in order."""
     return [stream for stream in source.streams.values() if stream.kind == TACTILE]
 
@@ -185,7 +179,7 @@ class Completeness:
             return
         known = np.isfinite(frame.pressure_pa)
         self._read = known if self._read is None else self._read | known
-        self._wanted = frame.in_service
+        self._wanted = is_in_service(frame.status)
         self.is_complete = not self.missing
 
     @property

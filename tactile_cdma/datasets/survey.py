@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..readings.status import Status
+from ..readings.status import Status, is_in_service
 from .samples import Completeness, SkinFrame, missing_between
 
 
@@ -43,7 +43,7 @@ class FrameSurvey:
             self._missing += missing
         self._frames += 1
         self._last_s, self._sequence = time_s, frame.sequence
-        in_service = frame.in_service
+        in_service = is_in_service(frame.status)
         invalid = in_service & ~np.isfinite(frame.pressure_pa)
         self._readings += int(np.count_nonzero(in_service))
         self._invalid += int(np.count_nonzero(invalid))

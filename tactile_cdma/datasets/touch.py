@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats32
 from ..base.errors import ParameterError
+from ..readings.status import is_in_service
 from .samples import NANO, Completeness, PatchInfo, SkinFrame
 
 WINDOW, MEAN, LAST = "window", "mean", "last"
@@ -82,7 +83,7 @@ class TouchStream:
         """Take in the next frame."""
         pressure, known = frame.pressure_pa, np.isfinite(frame.pressure_pa)
         self._held = np.where(known, pressure, self._held)
-        self._wanted = frame.in_service
+        self._wanted = is_in_service(frame.status)
         self.completeness.take(frame)
         sample = _Sample(stamp_ns, pressure, self._held, self._wanted)
         self._window.append(sample)

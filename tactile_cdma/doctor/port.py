@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..base.errors import PortError, TactileError
-from ..config.parameters import BY_NAME, SIMULATION, Value, Values, read_file
+from ..config.parameters import DEFAULTS, SIMULATION, Value, Values, read_file
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
@@ -44,7 +44,7 @@ def examine(
     except TactileError as error:
         yield problem("parameters", str(error))
         return
-    get: Values = {name: parameter.default for name, parameter in BY_NAME.items()} | (values or {})
+    get: Values = {**DEFAULTS, **(values or {})}
     url = url or get["port"] or SIMULATION
     try:
         leave_alone_if_open(url)

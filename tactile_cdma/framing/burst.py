@@ -159,15 +159,17 @@ class BurstSearch:
         a lone node on row 0 may hold the line at a constant level: equal bits on end are as quiet
         as the gap, at −a or +a or, in turns, both, and then the gap is midway.
         """
-        if known is not None:
-            gap = find_gap(self, volts, known)
-            return [] if gap is None else [gap]
         means = self.halves(volts)
         width = min(self.window_halves, means.size)
         if width < 4:
             return []
-        centre = float(np.median(means))
+        centre = float(np.median(means)) if known is None else known.level
         sums, power, variance = _windows(means - centre, width)
+        if known is not None:
+            best = int(np.argmin(power))
+            fresh = _BIAS * float(variance[best])
+            smooth = min((1 - _NEWEST) * known.variance + _NEWEST * fresh, _CALMER * fresh)
+            return [Gap(centre + float(sums[best]), smooth, best * self.half)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Gap] = []
         levels = 3 if self.spec.first_row == 0 else 1
@@ -188,7 +190,50 @@ class BurstSearch:
         volts: (m,) float64, V, gap level removed. variance: of half-chip means in the gap, V².
         None where there is nothing but noise.
         """
-        return find_burst(self, volts, variance)
+        energy = np.square(self.halves(volts))
+        group, bit = self.group, self.bit_cells
+        cells = energy[: energy.size // group * group].reshape(-1, group).mean(axis=1)
+        low, high = min(self.low_cells, cells.size), self.high_cells
+        if low < 8:
+            return None
+        peak = float(_window_sums(cells, low).max()) / low
+        variance = max(variance, 1e-8 * peak)
+        power = peak - variance
+        if power < max(_LEAST_POWER, self.snr_floor * variance, self.least_power):
+            return None
+        # Of all windows of a possible length, the one with the greatest excess over half of the
+        # frame's power; then cut quiet cells from its ends.
+        gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
+        ends = np.concatenate((gain[low:], np.full(high - self.low_cells, -np.inf)))
+        gains = np.lib.stride_tricks.sliding_window_view(ends, high - self.low_cells + 1)
+        begin = int(np.argmax(gains.max(axis=1) - gain[: len(gains)]))
+        end = begin + low + int(np.argmax(gains[begin]))
+        first = begin + int(np.argmin(gain[begin : begin + bit + 1]))
+        last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
+        # Loud half chips are sharper than that, and reach beyond where chips are small.
+        first, last = first * group, last * group
+        node_power = max(self.least_power, power / (16 * self.spec.nodes))  # hum stays below
+        loud = energy > max(_LOUD**2 * variance, node_power)
+        before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
+        after = np.flatnonzero(loud[last - group : last + bit * group])
+        if before.size:
+            first += int(before[0]) - min(first, bit * group)
+        if after.size:
+            last += int(after[-1]) + 1 - group
+        snr = power / variance
+        slack = self.chip * (1.5 + 60.0 / snr)
+        if not (before.size and after.size):
+            slack += self.half * (group - 1)
+        pause, width = last, self.bit_halves
+        if snr > 8 and last - first > width:
+            powers = _window_sums(energy[first:last], width) / width - variance
+            quiet = np.flatnonzero(powers < 0.2 * power)
+            if quiet.size:
+                pause = first + int(quiet[0])
+                rest = np.flatnonzero(loud[pause : pause + width])
+                pause += int(rest[-1]) + 1 if rest.size else 0
+        edges = np.array([first, last, pause]) * self.half - 0.5
+        return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
 
     def beside(self, volts: Floats, fit: Fit, burst: Burst) -> Beside:
         """What lies up to a gap's length beside a frame; a chip next to it is left out.
@@ -198,133 +243,29 @@ class BurstSearch:
         piece of a frame does not sway.
         """
         first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
-        return look_beside(self, volts, min(max(0, first), volts.size), end, burst)
+        first = max(0, first)
+        gap, variance = volts[max(0, first - self.gap_size) : first], burst.variance
+        sides = self.halves(gap[::-1]), self.halves(volts[end : end + self.gap_size])
+        both = np.concatenate(sides)
+        steps = np.square(np.concatenate([np.diff(side) for side in sides]))
+        if steps.size >= 8:
+            noise = float(np.sort(steps)[steps.size // 2]) / (2 * _MEDIAN)
+            variance = max(noise, min(variance, _DRIFTING * noise) if noise else variance)
+        quiet = True
+        for side in (side[: self.side_halves] for side in sides):
+            if side.size:
+                most = variance * (1.5 + 5 * math.sqrt(2 / side.size))
+                drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
+                excess = float(np.square(side).mean()) - most
+                quiet &= drift <= LIMITS.beside_level * math.sqrt(burst.power)
+                quiet &= excess <= LIMITS.beside * burst.power
+        return Beside(float(both.mean()) if both.size else 0.0, variance, quiet)
 
     def halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""
         count = volts.size // self.half
         means: Floats = volts[: count * self.half].reshape(count, self.half) @ self._mean
         return means
-
-    def scratch(self, samples: int) -> Floats:
-        """What the kernel's functions work in."""
-        return np.empty(3 * (samples // self.half + 1))
-
-
-def numpy_find_gap(search: BurstSearch, volts: Floats, known: Gap) -> Gap | None:
-    """The quietest window about the known level; None where the samples are too few for one."""
-    means = search.halves(volts)
-    width = min(search.window_halves, means.size)
-    if width < 4:
-        return None
-    sums, power, variance = _windows(means - known.level, width)
-    best = int(np.argmin(power))
-    fresh = _BIAS * float(variance[best])
-    smooth = min((1 - _NEWEST) * known.variance + _NEWEST * fresh, _CALMER * fresh)
-    return Gap(known.level + float(sums[best]), smooth, best * search.half)
-
-
-def compiled_find_gap(search: BurstSearch, volts: Floats, known: Gap) -> Gap | None:
-    """As numpy_find_gap."""
-    assert kernel.compiled is not None
-    scratch = search.scratch(volts.size)
-    found = kernel.compiled.find_gap(search.settings, volts, known.level, known.variance, scratch)
-    return found and Gap(*found)
-
-
-def numpy_find_burst(search: BurstSearch, volts: Floats, variance: float) -> Burst | None:
-    """See BurstSearch.burst."""
-    energy = np.square(search.halves(volts))
-    group, bit = search.group, search.bit_cells
-    cells = energy[: energy.size // group * group].reshape(-1, group).mean(axis=1)
-    low, high = min(search.low_cells, cells.size), search.high_cells
-    if low < 8:
-        return None
-    peak = float(_window_sums(cells, low).max()) / low
-    variance = max(variance, 1e-8 * peak)
-    power = peak - variance
-    if power < max(_LEAST_POWER, search.snr_floor * variance, search.least_power):
-        return None
-    # Of all windows of a possible length, the one with the greatest excess over half of the frame's
-    # power; then cut quiet cells from its ends.
-    gain = np.concatenate(([0.0], np.cumsum(cells - (variance + 0.5 * power))))
-    ends = np.concatenate((gain[low:], np.full(high - search.low_cells, -np.inf)))
-    gains = np.lib.stride_tricks.sliding_window_view(ends, high - search.low_cells + 1)
-    begin = int(np.argmax(gains.max(axis=1) - gain[: len(gains)]))
-    end = begin + low + int(np.argmax(gains[begin]))
-    first = begin + int(np.argmin(gain[begin : begin + bit + 1]))
-    last = end - bit + int(np.argmax(gain[end - bit : end + 1])) if end > bit else end
-    # Loud half chips are sharper than that, and reach beyond where chips are small.
-    first, last = first * group, last * group
-    node_power = max(search.least_power, power / (16 * search.spec.nodes))  # hum stays below
-    loud = energy > max(_LOUD**2 * variance, node_power)
-    before = np.flatnonzero(loud[max(0, first - bit * group) : first + group])
-    after = np.flatnonzero(loud[last - group : last + bit * group])
-    if before.size:
-        first += int(before[0]) - min(first, bit * group)
-    if after.size:
-        last += int(after[-1]) + 1 - group
-    snr = power / variance
-    slack = search.chip * (1.5 + 60.0 / snr)
-    if not (before.size and after.size):
-        slack += search.half * (group - 1)
-    pause, width = last, search.bit_halves
-    if snr > 8 and last - first > width:
-        powers = _window_sums(energy[first:last], width) / width - variance
-        quiet = np.flatnonzero(powers < 0.2 * power)
-        if quiet.size:
-            pause = first + int(quiet[0])
-            rest = np.flatnonzero(loud[pause : pause + width])
-            pause += int(rest[-1]) + 1 if rest.size else 0
-    edges = np.array([first, last, pause]) * search.half - 0.5
-    return Burst(float(edges[0]), float(edges[1]), slack, power, variance, float(edges[2]))
-
-
-def compiled_find_burst(search: BurstSearch, volts: Floats, variance: float) -> Burst | None:
-    """As numpy_find_burst."""
-    assert kernel.compiled is not None
-    scratch = search.scratch(volts.size)
-    power = search.least_power
-    found = kernel.compiled.find_burst(search.settings, volts, power, variance, scratch)
-    return found and Burst(*found)
-
-
-def numpy_look_beside(
-    search: BurstSearch, volts: Floats, first: int, end: int, burst: Burst
-) -> Beside:
-    """See BurstSearch.beside; of the samples before `first`, and from `end` on."""
-    gap, variance = volts[max(0, first - search.gap_size) : first], burst.variance
-    sides = search.halves(gap[::-1]), search.halves(volts[end : end + search.gap_size])
-    both = np.concatenate(sides)
-    steps = np.square(np.concatenate([np.diff(side) for side in sides]))
-    if steps.size >= 8:
-        noise = float(np.sort(steps)[steps.size // 2]) / (2 * _MEDIAN)
-        variance = max(noise, min(variance, _DRIFTING * noise) if noise else variance)
-    quiet = True
-    for side in (side[: search.side_halves] for side in sides):
-        if side.size:
-            most = variance * (1.5 + 5 * math.sqrt(2 / side.size))
-            drift = abs(float(side.mean())) - 6 * math.sqrt(variance / side.size)
-            excess = float(np.square(side).mean()) - most
-            quiet &= drift <= LIMITS.beside_level * math.sqrt(burst.power)
-            quiet &= excess <= LIMITS.beside * burst.power
-    return Beside(float(both.mean()) if both.size else 0.0, variance, quiet)
-
-
-def compiled_look_beside(
-    search: BurstSearch, volts: Floats, first: int, end: int, burst: Burst
-) -> Beside:
-    """As numpy_look_beside."""
-    assert kernel.compiled is not None
-    known, scratch = (burst.variance, burst.power), search.scratch(2 * search.gap_size)
-    settings = search.settings
-    return Beside(*kernel.compiled.look_beside(settings, volts, first, end, *known, scratch))
-
-
-if kernel.compiled is None:
-    find_gap, find_burst, look_beside = numpy_find_gap, numpy_find_burst, numpy_look_beside
-else:
-    find_gap, find_burst, look_beside = compiled_find_gap, compiled_find_burst, compiled_look_beside
 
 
 def _windows(off: Floats, width: int) -> tuple[Floats, Floats, Floats]:

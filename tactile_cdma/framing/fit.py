@@ -33,7 +33,7 @@ ideal position, at a cost of 1.1 dB of noise."""
 MORE_EVEN = 0.6
 """Spread of the middles over that of whole chips below which the middles are taken. Noise alone
 gives 1/MIDDLE = 1.3, so that chance hardly gets there. Chosen."""
-REACHES = (0.5, 0.5, 0.25, 0.12)
+REACHES = np.array([0.5, 0.5, 0.25, 0.12])
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
 as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
 a chip off ideal allow. Chosen."""
@@ -227,17 +227,22 @@ class WordFit:
 
     def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""
-        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
-        limit = LIMITS.spread / stricter
-        uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
+        power, misfit, spread = (
+            max(self.power.item(), 1e-30),
+            self.misfit.item(),
+            self.spread.item(),
+        )
+        limit, active = LIMITS.spread / stricter, int(np.count_nonzero(self.amplitude))
+        even_power = power - self.pedestal.item() ** 2
         if odd:
+            uneven, word_power = self.uneven[0], np.square(self.amplitude[0])
             order = np.argsort(uneven)
             misfit -= float(uneven[order[-odd:]].sum()) / power
             uneven, word_power = uneven[order[:-odd]], word_power[order[:-odd]]
-        active, even_power = int(np.count_nonzero(word_power)), float(word_power.sum())
-        if not even_power > 0:
+            active, even_power = int(np.count_nonzero(word_power)), float(word_power.sum())
+            spread = float(uneven.sum()) / max(even_power, 1e-30)
+        if not (active and even_power > 0):
             return False
-        spread = float(uneven.sum()) / even_power
         if noise:
             left = LIMITS.left * noise / power
             expected = noise * active / spec.order / even_power
@@ -378,12 +383,9 @@ def refine(
     start, chip, bounds = fit.start, fit.chip, (earliest, latest)
     return Fit(
         *code.refine(
-            line.volts, line.sums, BLUR, SETTLED_CHIPS, _REACHES, start, chip, *bounds, scratch
+            line.volts, line.sums, BLUR, SETTLED_CHIPS, REACHES, start, chip, *bounds, scratch
         )
     )
-
-
-_REACHES = np.array(REACHES)
 
 
 def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest: float) -> Fit:

@@ -23,21 +23,30 @@ does not accumulate).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import kernel
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
-from .burst import Burst, BurstSearch
-from .fit import CHIPS_AT_ONCE, Fit, Line, read_words, refine
-from .judge import Judge, Judgement
+from .burst import Beside, Burst, BurstSearch, Gap
+from .fit import (
+    CHIPS_AT_ONCE,
+    REACHES,
+    SETTLED_CHIPS,
+    Fit,
+    Line,
+    WordFit,
+    compiled_code,
+    read_words,
+    refine,
+)
+from .judge import RULED_OUT, VOTE_SETTINGS, Judge, Judgement
 from .limits import LIMITS
-from .raster import Expected
-
-F = TypeVar("F", float, Floats)
+from .raster import WIDE, Expected
 
 _MOST_SHIFTS = 64
 """Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""
@@ -48,6 +57,29 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
+_MOST_CARRIED = 16
+"""Candidates that the kernel weighs: GAP_MOST in kernel/gap.h."""
+_SILENT, _BURST, _FRAME = 0, 2, 3
+"""What the kernel finds: enum gap_look there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the kernel sees in a stretch of samples.
+
+    gap: its level, as `gaps` finds it.
+    burst: as `burst` finds it, where there is one, and certainly no other before it.
+    is_silent: whether there is none.
+    proven: see GapSearch.proven; 0 where no frame is carried.
+    found: a carried frame that is beyond doubt. beside: what lies beside that.
+    """
+
+    gap: Gap
+    burst: Burst | None
+    is_silent: bool
+    proven: float
+    found: Judgement | None
+    beside: Beside | None
 
 
 class GapSearch(BurstSearch):
@@ -57,6 +89,69 @@ class GapSearch(BurstSearch):
         """See BurstSearch."""
         super().__init__(spec, rate_hz)
         self._judge = Judge(spec)
+        self._code = compiled_code(spec)
+        self._values, self._scratch = np.empty(0), np.empty(0, np.float32)
+
+    def look(self, volts: Floats, known: Gap, expected: Expected | None) -> Look | None:
+        """What is in a stretch of samples, all in one call of the kernel; None where it cannot.
+
+        volts: (m,) float64, V. expected: the next frame, relative to the stretch. Gives what the
+        other methods would, as far as that is beyond doubt.
+        """
+        code, spec = self._code, self.spec
+        if code is None:
+            return None
+        size = 2 * volts.size + 1 + 3 * (volts.size // self.half + 1)
+        if self._values.size < size:
+            self._values = np.empty(2 * size)
+            candidate = spec.chips + 2 * spec.nodes + 4 + (spec.line_bits // 2 + 1) * spec.order
+            beside = 4 * (self.gap_size // self.half + 1)
+            others = 3 * (spec.chips + spec.span_chips + spec.nodes + _MOST_CARRIED)
+            self._scratch = np.empty(_MOST_CARRIED * candidate + others + beside, np.float32)
+        place = (0.0, 0.0, 0.0, 0.0)
+        if expected is not None and self.is_sure(expected):
+            place = expected.start, expected.scatter, expected.chip, expected.slips
+        rows = np.empty((1, spec.line_bits, spec.order), np.float32)
+        amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
+        four = np.empty((4, 1), np.float32)
+        seen = code.look(
+            self.settings, VOTE_SETTINGS, self._rules, REACHES, volts, self.least_power,
+            known.level, known.variance, *place, rows, amplitude, uneven, *four, self._values,
+            self._scratch,
+        )  # fmt: skip
+        if seen is None:
+            return None
+        look, gap, burst, proven, fit, unaided, beside = seen
+        found = None
+        if look == _FRAME:
+            words = WordFit(rows, amplitude, four[0], uneven, *four[1:])
+            found = Judgement(Fit(*fit), words, None, True, unaided)
+        return Look(
+            Gap(*gap),
+            Burst(*burst) if look >= _BURST else None,
+            look == _SILENT,
+            proven,
+            found,
+            None if found is None else Beside(*beside),
+        )
+
+    @cached_property
+    def _rules(self) -> NDArray[np.void]:
+        return kernel.settings(
+            "gap_rules",
+            shortest=self.shortest,
+            longest=self.longest,
+            bit=self.bit,
+            period=self.period,
+            beyond=_BEYOND,
+            carried_noise=LIMITS.carried_noise,
+            carried_misfit=LIMITS.carried_misfit,
+            doubt=LIMITS.doubt,
+            disturbed=LIMITS.disturbed,
+            wide=WIDE,
+            ruled_out=RULED_OUT,
+            settled_chips=SETTLED_CHIPS,
+        )
 
     def frame(self, line: Line, burst: Burst, expected: Expected | None) -> Judgement | None:
         """The most likely frame around a burst; None where it has no frame's length.
@@ -136,7 +231,7 @@ class GapSearch(BurstSearch):
             chip = np.full(start.size, fit.chip)
             # Two nodes that cancel at the start of every bit are possible, but not likely.
             unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
-            found = self._judge.choose(line, start, chip, noise, unlikely, expected)
+            found = self._judge.choose(line, start, chip, noise, unlikely, expected, -earliest)
             shift = round((found.fit.start - fit.start) / fit.chip)
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:
@@ -223,7 +318,7 @@ class GapSearch(BurstSearch):
         than a bit's silent chips at either end.
         """
         spec = self.spec
-        low, high = self._range(burst, chip)
+        low, high = np.array([self._range(burst, each) for each in chip.tolist()]).T
         low = edge + np.ceil((low - edge) / chip) * chip
         shifts = np.arange(max(1, int(np.max((high - low) / chip)) + 1))
         starts = low[:, None] + shifts * chip[:, None]
@@ -236,12 +331,11 @@ class GapSearch(BurstSearch):
         power = np.concatenate(powers)[possible]
         return starts[possible], np.broadcast_to(chip[:, None], starts.shape)[possible], power
 
-    def _range(self, burst: Burst, chip: F) -> tuple[F, F]:
+    def _range(self, burst: Burst, chip: float) -> tuple[float, float]:
         """Earliest and latest start with which a frame of such chips covers the burst."""
         length, bit = self.spec.span_chips * chip, self.spec.order * chip
-        low = np.maximum(burst.last - length, burst.first - bit) - burst.slack
-        high = np.minimum(burst.first, burst.last + bit - length) + burst.slack
-        return np.maximum(low, burst.first - burst.slack - _MOST_SHIFTS * chip), high
+        low = max(burst.last - length, burst.first - bit, burst.first - _MOST_SHIFTS * chip)
+        return low - burst.slack, min(burst.first, burst.last + bit - length) + burst.slack
 
     def _powers(self, line: Line, low: Floats, chip: Floats, count: int) -> Floats32:
         """Power of the words for `count` starts, a chip apart, of each clock, (q, count)."""

@@ -15,9 +15,9 @@ from ..base.arrays import Floats
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ..code.separate import node_levels
-from .burst import Burst, Gap
+from .burst import Beside, Burst, Gap
 from .fit import Fit, Line, WordFit, even_words, lowest_power
-from .gap import GapSearch
+from .gap import GapSearch, Look
 from .hum import Hum
 from .impulses import without_impulses
 from .judge import Judgement
@@ -199,12 +199,16 @@ class GapTiming(Timing):
             return []
         heard = self._hum.heard
         volts = self._hum.removed(raw, self._cursor)
-        candidates = self._search.gaps(volts, self._gap)
+        look = None
+        if self._gap is not None:
+            expected = self._raster.expect(self._next, self._cursor)
+            look = self._search.look(volts, self._gap, expected)
+        candidates = [look.gap] if look else self._search.gaps(volts, self._gap)
         if candidates:
             self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
                 return []
-        found = self._look(volts, candidates, raw, final)
+        found = self._look(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
             steady = without_impulses(volts)
             if steady is not volts:
@@ -223,27 +227,38 @@ class GapTiming(Timing):
         return []
 
     def _look(
-        self, volts: Floats, candidates: list[Gap], raw: Floats, final: bool
+        self,
+        volts: Floats,
+        candidates: list[Gap],
+        raw: Floats,
+        final: bool,
+        look: Look | None = None,
     ) -> list[FrameLevels] | _Failure:
         """What is in the samples from the cursor on: frames, or none yet; or why there is nothing.
 
-        volts: hum removed, and perhaps impulses. raw: as they came.
+        volts: hum removed, and perhaps impulses. raw: as they came. look: what is known of them.
         """
         end = self._cursor + volts.size
         seen: list[Burst] = []
         reason = INCOMPLETE
         for gap in candidates:
-            shifted = volts - gap.level
-            burst = self._first_burst(shifted, gap)
+            line = Line(volts, gap.level)
+            burst = look.burst if look else None
+            if burst is None and not (look and look.is_silent):
+                burst, look = self._first_burst(line.volts, gap), None
             if burst is None:
                 continue
             seen.append(burst)
-            line, expected = Line(shifted), self._expected(burst)
+            if look and look.found:
+                taken = self._take(line, burst, gap, raw, look.found, look.beside)
+                if not isinstance(taken, Rejections):
+                    return taken
+            expected = self._raster.expect(self._cursor + burst.first, self._cursor)
             complete = min(burst.first + self._reach, burst.last + self._search.bit)
             incomplete = volts.size < complete and volts.size <= self._most_held
             if not final and incomplete:
                 self._due = max(end + 1, self._cursor + math.ceil(complete))
-                found = self._proven(line, burst, expected)
+                found = self._proven(line, burst, expected, look)
                 taken = [] if found is None else self._take(line, burst, gap, raw, found)
                 return [] if isinstance(taken, Rejections) else taken
             if burst.first < self._search.chip:
@@ -258,17 +273,19 @@ class GapTiming(Timing):
             return [] if final else self._pass_idle(end)
         return _Failure(reason, min(burst.pause for burst in seen))
 
-    def _proven(self, line: Line, burst: Burst, expected: Expected | None) -> Judgement | None:
+    def _proven(
+        self, line: Line, burst: Burst, expected: Expected | None, look: Look | None
+    ) -> Judgement | None:
         """The frame that the raster places here, if the samples prove already that it is over."""
-        search = self._search
-        fit = None if burst.first < search.chip else search.carried(line, expected)
-        if fit is None:
-            return None
-        proven = search.proven(burst, fit)
-        if proven > line.volts.size:
+        search, fit = self._search, None
+        if not look and burst.first >= search.chip:
+            fit = search.carried(line, expected)
+        proven = look.proven if look else 0.0 if fit is None else search.proven(burst, fit)
+        if proven > line.received.size:
             self._due = min(self._due, self._cursor + math.ceil(proven))
-            return None
-        return search.explained(line, burst, fit, expected)
+        elif proven and (fit := fit or search.carried(line, expected)):
+            return search.explained(line, burst, fit, expected)
+        return None
 
     def _first_burst(self, volts: Floats, gap: Gap) -> Burst | None:
         """The earliest burst: the strongest one may have a weaker one before it."""
@@ -312,11 +329,18 @@ class GapTiming(Timing):
         self._hum.learn(self._cursor + gap.begin, window, gap.variance * half)
 
     def _take(
-        self, line: Line, burst: Burst, gap: Gap, raw: Floats, found: Judgement
+        self,
+        line: Line,
+        burst: Burst,
+        gap: Gap,
+        raw: Floats,
+        found: Judgement,
+        beside: Beside | None = None,
     ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        line: gap level, hum and impulses removed. raw: the samples as they came, V.
+        line: gap level, hum and impulses removed. raw: the samples as they came, V. beside: where
+        it is known.
         """
         spec, fit = self._spec, found.fit
         end = fit.end(spec)
@@ -325,7 +349,7 @@ class GapTiming(Timing):
         clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
-        beside = self._search.beside(line.volts, fit, burst)
+        beside = beside or self._search.beside(line.volts, fit, burst)
         noise = beside.variance * self._search.half / fit.chip
         words = even_words(line, fit, spec, found.words)
         if not words.believable(spec, noise):
@@ -338,11 +362,6 @@ class GapTiming(Timing):
         if clipped > LIMITS.deafened:
             found = replace(found, doubtful=np.ones(spec.nodes, bool))
         return self._emit(found, words, beside.level, clipped)
-
-    def _expected(self, burst: Burst) -> Expected | None:
-        """Where frames near the burst are likely, relative to the cursor."""
-        expected = self._raster.expect(self._cursor + burst.first)
-        return expected and replace(expected, start=expected.start - self._cursor)
 
     def _emit(
         self, found: Judgement, words: WordFit, left_v: float, clipped: float

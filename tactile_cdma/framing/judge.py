@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
@@ -16,6 +17,10 @@ from ..code.frame import FrameSpec
 from .fit import BLUR, Fit, Line, WordFit, compiled_code, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected
+
+RULED_OUT = 2 * LIMITS.close
+"""Cost beyond that of the likeliest frame at which another one is ruled out, whatever was likely
+before looking: the burst makes up for 10 at most, the raster for 20."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +134,14 @@ def weigh(
     spec: FrameSpec,
     noise: float,
     votes: Votes | None = None,
+    likely: int | None = None,
+    margin: float = math.inf,
 ) -> Weighed:
-    """As numpy_weigh, in the kernel where it can."""
+    """As numpy_weigh, in the kernel where it can.
+
+    likely: the likeliest candidate, so far as is known. Others whose first bits cost more than it
+    and `margin` may be given the cost of these, and words that mean nothing.
+    """
     code = compiled_code(spec)
     if code is None:
         return numpy_weigh(line, start, chip, view, spec, noise, votes)
@@ -140,18 +151,22 @@ def weigh(
     pedestal, power, spread, misfit = np.empty((4, count), np.float32)
     cost = np.empty(count)
     most = int((view[1] - view[0]) / chip.min()) + 3  # chips in view, and what rounding adds
-    scratch = np.empty(2 * most + spec.chips, np.float32)
+    part = count * (spec.line_bits // 2 + 1) * spec.order  # of every candidate: see judge.c
+    scratch = np.empty(2 * most + spec.chips + part, np.float32)
     given = votes or Votes(0.0, 0.0)
     distortion, variance, chips = code.weigh(
-        _LIMITS, line.volts, line.sums, start, chip, *view, noise, given.distortion,
-        given.variance, rows, amplitude, uneven, pedestal, power, spread, misfit, cost, scratch,
+        VOTE_SETTINGS, line.volts, line.sums, start, chip, *view, noise,
+        count if likely is None else likely, margin, given.distortion, given.variance,
+        rows, amplitude, uneven, pedestal, power, spread, misfit, cost, scratch,
     )  # fmt: skip
     words = WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
     return Weighed(words, cost, Votes(distortion, variance), chips)
 
 
-if kernel.compiled is not None:
-    _LIMITS = kernel.settings(
+def _vote_settings() -> NDArray[np.void] | None:
+    if kernel.compiled is None:
+        return None
+    return kernel.settings(
         "judge_limits",
         distortion=LIMITS.distortion,
         most=LIMITS.most,
@@ -159,6 +174,10 @@ if kernel.compiled is not None:
         vote=LIMITS.vote,
         blur=BLUR,
     )
+
+
+VOTE_SETTINGS = _vote_settings()
+"""How chips vote, for the kernel."""
 
 
 def spoken_of(words: WordFit, spec: FrameSpec) -> Floats32:
@@ -193,31 +212,34 @@ class Judge:
         noise: float,
         unlikely: Floats | float = 0.0,
         expected: Expected | None = None,
+        likely: int | None = None,
     ) -> Judgement:
         """The most likely frame of candidates.
 
         start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V².
         unlikely: (c,) negative log-probability of each before looking, which the waveform itself
-        gives; expected: and where frames are expected.
+        gives; expected: and where frames are expected. likely: candidate that it probably is.
         """
         if start.size == 1:
             words = read_words(integrate(line, start, chip, self._spec), self._spec)
             return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
         view = float(start.min()), float((start + self._spec.span_chips * chip).max())
-        seen = weigh(line, start, chip, view, self._spec, noise)
-        cost = self._refined_close(line, start, chip, view, seen) + unlikely
-        aided = cost if expected is None else cost - expected.log_prior(start)
-        chosen, limit = int(aided.argmin()), LIMITS.doubt
-        understood = bool(cost[chosen] < seen.votes.most(seen.chips))
-        decided = understood and _other(aided, chosen) < limit
-        sure = understood and _other(cost, chosen) < limit
-        best = Fit(float(start[chosen]), float(chip[chosen]))
+        seen = weigh(line, start, chip, view, self._spec, noise, None, likely, RULED_OUT)
+        cost = unaided = self._refined_close(line, start, chip, view, seen) + unlikely
+        if expected is not None:
+            cost = unaided - expected.log_prior(start)
+        chosen, limit = int(cost.argmin()), LIMITS.doubt
+        understood = bool(unaided[chosen] < seen.votes.most(seen.chips))
+        decided = understood and _other(cost, chosen) < limit
+        sure = understood and _other(unaided, chosen) < limit
         doubtful = None
         if not decided:
             level, spoken = seen.words.amplitude, spoken_of(seen.words, self._spec)
             unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
             unlike |= (spoken != spoken[chosen]).any(axis=1)
-            doubtful = (_probability(aided) @ unlike >= limit) | (not understood)
+            odds = np.exp(cost[chosen] - cost)
+            doubtful = ((odds / odds.sum()) @ unlike >= limit) | (not understood)
+        best = Fit(float(start[chosen]), float(chip[chosen]))
         return Judgement(best, seen.words.of(chosen), doubtful, decided, sure)
 
     def _refined_close(
@@ -228,8 +250,10 @@ class Judge:
         The chips' edges were fitted to one frame's words; behind a low-pass others suit others.
         """
         cost = seen.cost
-        least = cost.min()
-        for number in np.flatnonzero((cost > least) & (cost < least + LIMITS.close)):
+        least = float(cost.min())
+        for number in np.flatnonzero(cost < least + LIMITS.close).tolist():
+            if cost[number] == least:
+                continue
             there = Fit(float(start[number]), float(chip[number]))
             own = refine(line, there, self._spec)
             end_moved = abs(own.end(self._spec) - there.end(self._spec))
@@ -240,13 +264,8 @@ class Judge:
         return cost
 
 
-def _probability(cost: Floats) -> Floats:
-    """Probability of each frame, (c,)."""
-    odds = np.exp(cost.min() - cost)
-    probability: Floats = odds / odds.sum()
-    return probability
-
-
 def _other(cost: Floats, chosen: int) -> float:
     """Probability that it is another frame than the chosen one."""
-    return 1 - float(_probability(cost)[chosen])
+    costs = cost.tolist()
+    odds = sum(math.exp(min(costs[chosen] - each, 700.0)) for each in costs)  # of one, itself
+    return 1 - 1 / odds

@@ -77,8 +77,11 @@ class Raster:
         """Stop expecting frames anywhere; the width stays."""
         self._anchor = None
 
-    def expect(self, index: float) -> Expected | None:
-        """A frame in the slot nearest to a stream index; None where no frame was certain yet."""
+    def expect(self, index: float, origin: float = 0.0) -> Expected | None:
+        """A frame in the slot nearest to a stream index; None where no frame was certain yet.
+
+        origin: stream index relative to which its start is given.
+        """
         if self._anchor is None:
             return None
         passed = self._slots(index) * self._period
@@ -87,7 +90,7 @@ class Raster:
             slips = (self._slipped + 1) / (self._known + 2)  # Laplace's rule of succession
             width = math.sqrt(NARROWEST**2 + self._square / (self._known - self._slipped))
         scatter = math.hypot(width * chip, self._period_error * passed)
-        return Expected(self._anchor.start + passed, scatter, chip, self._change, slips)
+        return Expected(self._anchor.start + passed - origin, scatter, chip, self._change, slips)
 
     def learn(self, fit: Fit, unaided: bool) -> None:
         """Take in a frame whose place is certain; unaided: without the raster's help.

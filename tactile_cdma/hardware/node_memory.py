@@ -141,12 +141,12 @@ def node_memory(
             f"order is {spec.order}, but an {mcu}, which sends chips in octets, fills up the first "
             "one by pairs: set order to an even number"
         )
+    least_guard = math.ceil(board.restart_s / spec.chip_s - 1e-9)
     if board.bits_restart and spec.resync_chips != spec.order:
-        guard_chips = math.ceil(board.restart_s / spec.chip_s - 1e-9)
         raise SpecError(
             f"resync_chips is {spec.resync_chips}, but an {mcu}, whose chips follow its own clock, "
             f"starts anew at every bit: set resync_chips to {spec.order} and guard_chips to "
-            f"{guard_chips} or more in the parameter file"
+            f"{least_guard} or more in the parameter file"
         )
     shortest_ms, longest_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
     period_ms = layout.frame_period_us / 1e3
@@ -162,11 +162,10 @@ def node_memory(
         )
     guard_s = spec.guard_chips * spec.chip_s
     if spec.span_chips > spec.chips and guard_s < board.restart_s * (1 - 1e-9):
-        needed = math.ceil(board.restart_s / spec.chip_s - 1e-9)
         raise SpecError(
             f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
-            f"takes at least {needed} of {spec.chip_s * 1e6:g} µs: set guard_chips to that in the "
-            "parameter file"
+            f"takes at least {least_guard} of {spec.chip_s * 1e6:g} µs: set guard_chips to that in "
+            "the parameter file"
         )
     record = NodeRecord(
         node=node,
@@ -243,7 +242,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
             f"the memory has a record of version {found['version']}, this is for {NODE_VERSION}: "
             "write it anew"
         )
-    size = _size(found["order"])
+    size = wire.size + _octets(found["order"]) + CRC_BYTES
     if len(data) < size:
         raise NodeMemoryError(
             f"the memory is truncated: a row of {found['order']} chips takes {size} bytes, "
@@ -285,11 +284,6 @@ def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
         "heartbeat": beat if record.heartbeat else "none",
     }
     return "\n".join(f"{name + ':':<10} {text}" for name, text in lines.items())
-
-
-def _size(order: int) -> int:
-    """Bytes of record, chips and CRC."""
-    return WIRE["NodeRecord"].size + _octets(order) + CRC_BYTES
 
 
 def _octets(order: int) -> int:

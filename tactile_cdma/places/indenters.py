@@ -13,11 +13,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import ParameterError
+from .mesh import tangents
 from .poses import Pose
 
 STIFFNESS_PA_PER_M = 1e7
@@ -44,28 +46,34 @@ class Indenter(ABC):
     Raises ParameterError for values that are no pose, size or stiffness.
     """
 
+    LENGTHS: ClassVar[dict[str, int]] = {}
+    """Fields that are lengths, m, each with the number of its values."""
+
     position_m: Sequence[float]
     orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
     stiffness_pa_per_m: float = STIFFNESS_PA_PER_M
 
     def __post_init__(self) -> None:
-        name = f"stiffness_pa_per_m of {self._kind}"
-        _positive(name, self.stiffness_pa_per_m, MOST_PA_PER_M)
+        kind = type(self).__name__
+        _positive(f"stiffness_pa_per_m of {kind}", self.stiffness_pa_per_m, MOST_PA_PER_M)
+        for name, count in self.LENGTHS.items():
+            lengths_m = np.ravel(getattr(self, name))
+            if len(lengths_m) != count:
+                raise ParameterError(
+                    f"{name} of {kind} has {len(lengths_m)} values; it must have {count}"
+                )
+            for length_m in lengths_m.tolist():
+                _positive(f"{name} of {kind}", length_m, MOST_M)
         if len(self.position_m) != 3 or len(self.orientation_xyzw) != 4:
-            raise ParameterError(f"{self._kind}: a position has 3 values, an orientation has 4")
+            raise ParameterError(f"{kind}: a position has 3 values, an orientation has 4")
         try:
             _ = self.pose
         except ValueError as error:
-            raise ParameterError(f"{self._kind}: {error}") from None
+            raise ParameterError(f"{kind}: {error}") from None
         if max(map(abs, self.position_m)) > MOST_M:
             raise ParameterError(
-                f"position_m of {self._kind} is {tuple(self.position_m)}; it must be within "
-                f"{MOST_M:g} m"
+                f"position_m of {kind} is {tuple(self.position_m)}; it must be within {MOST_M:g} m"
             )
-
-    @property
-    def _kind(self) -> str:
-        return type(self).__name__
 
     @cached_property
     def pose(self) -> Pose:
@@ -110,11 +118,9 @@ class _Body(Indenter):
 class Sphere(_Body):
     """A ball about its origin."""
 
-    radius_m: float
+    LENGTHS: ClassVar = {"radius_m": 1}
 
-    def __post_init__(self) -> None:
-        _positive("radius_m of Sphere", self.radius_m)
-        super().__post_init__()
+    radius_m: float
 
     @property
     def _reach_m(self) -> float:
@@ -128,20 +134,17 @@ class Sphere(_Body):
 class Cylinder(_Body):
     """A cylinder about its own z axis, its origin in the middle."""
 
+    LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
+
     radius_m: float
     length_m: float
-
-    def __post_init__(self) -> None:
-        _positive("radius_m of Cylinder", self.radius_m)
-        _positive("length_m of Cylinder", self.length_m)
-        super().__post_init__()
 
     @property
     def _reach_m(self) -> float:
         return math.hypot(self.radius_m, self.length_m / 2)
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        return _both(
+        return _within_all(
             _round_spans(points_m[:, :2], directions[:, :2], self.radius_m),
             _slab_spans(points_m[:, 2], directions[:, 2], self.length_m / 2),
         )
@@ -151,25 +154,16 @@ class Cylinder(_Body):
 class Box(_Body):
     """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
 
-    size_m: Sequence[float]
+    LENGTHS: ClassVar = {"size_m": 3}
 
-    def __post_init__(self) -> None:
-        if len(self.size_m) != 3:
-            raise ParameterError(f"size_m of Box has {len(self.size_m)} values; it must have 3")
-        for edge_m in self.size_m:
-            _positive("size_m of Box", edge_m)
-        super().__post_init__()
+    size_m: Sequence[float]
 
     @property
     def _reach_m(self) -> float:
         return math.hypot(*self.size_m) / 2
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        x, y, z = (
-            _slab_spans(points_m[:, axis], directions[:, axis], self.size_m[axis] / 2)
-            for axis in range(3)
-        )
-        return _both(_both(x, y), z)
+        return _within_all(*map(_slab_spans, points_m.T, directions.T, np.array(self.size_m) / 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,6 +173,8 @@ class HeightMap(Indenter):
     underside_m: (rows, columns), at least 2 × 2, m, its z in its own frame: columns along +x, rows
     along +y, evenly from edge to edge, bilinear in between. size_m: extent in x and y, m.
     """
+
+    LENGTHS: ClassVar = {"size_m": 2}
 
     underside_m: Floats
     size_m: Sequence[float]
@@ -190,10 +186,6 @@ class HeightMap(Indenter):
                 f"underside_m of HeightMap has the shape {grid.shape}; it must have at least 2 "
                 f"rows and 2 columns of values within {MOST_M:g} m"
             )
-        if len(self.size_m) != 2:
-            raise ParameterError(f"size_m of HeightMap has {len(self.size_m)} values, not 2")
-        for edge_m in self.size_m:
-            _positive("size_m of HeightMap", edge_m)
         object.__setattr__(self, "underside_m", grid)
         super().__post_init__()
 
@@ -264,11 +256,7 @@ class Foundation:
         self._normals = normals.astype(np.float64)
         edges_m = np.sqrt(areas_m2.astype(np.float64))
         self._corners_m = edges_m * math.sqrt(0.5)  # how far they are from the centres
-        # Along the frame's x axis, as a grid's columns run, or y where that is the normal.
-        axis = np.where(np.abs(self._normals[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-        right = axis - (axis * self._normals).sum(axis=1, keepdims=True) * self._normals
-        right /= np.linalg.norm(right, axis=1, keepdims=True)
-        up = np.cross(self._normals, right)
+        right, up = tangents(self._normals)
         steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
         offsets_m = edges_m[:, None, None] * (x * right[:, None] + y * up[:, None])
@@ -313,13 +301,14 @@ def _slab_spans(place_m: Floats, direction: Floats, half_m: float) -> Spans:
     return enters_m, leaves_m
 
 
-def _both(first: Spans, second: Spans) -> Spans:
-    """Where lines are inside of two convex objects."""
-    enters_m, leaves_m = np.maximum(first[0], second[0]), np.minimum(first[1], second[1])
+def _within_all(*spans: Spans) -> Spans:
+    """Where lines are inside of all of some convex objects."""
+    all_enter_m, all_leave_m = zip(*spans, strict=True)
+    enters_m, leaves_m = np.max(all_enter_m, axis=0), np.min(all_leave_m, axis=0)
     hits = enters_m <= leaves_m
     return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
 
 
-def _positive(name: str, value: float, most: float = MOST_M) -> None:
+def _positive(name: str, value: float, most: float) -> None:
     if not 0 < value <= most:
         raise ParameterError(f"{name} is {value}; it must be above 0, and {most:g} at most")

@@ -31,7 +31,7 @@ def taxel_squares(layout: Layout) -> Floats32:
     return np.asarray(layout.positions_m[:, None] + corners_m, dtype=np.float32)
 
 
-def tangents(normals: Floats32) -> tuple[Floats, Floats]:
+def tangents(normals: Floats | Floats32) -> tuple[Floats, Floats]:
     """Right and up on the surface, (t, 3) float64 each, unit vectors; right × up is the normal.
 
     normals: (t, 3), unit vectors. Right and up are x and y, rotated as z is the shortest way to the

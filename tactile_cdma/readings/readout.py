@@ -47,7 +47,6 @@ class Read(NamedTuple):
     pressure_pa: Floats32
     voltage_v: Floats32
     status: NDArray[np.uint8]
-    stale_from_s: float
 
 
 class Readout:
@@ -129,7 +128,7 @@ class Readout:
         learnt, in_place = self.conditions.swing_v is None, False
         floor_v = AUTO_FLOOR * noise_v / self.conditions.threshold if learnt else math.nan
         while True:
-            look, stale_from_s = self._kernel.read(
+            look = self._kernel.read(
                 levels.rows, 1 / max(noise_v, limits.LEAST_NOISE), floor_v, in_place,
                 t_device, stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
                 doubts, readings, status, self._rest, self.valid,
@@ -148,7 +147,7 @@ class Readout:
         amplitude_v, rho, margin = floats
         words = Words(active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, sigma)
         pressure_pa, voltage_v = readings
-        return Read(words, pressure_pa, voltage_v, status, stale_from_s)
+        return Read(words, pressure_pa, voltage_v, status)
 
 
 def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:

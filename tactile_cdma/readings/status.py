@@ -6,6 +6,11 @@ from __future__ import annotations
 
 from enum import IntFlag
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.arrays import Bools
+
 
 class Status(IntFlag):
     """Status bits of a taxel; the same as the constants of TactileArray.msg."""
@@ -19,3 +24,8 @@ class Status(IntFlag):
     MASKED = 32
     WEAK = 64
     FAULTY = 128
+
+
+def is_in_service(status: NDArray[np.uint8]) -> Bools:
+    """Of the same shape: taxels with a node that the layout does not mask."""
+    return np.asarray(status & np.uint8(Status.MASKED) == 0)

@@ -22,7 +22,7 @@ from .dynamics import Compensator
 from .pressure import PressureChain
 from .readout import Conditions, Readout
 from .stages import Kept, Trust, finish, hear
-from .status import Status
+from .status import Status, is_in_service
 from .tare import take_tare
 
 
@@ -41,7 +41,7 @@ class Coverage:
     @classmethod
     def of(cls, pressure_pa: Floats32, status: NDArray[np.uint8]) -> Coverage:
         """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits."""
-        in_service = status & _MASKED == 0
+        in_service = is_in_service(status)
         valid = in_service & np.isfinite(pressure_pa)
         doubtful = valid & (status & _LOW_SNR != 0)
         return cls(*(int(np.count_nonzero(some)) for some in (valid, in_service, doubtful)))
@@ -224,7 +224,7 @@ class Taxels:
         found = readout.read(levels, self.baseline, t_device, self.stale_after_s)
         if found is None:
             return None
-        words, pressure_pa, voltage_v, status, self._stale_from_s = found
+        words, pressure_pa, voltage_v, status = found
         health.counted()
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         self.chain.look(readout.voltage_v, readout.pressure_pa, readout.valid, t_device)
@@ -278,7 +278,6 @@ class Taxels:
 
 
 _LOW_SNR = np.uint8(Status.LOW_SNR)
-_MASKED = np.uint8(Status.MASKED)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

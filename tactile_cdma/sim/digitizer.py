@@ -37,8 +37,7 @@ from ..wire.messages import (
     Stop,
 )
 from ..wire.packets import PacketParser, PacketWriter
-from .disturbance import Disturbance
-from .line import truth
+from .line import Disturbance, truth
 from .nodes import NodeFrame, RollCalls
 from .options import Setup, SimOptions
 from .packets import Block, stream

@@ -6,16 +6,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .channel import chip_means, first_sample, point_samples, waveforms
-from .disturbance import Disturbance
-from .loads import LOADS
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
-from .scene import EXTERNAL, SCENES, Scene, idle
+from .scene import EXTERNAL, LOADS, SCENES, Scene, idle
+
+Waveform = tuple[NDArray[np.float32], NDArray[np.float64]]
+"""Levels (c,) V between edges (c + 1,) s."""
+
+
+class Disturbance(Protocol):
+    """A fault on the line, made by tests: it comes between the nodes and the converter."""
+
+    def added(self, frame: NodeFrame, edges_s: NDArray[np.float64]) -> Iterator[Waveform]:
+        """Waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""
+        ...
+
+    def disturbed(
+        self, frame: NodeFrame, volts: NDArray[np.float32], t_s: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """The line, (m,) V at (m,) s since START, as it reaches the amplifier."""
+        ...
 
 
 def truth(

@@ -22,9 +22,8 @@ from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
 from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
-from .loads import LOADS
 from .nodes import ClockModel, NodeRules
-from .scene import EXTERNAL, SCENES, SkinGeometry
+from .scene import EXTERNAL, LOADS, SCENES, SkinGeometry
 from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"

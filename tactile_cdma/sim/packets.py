@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, SyncMode
-from .disturbance import Disturbance
-from .line import line_counts, truth
+from .line import Disturbance, line_counts, truth
 from .nodes import RollCalls
 from .options import Setup, SimOptions
 from .scene import Scene

@@ -18,6 +18,7 @@ the taxel."""
 BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
 """A point of a body: that of a skin and the index of its patch."""
 _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
+"""(257,) uint32 0x00RRGGBB, the colours of SCALE_RGB."""
 
 
 class Cloud:
@@ -51,21 +52,12 @@ class Cloud:
             self._pose = pose
             self._fill(pose.apply(self.positions_m), pose.rotate(self._normals))
         self._points["pressure"] = pressure_pa
-        self._points["rgb"] = packed_colours(pressure_pa, max_pa)
+        self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa)]
         # Records without fields are copied 15 times as fast.
-        return _plain(self._points)[np.isfinite(pressure_pa)].view(self._points.dtype)
+        plain = self._points.view(np.dtype((np.void, self._points.itemsize)))
+        return plain[np.isfinite(pressure_pa)].view(self._points.dtype)
 
     def _fill(self, positions_m: NDArray[np.floating], normals: NDArray[np.floating]) -> None:
         for axis, letter in enumerate("xyz"):
             self._points[letter] = positions_m[:, axis]
             self._points[f"normal_{letter}"] = normals[:, axis]
-
-
-def _plain(points: NDArray[np.void]) -> NDArray[np.void]:
-    """The same records (t,) without their fields."""
-    return points.view(np.dtype((np.void, points.itemsize)))
-
-
-def packed_colours(pressure_pa: Floats32, max_pa: float) -> NDArray[np.uint32]:
-    """One colour per taxel, (t,) uint32 0x00RRGGBB, on a fixed scale 0…max_pa; grey where NaN."""
-    return _PACKED_RGB[scale_steps(pressure_pa, max_pa)]

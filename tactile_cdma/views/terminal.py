@@ -19,8 +19,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats32
-from ..readings.status import Status
+from ..base.arrays import Floats32
+from ..readings.status import Status, is_in_service
 from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
@@ -78,11 +78,6 @@ class Reading:
     status: NDArray[np.uint8]
     raster: NDArray[np.int32]
     nodes: NDArray[np.int32]
-
-    @property
-    def in_service(self) -> Bools:
-        """(t,) taxels with a node that the layout does not mask."""
-        return np.asarray(self.status & Status.MASKED == 0)
 
 
 def screen(
@@ -154,7 +149,7 @@ def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
     raster = np.pad(reading.raster, padding, constant_values=-1)
     blocks = raster.reshape(rows, down, cells, right).swapaxes(1, 2).reshape(rows, cells, -1)
     # A masked taxel ranks below any reading and above no taxel.
-    unread_pa = np.where(reading.in_service, TOUCH_PA, -1e30)
+    unread_pa = np.where(is_in_service(reading.status), TOUCH_PA, -1e30)
     pressure_pa = np.where(np.isnan(reading.pressure_pa), unread_pa, reading.pressure_pa)
     rank = np.append(pressure_pa, -np.inf)
     most = rank[blocks].argmax(axis=2)[..., None]
@@ -243,7 +238,7 @@ def sparkline(values: NDArray[np.floating], unicode: bool) -> str:
 def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
     """The statuses that occur, each with the numbers of its taxels or nodes."""
     numbers = reading.nodes if look.numbers is Numbers.NODES else np.arange(len(reading.nodes))
-    in_service = reading.in_service
+    in_service = is_in_service(reading.status)
     silent = in_service & (reading.status & Status.SILENT > 0)
     items = [f"speaking {np.count_nonzero(in_service & ~silent)}"]
     for flag, mark, word in (*_MARKS, (Status.SILENT, "", "silent")):

@@ -24,6 +24,7 @@ from schematics import FAST_SYNC_OHM, SYNC_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.firmware import FIRMWARE
+from test.support.waiting import PATIENCE_S
 
 ROOT = FIRMWARE.parent
 KICAD = FIRMWARE / "boards" / "kicad"
@@ -138,7 +139,7 @@ def test_without_kicad_it_says_that_nothing_was_checked() -> None:
         [sys.executable, str(GENERATOR), "--draw"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         env={"PATH": "", "PYTHONPATH": str(ROOT)},
     )
     assert result.stdout == f"boards={len(BOARDS)} up to date; not checked: no kicad-cli\n"

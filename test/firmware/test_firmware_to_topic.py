@@ -31,7 +31,7 @@ from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
 from test.support.firmware import need
 from test.support.skin_client import Client, running
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 PARAMETERS = read_file(ROOT / "config" / "wired_skin.yaml")
@@ -68,7 +68,7 @@ def live(port: Path, emulated: EmulatedSkin | Rp2040Skin) -> Iterator[PressedSki
         )
         server.start()
         try:
-            assert ready.wait(10)
+            assert ready.wait(PATIENCE_S)
             yield skin
         finally:
             stop.set()
@@ -100,7 +100,7 @@ def off_lsb(client: Client, skin: PressedSkin, first: int) -> np.ndarray:
 
 def phase_lock(client: Client, skin: PressedSkin) -> int:
     """Have pressures change while nodes transmit, not while they measure; returns the first."""
-    wait_for(lambda: len(client.arrays) > 5, 30)
+    wait_for(lambda: len(client.arrays) > 5)
     skin.phase_ns = mark_ns(client.arrays[-1]) + round(CONFIG.spec.frame_s * 0.5e9)
     return len(client.arrays) + 10
 
@@ -116,7 +116,7 @@ def test_what_presses_the_emulated_skin_is_what_the_topic_says(tmp_path: Path) -
     nodes = reference_nodes(CONFIG, threshold=0)
     with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
         first = phase_lock(client, skin)
-        wait_for(lambda: len(client.arrays) >= first + FRAMES, 60)
+        wait_for(lambda: len(client.arrays) >= first + FRAMES)
         off = off_lsb(client, skin, first)
         info = client.infos[-1]
     assert info.origin == info.ORIGIN_SIMULATED, "an emulator does not pass for a board"
@@ -147,7 +147,7 @@ def test_silent_nodes_are_held_within_their_threshold(tmp_path: Path) -> None:
     nodes = reference_nodes(CONFIG, threshold=2, heartbeat=16)
     with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
         first = phase_lock(client, skin) + 16
-        wait_for(lambda: len(client.arrays) >= first + FRAMES, 60)
+        wait_for(lambda: len(client.arrays) >= first + FRAMES)
         off = off_lsb(client, skin, first)
         silent = np.array([message.status for message in client.arrays[first:]]) & Status.SILENT
     assert np.abs(off).max() <= 3.001
@@ -157,7 +157,7 @@ def test_silent_nodes_are_held_within_their_threshold(tmp_path: Path) -> None:
 def test_without_discipline_the_same_skin_fails(tmp_path: Path) -> None:
     nodes = reference_nodes(CONFIG, threshold=0, discipline=False)
     with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
-        wait_for(lambda: client.diagnostics and skin.now_ns > 4e9, 60)
+        wait_for(lambda: client.diagnostics and skin.now_ns > 4e9)
         off = off_lsb(client, skin, 0)
         entries = [*client.entries.get("stream", []), *client.entries.get("nodes", [])]
         worst = max(status.level for status in entries)
@@ -185,7 +185,7 @@ def test_broken_nodes_are_named_and_harm_no_other(tmp_path: Path) -> None:
         driven(tmp_path / "tty") as client,
     ):
         first = phase_lock(client, skin)
-        wait_for(lambda: len(client.arrays) >= first + 100, 60)
+        wait_for(lambda: len(client.arrays) >= first + 100)
         wait_for(lambda: diagnosed(client, "dead nodes") == "3, 7")
         off = off_lsb(client, skin, first)
         status = np.array([message.status for message in client.arrays[first:]])
@@ -202,10 +202,10 @@ def test_broken_commands_and_a_slow_link_show_in_the_diagnostics(tmp_path: Path)
     port = tmp_path / "tty"
     # A frame of 1024 samples takes 2 kB: 60 kB/s carry some 30 of the 78 per second.
     with live(port, wired(nodes, link_rate=60e3)), driven(port) as client:
-        wait_for(lambda: client.arrays, 30)
+        wait_for(lambda: client.arrays)
         with open(port, "wb") as second_program:
             second_program.write(b"\x05\x11garbage\0" + bytes(range(1, 200)) * 300 + b"\0")
         wait_for(lambda: diagnosed(client, "digitizer command errors") == "2")
-        wait_for(lambda: int(diagnosed(client, "digitizer packets dropped") or 0) > 0, 30)
+        wait_for(lambda: int(diagnosed(client, "digitizer packets dropped") or 0) > 0)
         complaint = "the link or this computer is too slow for the digitizer's packets"
-        wait_for(lambda: any(complaint in s.message for s in client.entries.get("link", [])), 30)
+        wait_for(lambda: any(complaint in s.message for s in client.entries.get("link", [])))

@@ -14,6 +14,7 @@ import pytest
 
 from tactile_cdma.wire._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
 from tactile_cdma.wire.packets import MAX_PACKET
+from test.support.waiting import PATIENCE_S
 
 HERE = Path(__file__).parent
 FIRMWARE = HERE.parents[1] / "firmware"
@@ -29,7 +30,7 @@ def compiler(name: str) -> str:
 
 
 def run(*command: str) -> None:
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert result.returncode == 0, result.stdout + result.stderr
 
 
@@ -60,7 +61,7 @@ def test_an_assertion_would_fail(tmp_path: Path) -> None:
     source = tmp_path / "header.c"
     source.write_text('#include "tactile_protocol.h"\nTP_ASSERT_AT(tp_info, frame, 32);\n')
     command = [compiler("cc"), "-std=c11", *STRICT, "-fsyntax-only", str(source)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert result.returncode != 0
     assert "tp_info.frame" in result.stderr
 

@@ -22,7 +22,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.srv import Tare
 from test.support.skin_client import running
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 pytestmark = pytest.mark.xdist_group("bag")
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,11 +60,11 @@ def test_a_bag_holds_what_a_subscriber_got_and_ends_in_order(tmp_path: Path) -> 
             assert "recording into" in process.stdout.readline()
             for topic in ("tactile", "info", "contacts"):  # discovery takes its time
                 others = int(topic != "contacts")
-                wait_for(lambda t=topic, n=others: client.count_subscribers(f"/skin/{t}") > n, 30)
+                wait_for(lambda t=topic, n=others: client.count_subscribers(f"/skin/{t}") > n)
             begin = len(client.arrays)
             wait_for(lambda: len(client.arrays) > begin + 150)
             process.send_signal(signal.SIGTERM)
-            assert process.wait(20) == 0
+            assert process.wait(PATIENCE_S) == 0
             summary = process.stdout.read()
         finally:
             process.kill()
@@ -113,7 +113,7 @@ def test_a_bag_ends_whole_before_the_disk_is_full(tmp_path: Path) -> None:
     with running(port=PORT, heatmap_pixels=64) as (_, client):
         wait_for(lambda: client.arrays)
         command = ["unshare", "-rm", "sh", "-c", script]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     [complaint] = done.stderr.splitlines()
     assert "ended here, whole: less than 64 MB are left on the disk" in complaint
@@ -125,7 +125,7 @@ def test_a_bag_ends_whole_before_the_disk_is_full(tmp_path: Path) -> None:
 def test_a_name_that_no_topic_can_have_is_one_clear_error(tmp_path: Path) -> None:
     for options in (["--topics", "two words"], ["--node", ""]):
         command = [sys.executable, "-m", "tactile_cdma.ros.bag", str(tmp_path / "bag"), *options]
-        run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
         assert run.returncode == 1
         assert "is no name" in run.stderr and len(run.stderr.splitlines()) == 1
     assert not (tmp_path / "bag").exists()
@@ -134,7 +134,7 @@ def test_a_name_that_no_topic_can_have_is_one_clear_error(tmp_path: Path) -> Non
 def test_without_rosbags_skin_bag_is_one_clear_error(tmp_path: Path) -> None:
     start = "import runpy, sys; sys.modules['rosbags'] = None; runpy.run_path(sys.argv[1])"
     command = [sys.executable, "-c", start, str(ROOT / "scripts" / "skin_bag"), str(tmp_path)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert run.returncode == 1
     assert run.stderr.startswith("skin_bag needs the Python package rosbags, which is")
     assert "pip install rosbags" in run.stderr and len(run.stderr.splitlines()) == 1

@@ -15,9 +15,8 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
-from functools import partial
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, WrenchStamped
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
@@ -38,7 +36,8 @@ from tactile_cdma.msg import TactileContact, TactileContacts
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.views.cloud import BODY_POINT
-from test.support import skin_client
+from test.support.spinning import spinning
+from test.support.waiting import PATIENCE_S, wait_for
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,9 +49,6 @@ YAW_RAD = 2 * math.pi / PATCHES
 NAMES = [f"/p{i}/skin" for i in range(PATCHES)]
 LOOSE = 4
 """This patch's driver does not say where it is mounted: somebody else moves it."""
-
-
-wait_for = partial(skin_client.wait_for, timeout_s=60.0)
 
 
 def patch_yaml(index: int, nodes: int) -> str:
@@ -107,22 +103,8 @@ class Body:
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
         # The client by itself: an executor's time for one message grows with all that its nodes
         # have, and drivers have much; it would hear of things ever later.
-        self._executor, for_drivers = SingleThreadedExecutor(), SingleThreadedExecutor()
-        self._executor.add_node(self.client)
-        for node in self.drivers:
-            for_drivers.add_node(node)
-        self._ended = threading.Event()
-        self._spinning = [
-            threading.Thread(target=self._spin, args=(executor,))
-            for executor in (self._executor, for_drivers)
-        ]
-        for thread in self._spinning:
-            thread.start()
-
-    def _spin(self, executor: SingleThreadedExecutor) -> None:
-        while not self._ended.is_set():
-            executor.spin_once(0.1)
-        executor.shutdown()
+        self._ending = ExitStack()
+        self._ending.enter_context(spinning([self.client], self.drivers))
 
     def _take(self, message: DiagnosticArray) -> None:
         self.diagnostics += [s for s in message.status if s.name == "body: patches"]
@@ -134,7 +116,7 @@ class Body:
 
     def unsubscribe(self, subscription: Any) -> None:
         # Not in this thread: the executor may be waiting for it.
-        self._executor.create_task(self.client.destroy_subscription, subscription)
+        self.client.executor.create_task(self.client.destroy_subscription, subscription)
 
     def turn_loose_patch(self) -> None:
         """Say where the last patch is: as the others' drivers do, for a moving joint."""
@@ -164,14 +146,12 @@ class Body:
         del self.processes[process]
 
     def end(self) -> None:
-        self._ended.set()
-        for thread in self._spinning:
-            thread.join()
+        self._ending.close()
         for node in (self.client, *self.drivers):
             node.destroy_node()
         for process in self.processes:
             process.send_signal(signal.SIGINT)
-        codes = [process.wait(20) for process in self.processes]
+        codes = [process.wait(PATIENCE_S) for process in self.processes]
         assert codes == [0] * len(codes)
 
 
@@ -308,7 +288,7 @@ def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
@@ -23,12 +22,13 @@ from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 
 PITCH_M = 7e-3
+PERIOD_S = 12.8e-3
 
 
 def subscribed(client: Client, kind: Any, topic: str) -> list[Any]:
     """The list that the topic's messages are going to fill."""
     messages: list[Any] = []
-    client.create_subscription(kind, f"/skin/{topic}", messages.append, 10)
+    client.create_subscription(kind, f"/skin/{topic}", messages.append, 1000)
     return messages
 
 
@@ -88,8 +88,19 @@ def test_an_untouched_skin_has_an_empty_list_in_every_frame_and_zeros_once_all_i
         assert math.isnan(message.position.x)
         sums = message.area, message.wrench.force.z, message.wrench.torque.x
         assert sums == (0.0, 0.0, 0.0) if message.untouched else all(map(math.isnan, sums))
+    assert_go_with(lists, client.arrays)
+
+
+def assert_go_with(lists: list[Any], arrays: list[Any]) -> None:
+    """Every frame since the first list has one; on a busy machine the driver may skip some."""
     sequences = [message.sequence for message in lists]
-    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+    frames = [array.sequence for array in arrays]
+    begin, end = max(sequences[0], frames[0]), min(sequences[-1], frames[-1])
+    assert end > begin
+    of_lists, of_frames = (
+        [sequence for sequence in some if begin <= sequence <= end] for some in (sequences, frames)
+    )
+    assert of_lists == of_frames
 
 
 @pytest.mark.parametrize(("dead", "valid"), [(range(1, 17), 0), ([6], 15)])
@@ -126,29 +137,29 @@ def test_frames_that_are_left_out_are_left_out_of_all_topics() -> None:
     with running(port="sim://?scene=idle&heartbeat=0", idle_rate_hz=10.0) as (_, client):
         lists = subscribed(client, TactileContacts, "contacts")
         wait_for(lambda: len(lists) > 10)
-        last = lists[-1].sequence
-        wait_for(lambda: client.arrays[-1].sequence >= last)
-    span = range(lists[0].sequence, last + 1)
-    published = [array.sequence for array in client.arrays if array.sequence in span]
-    assert [message.sequence for message in lists if message.sequence in span] == published
-    assert min(b - a for a, b in pairwise(published)) > 5
+    assert_go_with(lists, client.arrays)
+    assert min(b.sequence - a.sequence for a, b in pairwise(lists)) > 5
 
 
 def test_contacts_are_followed_only_while_somebody_subscribes() -> None:
     """Ids and ages would tell if contacts that came and went before had been counted."""
-    with running(port="sim://?scene=press&threshold=0") as (_, client):
+    with running(port="sim://?scene=press&threshold=0") as (node, client):
         presses: list[bool] = []
         wait_for(lambda: _pressed(client, presses) >= 2)
         for first_id in (1, 2):
+            begun = client.arrays[-1].sequence
             lists = subscribed(client, TactileContacts, "contacts")
             wait_for(lambda lists=lists: any(message.touched for message in lists))
-            [contact] = next(message.contacts for message in lists if message.touched)
+            first = next(message for message in lists if message.touched)
+            [contact] = first.contacts
             assert contact.id == first_id
-            assert contact.age < 0.4
+            assert contact.age <= PERIOD_S * (first.sequence - begun)
             for subscription in list(client.subscriptions):
                 if subscription.topic_name == "/skin/contacts":
                     client.destroy_subscription(subscription)
-            time.sleep(0.5)  # of a press that lasts 2 s
+            wait_for(lambda: not node.count_subscribers("/skin/contacts"))
+            heard = len(client.arrays)
+            wait_for(lambda heard=heard: len(client.arrays) > heard + 10)
 
 
 def _pressed(client: Client, history: list[bool]) -> int:

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from tactile_cdma.ros.common.executor import LeanExecutor
 from tactile_cdma.ros.common.following import Following
+from test.support.waiting import PATIENCE_S
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -196,5 +197,5 @@ def test_another_thread_ends_an_endless_wait(world: World) -> None:
     time.sleep(0.1)
     assert spinning.is_alive()
     world.executor.wake()
-    spinning.join(5.0)
+    spinning.join(PATIENCE_S)
     assert not spinning.is_alive()

@@ -29,6 +29,8 @@ from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.utilities import evaluate_parameters
 
+from test.support.waiting import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILE = ROOT / "launch" / "skin.launch.py"
 PATH = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -299,7 +301,7 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
         listener.destroy_node()
         launch.send_signal(signal.SIGINT)  # without a terminal, launch passes it on
         try:
-            output, _ = launch.communicate(timeout=20)
+            output, _ = launch.communicate(timeout=PATIENCE_S)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(launch.pid, signal.SIGKILL)  # what is left of it

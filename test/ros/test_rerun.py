@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,15 +17,15 @@ pytest.importorskip("rerun", reason="rerun-sdk is not installed (make view)")
 import rerun as rr
 from lifecycle_msgs.msg import Transition
 from pyarrow.types import is_temporal
-from rclpy.executors import SingleThreadedExecutor
 from rerun.chunk import RrdReader
 
 from tactile_cdma.places.layout_file import Wiring, read_layout
 from tactile_cdma.places.mesh import taxel_squares
-from tactile_cdma.ros.viewers.rerun_scene import OLD_S
+from tactile_cdma.ros.viewers.patches import OLD_S
 from tactile_cdma.ros.viewers.rerun_view import RerunView
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
 from test.support.skin_client import running
+from test.support.spinning import spinning
 from test.support.waiting import wait_for
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml"
@@ -105,16 +104,12 @@ def saving(file: Path) -> Iterator[None]:
     """The bridge, which saves all patches in a file."""
     recording = rr.RecordingStream("test")
     recording.save(file)
-    view, executor = RerunView(recording, [], 140e3), SingleThreadedExecutor()
-    executor.add_node(view)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
+    view = RerunView(recording, [], 140e3)
     try:
-        yield
-        view.show()
+        with spinning([view]):
+            yield
+            view.show()
     finally:
-        executor.shutdown()
-        thread.join()
         view.flush()
         view.destroy_node()
         recording.flush()

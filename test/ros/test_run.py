@@ -20,6 +20,8 @@ from pathlib import Path
 
 import pytest
 
+from test.support.waiting import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[2]
 RUN = [sys.executable, str(ROOT / "tools" / "run.py")]
 
@@ -53,7 +55,7 @@ def test_make_run_counts_and_times_frames_and_loses_none() -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
@@ -118,7 +120,7 @@ def test_a_wrong_time_is_refused_in_words_of_make(
     ],
 )
 def test_what_make_run_does_not_know_is_refused(arguments: list[str], said: str) -> None:
-    done = subprocess.run([*RUN, *arguments], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([*RUN, *arguments], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2
     assert f"make run: error: {said}" in done.stderr
 
@@ -147,7 +149,7 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
         read_until(node, "receiving frames")
         time.sleep(0.3)
         node.send_signal(number)
-        assert node.wait(10) == 0
+        assert node.wait(PATIENCE_S) == 0
         assert node.stderr is not None
         assert node.stderr.read() == ""
 
@@ -163,7 +165,7 @@ def test_ctrl_c_while_a_program_starts_ends_it_without_a_traceback(program: Path
     with ended(node):
         read_until(node, " numpy.version")
         node.send_signal(signal.SIGINT)
-        assert node.wait(10) == -signal.SIGINT
+        assert node.wait(PATIENCE_S) == -signal.SIGINT
         assert node.stderr is not None
         assert "Traceback" not in node.stderr.read()
 
@@ -174,7 +176,7 @@ def test_the_viewer_tells_why_nothing_comes(tmp_path: Path) -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 1
     assert f"no frame on /skin/tactile: {tmp_path / 'nothing'}: no such port" in done.stderr
@@ -186,7 +188,7 @@ def test_the_viewer_passes_on_what_the_driver_complains_of() -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 0
     assert "0/16 taxels valid" in done.stdout
@@ -206,7 +208,7 @@ def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_pa
         time.sleep(1.0)
         assert node.poll() is None
         node.send_signal(signal.SIGINT)
-        assert node.wait(10) == 0
+        assert node.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.parametrize(
@@ -227,7 +229,7 @@ def test_a_parameter_file_that_is_none_is_one_error(tmp_path: Path, text: str, s
 
 def test_an_argument_that_ros_does_not_know_is_one_error() -> None:
     command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args", "-x"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stderr) == (1, "skin_driver: unknown arguments: ['-x']\n")
 
 

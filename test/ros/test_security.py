@@ -21,7 +21,7 @@ from tactile_cdma.readings.calibration_file import write_calibration
 from tactile_cdma.ros.viewers.view import Viewer
 from test.support.boards import Board, plugged
 from test.support.skin_client import running
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 LIFE = ROOT / "test" / "support" / "watched_life.py"
@@ -76,7 +76,7 @@ def test_an_ordinary_user_s_driver_opens_its_port_and_dds_and_writes_its_state_o
             env=environment(home),
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=PATIENCE_S,
         )
     assert run.returncode == 0, run.stderr
     life = json.loads(run.stdout.splitlines()[-1])
@@ -196,7 +196,7 @@ def test_without_its_keys_a_driver_that_must_have_them_does_not_start(tmp_path: 
         env={**os.environ, **security},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert driver.returncode == 1
     assert "skin_driver: error creating node" in driver.stderr

@@ -15,10 +15,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 
-from tactile_cdma.driver import rest_keeper
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import write_calibration
+from tactile_cdma.rest import rest_keeper
 from tactile_cdma.ros.driver.node import APART_NODES
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Tare

@@ -126,7 +126,7 @@ def test_every_topic_has_fields_of_the_right_types(
                     qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
                 client.create_subscription(publisher.msg_type, topic, heard[topic].append, qos)
         assert len(heard) == (3 if make is BodyNode else len(TOPICS) + 6)
-        wait_for(lambda: all(heard.values()), timeout_s=20.0)
+        wait_for(lambda: all(heard.values()))
 
 
 def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:

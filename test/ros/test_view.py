@@ -33,7 +33,7 @@ from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
 from test.support.skin_client import running
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def shown_by_the_viewer(
         with suppress(OSError):  # the terminal's end of file
             while select.select([master], [], [], 10)[0]:
                 shown += os.read(master, 65_536)
-        assert viewer.wait(10) == 0
+        assert viewer.wait(PATIENCE_S) == 0
         return shown.decode()
     finally:
         viewer.kill()
@@ -176,7 +176,7 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
             if frames_stop:
                 time.sleep(3.0)
                 assert client.change(Transition.TRANSITION_DEACTIVATE)
-            lines = viewer.communicate(timeout=30)[0].splitlines()[:-1]
+            lines = viewer.communicate(timeout=PATIENCE_S)[0].splitlines()[:-1]
     finally:
         viewer.kill()
     found = [

@@ -80,7 +80,7 @@ def _ways(order: int, least: int) -> Iterator[tuple[int, ...]]:
     """All ways to write the order as an ascending product of factors of `least` or more."""
     if order == 1:
         yield ()
-    for factor in range(least, order + 1):
+    for factor in range(least, min(order, 1024) + 1):
         if order % factor == 0 and (factor == 2 or _paley_field(factor)):
             yield from ((factor, *rest) for rest in _ways(order // factor, factor))
 

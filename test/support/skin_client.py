@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -24,6 +22,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
 
+from .spinning import spinning
 from .waiting import holds, wait_for
 
 
@@ -113,16 +112,9 @@ def running(
     """A driver node and a client, each spinning in a thread of its own."""
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     node, client = make(parameter_overrides=overrides), Client()
-    executors = [SingleThreadedExecutor(), SingleThreadedExecutor()]
-    threads = []
-    for executor, member in zip(executors, (node, client), strict=True):
-        executor.add_node(member)
-        threads.append(threading.Thread(target=executor.spin))
-        threads[-1].start()
     try:
-        yield node, client
+        with spinning([node], [client]):
+            yield node, client
     finally:
-        for executor, thread, member in zip(executors, threads, (node, client), strict=True):
-            executor.shutdown()
-            thread.join()
+        for member in (node, client):
             member.destroy_node()

@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -19,7 +18,6 @@ from pathlib import Path
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image
@@ -27,6 +25,7 @@ from sensor_msgs.msg import Image
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
+from test.support.spinning import spinning
 
 from ..outcome import Outcome, Tally
 from ..process_watch import memory_kb
@@ -241,15 +240,10 @@ class LoadedSkin:
         self.node.create_subscription(TactileArray, topic, lambda m: self.judge.take(m), self._qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
         self.node.create_timer(_WATCH_S, self._watch)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(self.node)
-        thread = threading.Thread(target=executor.spin)
-        thread.start()
         try:
-            yield
+            with spinning([self.node]):
+                yield
         finally:
-            executor.shutdown()
-            thread.join()
             self.node.destroy_node()
             rclpy.shutdown(context=context)
 

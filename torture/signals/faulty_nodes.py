@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_cdma.code.codes import row_signs, smallest_order
 from tactile_cdma.code.encode import frame_levels, with_parity, word_bits
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
-from tactile_cdma.sim.disturbance import Waveform
+from tactile_cdma.sim.line import Waveform
 
 Floats = NDArray[np.float64]
 Level = NDArray[np.float32]

@@ -19,7 +19,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.stuck import StuckNodes
 from tactile_cdma.sim.digitizer import VirtualDigitizer
-from tactile_cdma.sim.disturbance import Waveform
+from tactile_cdma.sim.line import Waveform
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.words.health import WEAK_SHARE

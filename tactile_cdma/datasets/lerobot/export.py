@@ -27,7 +27,7 @@ from ..samples import (
     TACTILE,
     WRENCH,
     SampleSource,
-    Stream,
+    SampleStream,
     check_taxels,
     differences,
     patches_of,
@@ -158,7 +158,7 @@ class _Layout:
     have other keys than a bag's.
     """
 
-    streams: Mapping[str, Stream]
+    streams: Mapping[str, SampleStream]
     lacking: Collection[str]
     slots: Mapping[str, int]
     features: Sequence[Feature]
@@ -270,7 +270,7 @@ def _export(
     ]
 
 
-def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, Stream]:
+def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, SampleStream]:
     """The streams of a file, but for columns that another file lacks."""
     return {key: one for key, one in source.streams.items() if column(one) not in lacking}
 
@@ -302,7 +302,7 @@ def _rows(
         yield row, False
 
 
-def _clock(source: SampleSource, streams: Mapping[str, Stream], plan: Plan) -> str | None:
+def _clock(source: SampleSource, streams: Mapping[str, SampleStream], plan: Plan) -> str | None:
     """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
     if plan.clock is None:
         return None

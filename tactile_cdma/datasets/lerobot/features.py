@@ -22,7 +22,7 @@ from ..samples import (
     WRENCH,
     RawImage,
     SampleSource,
-    Stream,
+    SampleStream,
 )
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
@@ -56,7 +56,9 @@ class Feature:
         return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
 
 
-def features_of(streams: Iterable[Stream], slots: Mapping[str, int], mode: str) -> list[Feature]:
+def features_of(
+    streams: Iterable[SampleStream], slots: Mapping[str, int], mode: str
+) -> list[Feature]:
     """The columns for some streams. slots: samples of a tick, by the patches' keys."""
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
     for stream in streams:
@@ -81,7 +83,7 @@ def features_of(streams: Iterable[Stream], slots: Mapping[str, int], mode: str) 
     return features
 
 
-def column(stream: Stream) -> str:
+def column(stream: SampleStream) -> str:
     """The name of a stream's feature."""
     if stream.kind == ACTION:
         return "action"
@@ -91,7 +93,9 @@ def column(stream: Stream) -> str:
     return f"observation.{group}.{stream.feature}"
 
 
-def obstacle(row: Row, streams: Iterable[Stream], source: SampleSource, policy: str) -> str | None:
+def obstacle(
+    row: Row, streams: Iterable[SampleStream], source: SampleSource, policy: str
+) -> str | None:
     """Why a row has to be left out, in words; None if it is whole.
 
     Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.
@@ -110,7 +114,7 @@ def obstacle(row: Row, streams: Iterable[Stream], source: SampleSource, policy: 
     return None
 
 
-def cells(row: Row, streams: Iterable[Stream]) -> dict[str, Any]:
+def cells(row: Row, streams: Iterable[SampleStream]) -> dict[str, Any]:
     """What a row without an obstacle puts into the columns."""
     found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
     for stream in streams:

@@ -31,7 +31,7 @@ from ..samples import (
     WRENCH_NAMES,
     RawImage,
     Sample,
-    Stream,
+    SampleStream,
     Value,
     feature_name,
 )
@@ -72,7 +72,7 @@ class BagSource:
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
         self._astray: Counter[str] = Counter()  # messages whose time of recording is not believed
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
-        self.streams: Mapping[str, Stream] = {}
+        self.streams: Mapping[str, SampleStream] = {}
         with self._opened() as bag:
             self.counts = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
             if not bag.message_count:
@@ -130,7 +130,7 @@ class BagSource:
 
     def _find(
         self, bag: AnyReader, topics: Sequence[str], cameras: Sequence[str] | None
-    ) -> Iterator[Stream]:
+    ) -> Iterator[SampleStream]:
         """The streams of skins and cameras."""
         kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
@@ -153,7 +153,7 @@ class BagSource:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
             self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
-            yield Stream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
+            yield SampleStream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
             for name, kind, type_, elements, take in (
                 ("contacts", CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
                 ("wrench", WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
@@ -161,7 +161,7 @@ class BagSource:
                 beside = f"{stem}/{name}"
                 if self._derived and kinds.get(beside) == type_:
                     self._takes[beside].append((beside, _without_time(take)))
-                    yield Stream(beside, kind, patch.name, (len(elements),), elements)
+                    yield SampleStream(beside, kind, patch.name, (len(elements),), elements)
         pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
         chosen = cameras
         if chosen is None:
@@ -171,7 +171,7 @@ class BagSource:
             if (stream := self._camera(bag, topic, asked=cameras is not None)) is not None:
                 yield stream
 
-    def _camera(self, bag: AnyReader, topic: str, asked: bool) -> Stream | None:
+    def _camera(self, bag: AnyReader, topic: str, asked: bool) -> SampleStream | None:
         """The stream of an image topic; None, with a note, for images that are not taken."""
         if (kind := self._connections(bag, topic)[0].msgtype) not in fields.IMAGES:
             raise CaptureError(f"{self.path}: {topic} is {kind}, not an image")
@@ -187,9 +187,9 @@ class BagSource:
         words = topic.strip("/").split("/")
         while len(words) > 1 and words[-1] in GENERIC:
             words.pop()
-        return Stream(topic, IMAGE, feature_name("_".join(words)), shape)
+        return SampleStream(topic, IMAGE, feature_name("_".join(words)), shape)
 
-    def _vector(self, bag: AnyReader, kind: str, topic: str) -> Stream:
+    def _vector(self, bag: AnyReader, kind: str, topic: str) -> SampleStream:
         if (said := self._connections(bag, topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
@@ -197,7 +197,7 @@ class BagSource:
         names = fields.vector_names(self._first(bag, topic))
         take = partial(fields.vector, topic=topic, names=names)
         self._takes[topic].append((f"{kind}:{topic}", _without_time(take)))
-        return Stream(f"{kind}:{topic}", kind, kind, (len(names),), names)
+        return SampleStream(f"{kind}:{topic}", kind, kind, (len(names),), names)
 
     def _first(self, bag: AnyReader, topic: str) -> Any:
         """The first message of a topic that has one."""

@@ -28,8 +28,8 @@ from ..samples import (
     WRENCH_NAMES,
     PatchInfo,
     Sample,
+    SampleStream,
     SkinFrame,
-    Stream,
     feature_name,
 )
 
@@ -50,13 +50,13 @@ class RecordingSource:
         self.name = feature_name(self.capture.config.skin)
 
     @property
-    def streams(self) -> Mapping[str, Stream]:
+    def streams(self) -> Mapping[str, SampleStream]:
         """Those of the skin, as far as the file has been decoded; see patch."""
         patch = self.patch
-        found = [Stream(TACTILE, TACTILE, self.name, (len(patch),), patch=patch)]
+        found = [SampleStream(TACTILE, TACTILE, self.name, (len(patch),), patch=patch)]
         if self._derived:
             for kind, names in ((CONTACTS, CONTACT_NAMES), (WRENCH, WRENCH_NAMES)):
-                found.append(Stream(kind, kind, self.name, (len(names),), names))
+                found.append(SampleStream(kind, kind, self.name, (len(names),), names))
         return {stream.key: stream for stream in found}
 
     @property

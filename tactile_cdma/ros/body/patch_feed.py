@@ -24,6 +24,7 @@ from ..common.convert import nanoseconds, rows
 from ..common.following import Following
 from ..common.qos import LATCHED
 from ..common.touches import Touches
+from ..common.transforms import COMPLAINT_S
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of arrays: points are drawn less often than arrays arrive."""
@@ -35,8 +36,6 @@ ONLY=hosts)."""
 NewContacts = Callable[["PatchFeed", Touches], None]
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""
-COMPLAINT_S = 10.0
-"""Least time between two warnings of contacts that cannot be read, s; chosen."""
 
 
 class PatchFeed:

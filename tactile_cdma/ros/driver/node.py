@@ -26,9 +26,9 @@ from ...driver.checkup import rivals
 from ...driver.digitizer import Origin, SourceWatch
 from ...driver.driver import NOT_YET, Driver
 from ...driver.pipeline import TactileFrame
-from ...driver.rest_keeper import RestKeeper
 from ...driver.session import Session
-from ...readings.rest_file import rest_path
+from ...rest.rest_file import rest_path
+from ...rest.rest_keeper import RestKeeper
 from ...wire.messages import Info
 from ...wire.port import Port
 from ...wire.port_failures import is_remote

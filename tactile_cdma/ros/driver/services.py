@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from tactile_cdma.srv import Tare
 
 from ...base.errors import RestError, TactileError
-from ...driver.rest_keeper import RestKeeper
+from ...rest.rest_keeper import RestKeeper
 from ..common.convert import by_taxel
 
 

@@ -15,6 +15,8 @@ from ...places.proximity import usual_distance_m
 from ..common.convert import rows
 
 ARRAY_TOPIC = "tactile"
+OLD_S = 1.0
+"""Time without a frame, s, after which the last one no longer counts as a reading; chosen."""
 
 
 def full_name(patch: str) -> str:

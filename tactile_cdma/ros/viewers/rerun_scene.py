@@ -28,7 +28,7 @@ from ...places.poses import Pose
 from ...views.heatmap import colours, heatmap
 from ..common.convert import nanoseconds, rows
 from .complaints import LEVELS, Complaints
-from .patches import layout_of
+from .patches import OLD_S, layout_of
 
 STAMP, DEVICE_TIME = "stamp", "device_time"
 _TEXT_LEVELS = {"OK": "INFO", "STALE": "WARN"}
@@ -38,8 +38,6 @@ SHOWN_S = 20.0
 HALF_LENGTH_N = 5.0
 """An arrow for this force is half as long as the longest, which is half as long as the skin.
 Chosen: a firm press."""
-OLD_S = 1.0
-"""Time without a frame, s, after which the last one is no reading any more; chosen."""
 PIXELS = 16
 """Pixels per pitch in the picture, at most; chosen."""
 EYE = (0.55, -1.05, 0.85)

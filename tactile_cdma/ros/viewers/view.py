@@ -26,7 +26,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
 from ...config.arguments import positive
 from ...places.layout import Layout
-from ...readings.status import Status
+from ...readings.status import Status, is_in_service
 from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
@@ -35,7 +35,7 @@ from ..common.process import PATIENCE_S, Viewing, viewing
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
 from .keys import typed_keys
-from .patches import full_name, layout_of
+from .patches import OLD_S, full_name, layout_of
 from .tally import Tally, summary
 
 DRAW_PERIOD_S = 0.1
@@ -44,8 +44,6 @@ HISTORY_S = 20.0
 """Time that the curve shows; chosen."""
 RIVALS_S = 0.5
 """Interval of checks for a second driver; chosen."""
-OLD_S = 1.0
-"""Time without a frame, s, after which the last one is no reading any more; chosen."""
 COMPLAINTS = 3
 """Complaints of the driver that are shown, the worst first: few, to leave room for the skin."""
 LEAST_SCALE_PA, MOST_SCALE_PA = 100.0, 1e8
@@ -123,7 +121,7 @@ class Viewer(Node):
         status = np.array(message.status, dtype=np.uint8)
         if self.silent_s(now_s):
             pressure_pa[:] = np.nan
-            status[status & Status.MASKED == 0] = Status.STALE | Status.SILENT
+            status[is_in_service(status)] = Status.STALE | Status.SILENT
         taxels = np.arange(len(pressure_pa), dtype=np.int32)
         raster, nodes = taxels.reshape(message.height, message.width), taxels + 1
         if self.layout is not None and len(self.layout) == len(taxels):
@@ -247,7 +245,7 @@ def in_use(message: TactileArray) -> NDArray[np.float32]:
     """Pressures of the taxels that are not out of service."""
     status = np.array(message.status, dtype=np.uint8)
     pressure = np.array(message.pressure, dtype=np.float32)
-    return np.asarray(pressure[status & TactileArray.STATUS_MASKED == 0])
+    return np.asarray(pressure[is_in_service(status)])
 
 
 def main() -> int:

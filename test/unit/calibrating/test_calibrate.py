@@ -28,6 +28,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.simulated import record
+from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 ADC = AdcScale()
@@ -257,11 +258,11 @@ def pressed_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tu
     )
     server.start()
     try:
-        assert ready.wait(5)
+        assert ready.wait(PATIENCE_S)
         yield tmp_path / "tty", press
     finally:
         stop.set()
-        server.join(timeout=5)
+        server.join(PATIENCE_S)
 
 
 @contextmanager
@@ -312,7 +313,7 @@ def rest(process: subprocess.Popen[str]) -> str:
     assert process.stdin is not None and process.stdout is not None
     process.stdin.close()
     said = process.stdout.read()
-    process.wait(timeout=30)
+    process.wait(timeout=PATIENCE_S)
     return said
 
 

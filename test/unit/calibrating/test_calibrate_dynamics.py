@@ -22,9 +22,8 @@ from tactile_cdma.readings.calibration_file import read_content
 from tactile_cdma.readings.dynamics import Lag
 from tactile_cdma.recording.offline import described_parameters, raw_frames
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import SCENES, SkinGeometry
+from tactile_cdma.sim.scene import DWELL_S, LOADS, SCENES, STEPS_KPA, SkinGeometry
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 from test.support.simulated import record
 

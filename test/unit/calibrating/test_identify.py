@@ -166,11 +166,8 @@ LOADS_PA = 50e3 * (1 - np.cos(2 * T_S))
     ("t_s", "reference_pa", "words"),
     [
         (T_S[:150], LOADS_PA[:150], f"150 frames; .* {LEAST_POINTS}"),
-        (T_S[:-1], LOADS_PA, "one of each"),
         (T_S[::-1], LOADS_PA, "times must rise"),
-        (T_S, np.where(T_S > 3, np.nan, LOADS_PA), "not known for every frame"),
         (T_S, LOADS_PA * 1e-3, "reach 100 Pa; .* in Pa"),
-        (T_S, LOADS_PA - 50e3, "falls to -50000 Pa"),
         (T_S, np.full(3000, 40e3), "hardly changes"),
         (T_S, 50e3 * (1 - np.cos(0.15 * T_S)), "rise and fall 2 times"),
     ],

@@ -51,9 +51,9 @@ def test_single_rows_equal_rows_of_the_matrix(order: int, data: st.DataObject) -
     assert np.array_equal(code_book(order).rows(rows), code_book(order).matrix[rows])
 
 
-@pytest.mark.parametrize("order", [4100, 5044, 16_416, 65_524, 65_536])
+@pytest.mark.parametrize("order", [1020, 4160, 16_416, 65_536])
 def test_rows_of_long_codes_are_orthogonal(order: int) -> None:
-    """Paley I over 4099, II over 2521 and 181², and products; whole, up to 4 GB."""
+    """Paley I over 1019, and products; whole, up to 4 GB."""
     chosen = np.unique([0, 1, order - 1, *np.random.default_rng(order).integers(0, order, 20)])
     rows = code_book(order).rows(chosen).astype(np.float64)
     assert np.array_equal(rows @ rows.T, order * np.eye(len(chosen)))
@@ -75,7 +75,7 @@ def test_default_orders_that_are_known() -> None:
     assert all(default_order(rows) == smallest_order(rows) for rows in range(1, 161))
     assert default_order(16 + 1) == 20
     assert smallest_order(1025) == 1032 and default_order(1025) == 1040  # 2·516, 20·52
-    assert smallest_order(4097) == 4100 and default_order(4097) == 4160  # one factor, 2²·20·52
+    assert default_order(4097) == 4160  # 2²·20·52
     assert default_order(MAX_ORDER) == MAX_ORDER
 
 

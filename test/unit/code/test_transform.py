@@ -21,13 +21,12 @@ from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code import transform
 from tactile_cdma.code.codes import code_book
-from tactile_cdma.code.paley import paley
 from tactile_cdma.code.transform import correlate, numpy_transform, spread
 
 BLOCKS = [1, 2, 4, 12, 20, 64, 128, 148, 244, 388]  # one dense block
 PRODUCTS = [144, 256, 400, 1024, 1040, 4096, 4144, 4160, 16_384, 65_520, 65_536]  # several
-FOURIER = [676, 1032, 1252, 1332, 2188, 4100, 65_524]
-"""With a factor for the FFT: Paley I over 11³, 3⁷ and 4099, II over 337, 257, 5⁴ and 181²."""
+LARGE = [676, 1020, 1032, 2040]
+"""With a large factor: Paley I over 1019, II over 337 and 257, and products."""
 USUAL, BOUND = 2.0**-22, 2.0**-17
 """Error of a correlation over the RMS of its chips: in noise, and in the worst frames, where all
 products of a sum are equal and its roundings add up."""
@@ -63,36 +62,20 @@ def some_rows(order: int) -> np.ndarray:
     return np.unique([0, 1 % order, order - 1, *rng.integers(0, order, 12)])
 
 
-@pytest.mark.parametrize("order", BLOCKS + PRODUCTS + FOURIER)
+@pytest.mark.parametrize("order", BLOCKS + PRODUCTS + LARGE)
 def test_correlation_is_the_product_with_the_rows(order: int) -> None:
     chips = np.random.default_rng(order).normal(size=(3, order))
     assert error(chips, order, some_rows(order)) < USUAL
 
 
-@pytest.mark.parametrize("order", [676, 1252, 1332, 2188, 4100, 65_524])
-@pytest.mark.parametrize("transposed", [False, True])
-def test_products_by_fft_are_exact_to_double_precision(order: int, transposed: bool) -> None:
-    matrix, chosen = paley(order), some_rows(order)
-    assert matrix is not None
-    vectors = np.random.default_rng(order).normal(size=(2, order)).astype(np.float32)
-    if transposed:
-        vectors[:, np.setdiff1d(np.arange(order), chosen)] = 0
-        expected = vectors[:, chosen].astype(np.float64) @ matrix.rows(chosen)
-        found = matrix.multiply(vectors, transposed=True)
-    else:
-        expected = vectors.astype(np.float64) @ matrix.rows(chosen).T
-        found = matrix.multiply(vectors)[:, chosen]
-    assert np.abs(found - expected).max() < 1e-14 * order
-
-
-@pytest.mark.parametrize("order", BLOCKS + PRODUCTS + FOURIER)
+@pytest.mark.parametrize("order", BLOCKS + PRODUCTS + LARGE)
 def test_correlation_takes_apart_what_spreading_adds_up(order: int) -> None:
     symbols = np.random.default_rng(order).normal(size=(2, order)).astype(np.float32)
     chips = spread(symbols, code_book(order))
     assert np.abs(correlate(chips, code_book(order)) - symbols).max() < 1e-5
 
 
-@pytest.mark.parametrize("order", [20, 1040, 4096, 676, 4100, 65_524])
+@pytest.mark.parametrize("order", [20, 1040, 4096, 676, 1020])
 def test_spreading_adds_up_rows(order: int) -> None:
     rows = some_rows(order)
     symbols = np.zeros(order, dtype=np.float32)
@@ -102,7 +85,7 @@ def test_spreading_adds_up_rows(order: int) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.sampled_from([20, 312, 1024, 1040, 4100, 65_536]), st.integers(0, 2**32 - 1), st.data())
+@given(st.sampled_from([20, 312, 1024, 1040, 4160, 65_536]), st.integers(0, 2**32 - 1), st.data())
 def test_error_stays_within_the_bound_for_harsh_frames(
     order: int, seed: int, data: st.DataObject
 ) -> None:
@@ -115,7 +98,7 @@ def test_error_stays_within_the_bound_for_harsh_frames(
     assert error(chips, order, some_rows(order)) < BOUND
 
 
-@pytest.mark.parametrize("order", [16, 20, 312, 4096, 4100, 65_536])
+@pytest.mark.parametrize("order", [16, 20, 312, 4096, 4160, 65_536])
 @pytest.mark.parametrize("pattern", ["high", "low", "row", "random"])
 def test_error_stays_within_the_bound_at_the_rails_of_int16(order: int, pattern: str) -> None:
     rng = np.random.default_rng(order)
@@ -155,7 +138,7 @@ def test_integer_sums_below_2_to_24_are_exact(order: int) -> None:
         assert np.array_equal(sums, mirrored.T @ symbols)
 
 
-@pytest.mark.parametrize("order", [20, 1024, 4100, 65_536])
+@pytest.mark.parametrize("order", [20, 1024, 4160, 65_536])
 def test_denormal_chips_do_no_harm(order: int) -> None:
     chips = np.full((2, order), 1e-42, dtype=np.float32)
     found = correlate(chips, code_book(order))
@@ -195,16 +178,6 @@ def test_with_out_nothing_is_allocated(order: int) -> None:
     assert tracemalloc.get_traced_memory()[1] < 8192  # views and frames, no data
     tracemalloc.stop()
     assert np.array_equal(out, expected)
-
-
-def test_a_long_paley_code_needs_no_matrix() -> None:
-    """The matrix of 65,524 rows would take 4 GB."""
-    chips = np.ones((10, 65_524), dtype=np.float32)
-    tracemalloc.start()
-    found = correlate(chips, code_book(65_524))
-    assert tracemalloc.get_traced_memory()[1] < 64 * chips.nbytes
-    tracemalloc.stop()
-    assert np.abs(found - (np.arange(65_524) == 0)).max() < BOUND
 
 
 def test_threads_do_not_disturb_each_other() -> None:

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
 from test.support.simulated import scope_capture
+from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "tactile_cdma"]
@@ -249,7 +249,7 @@ def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
         assert str(link) in process.stdout.readline()
         assert main(["record", str(link), str(raw), "--seconds", "2"]) == 0
         process.send_signal(signal.SIGINT)
-        assert process.wait(5) == 0
+        assert process.wait(PATIENCE_S) == 0
     finally:
         process.kill()
         process.stdout.close()
@@ -260,9 +260,7 @@ def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
 def test_simulate_ends_by_itself_and_refuses_bad_options(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    start = time.monotonic()
     assert main(["simulate", "--pty", "--seconds", "0.3"]) == 0
-    assert time.monotonic() - start < 5
     assert main(["simulate", "--pty", "sim://?scene=external"]) == 1
     assert "nobody presses" in capsys.readouterr().err
     assert main(["simulate", "--pty", "sim://?scene=dance"]) == 1

@@ -29,8 +29,8 @@ from tactile_cdma.datasets.samples import (
     TACTILE,
     RawImage,
     Sample,
+    SampleStream,
     SkinFrame,
-    Stream,
 )
 from tactile_cdma.datasets.touch import (
     DROP,
@@ -60,8 +60,8 @@ def state(stamp_ms: float, seen_ms: float, value: float, key: str = "state") -> 
     return Sample(key, round(stamp_ms * MS), round(seen_ms * MS), number)
 
 
-def stream(key: str) -> Stream:
-    return Stream(key, STATE, key, (1,))
+def stream(key: str) -> SampleStream:
+    return SampleStream(key, STATE, key, (1,))
 
 
 def rows_of(aligner: Aligner, samples: Sequence[Sample]) -> list[Row]:
@@ -114,7 +114,10 @@ def test_a_row_holds_the_newest_value_up_to_its_tick(
 def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
     samples = [state(t, t + 1, t) for t in range(0, 200, 10)]
     frames = [state(t, t + 40, i, "camera") for i, t in enumerate((33, 66, 101, 133))]
-    streams = {"state": stream("state"), "camera": Stream("camera", IMAGE, "camera", (6, 8, 3))}
+    streams = {
+        "state": stream("state"),
+        "camera": SampleStream("camera", IMAGE, "camera", (6, 8, 3)),
+    }
     episodes = [Episode(0, 70 * MS, ""), Episode(100 * MS, FOREVER_NS, "")]
     merged = sorted(samples + frames, key=lambda sample: sample.seen_ns)
     rows = rows_of(Aligner(streams, {}, episodes, 30, clock="camera"), merged)
@@ -146,7 +149,7 @@ def test_what_comes_later_than_something_newer_does_not_replace_it() -> None:
 
 
 PERIOD_MS = 12.8
-SKIN = Stream("skin", TACTILE, "skin", (2,))
+SKIN = SampleStream("skin", TACTILE, "skin", (2,))
 
 
 def felt(ms: float) -> float:
@@ -300,7 +303,7 @@ def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
     samples = [state(t, t, t, "it") for t in stamps]
     slow = [state(t, t, t, "slow") for t in range(0, 8001, 1000)]
     beat = [state(t, t, t, "beat") for t in range(0, 9000, 10)]
-    streams = {key: Stream(key, kind, key, (1,)) for key in ("it", "slow", "beat")}
+    streams = {key: SampleStream(key, kind, key, (1,)) for key in ("it", "slow", "beat")}
     rows = rows_of(Aligner(streams, {}, ALWAYS, 20), in_order(samples, slow, beat))
     assert rows[-1].tick.time_ns > 8900 * MS
     for row in rows:
@@ -320,7 +323,7 @@ def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
 def test_memory_does_not_grow_with_the_bag(clock: str | None, mode: str) -> None:
     """Nor before, between and after episodes, nor where the clock pauses."""
     episodes = [Episode(a * NANO, b * NANO, "") for a, b in ((30, 33), (60, 120))]
-    camera = Stream("camera", IMAGE, "camera", (6, 8, 3))
+    camera = SampleStream("camera", IMAGE, "camera", (6, 8, 3))
     streams = {"skin": SKIN, "camera": camera, "clock": stream("clock")}
     aligner = Aligner(streams, skin_taken(mode, 8), episodes, 10, clock)
     held: deque[weakref.ref[Any]] = deque()

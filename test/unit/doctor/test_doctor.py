@@ -262,7 +262,7 @@ def test_a_program_without_our_packages_says_what_is_missing(tmp_path: Path) -> 
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-I", "-S", "-c", program, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
 
     installed = run()
     assert installed.returncode == 1

@@ -22,9 +22,8 @@ from tactile_cdma.doctor.stream import RawStream, judge
 from tactile_cdma.driver.session import Session
 from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
-from tactile_cdma.sim.loads import LOADS
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.scene import SCENES
+from tactile_cdma.sim.scene import LOADS, SCENES
 from tactile_cdma.wire.messages import Info, Packet, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 

@@ -31,7 +31,7 @@ from tactile_cdma.wire.port import Port
 from test.support.boards import board, plugged
 from test.support.hosts import CONFIG, Watch
 from test.support.mute_host import mute_host
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 
 @contextmanager
@@ -53,8 +53,9 @@ def test_frames_arrive_at_the_frame_rate_with_host_times() -> None:
     now = time.monotonic()
     times = np.array([frame.t_host for frame in watch.frames])
     assert np.median(np.diff(times)) == pytest.approx(12.8e-3, rel=0.01)
-    assert 0 < now - times[-1] < 1.0
-    assert [f.sequence for f in watch.frames] == list(range(len(watch.frames)))
+    assert 0 < now - times[-1] < PATIENCE_S
+    periods = [(f.t_start - watch.frames[0].t_start) / 12.8e-3 for f in watch.frames]
+    assert periods == pytest.approx([frame.sequence for frame in watch.frames], abs=0.01)
     assert [p for p in watch.problems if p] == []
 
 
@@ -170,8 +171,7 @@ def test_ports_with_something_else_are_diagnosed(content: bytes, message: str) -
     with raw_pty() as (host, name):
         watch = Watch()
         with watch.driver(name):
-            deadline = time.monotonic() + 8
-            while not watch.problems and time.monotonic() < deadline:
+            while not watch.problems:
                 if content:
                     os.write(host, content)
                 time.sleep(0.2)
@@ -230,9 +230,9 @@ def test_stopping_stops_the_digitizer_and_frees_the_port() -> None:
     with raw_pty() as (host, name):
         watch, parser = Watch(), PacketParser()
         with watch.driver(name):
-            assert select.select([host], [], [], 10)[0]
+            assert select.select([host], [], [], PATIENCE_S)[0]
         sent: list[str] = []
-        while "Stop" not in sent and select.select([host], [], [], 5)[0]:
+        while "Stop" not in sent and select.select([host], [], [], PATIENCE_S)[0]:
             sent += [type(packet).__name__ for packet in parser.feed(os.read(host, 4096))]
         assert sent[:3] == ["Configure", "GetInfo", "Start"]
         assert sent[-1] == "Stop"
@@ -300,7 +300,7 @@ def test_a_driver_that_is_left_behind_skips_what_waits_and_counts_it() -> None:
 
     with network_port() as url, Driver(CONFIG, url, 0, slow, lambda problem: None) as driver:
         counters = driver.pipeline.counters
-        wait_for(lambda: counters.skipped_bytes and counters.lost_frames, 30)
+        wait_for(lambda: counters.skipped_bytes and counters.lost_frames)
         packets = driver.pipeline.packet_counts
     assert min(ages_s[20:]) < 0.5, "newest data wins: they grew older by 13 ms a frame"
     assert sequences[-1] + 1 - len(sequences) == pytest.approx(counters.lost_frames, abs=5)
@@ -316,7 +316,7 @@ def test_what_the_wire_cannot_say_is_refused() -> None:
 
 
 def test_simulated_port_is_found_by_pyserial_itself() -> None:
-    with serial.serial_for_url("sim://?speed=0", timeout=1) as port:
+    with serial.serial_for_url("sim://?speed=0", timeout=PATIENCE_S) as port:
         port.write(PacketWriter().encode(Start()))
         assert PacketParser().feed(port.read(8000))
 

@@ -20,6 +20,7 @@ from tactile_cdma.driver.vitals import Counts, Vitals, Window
 from tactile_cdma.wire.messages import Status
 from tactile_cdma.wire.packets import Counters, PacketWriter
 from tactile_cdma.words.health import NodeState
+from test.support.waiting import wait_for
 
 CONFIG = SkinConfig.of({})
 
@@ -39,10 +40,7 @@ class Slow:
 def driven(slow: Slow, url: str, frames: int) -> Window:
     """What was measured while this many frames arrived."""
     with Driver(CONFIG, url, 2_000_000, slow.take, lambda problem: None) as driver:
-        deadline = time.monotonic() + 20
-        while len(slow.frames) < frames:
-            assert time.monotonic() < deadline, "no frames"
-            time.sleep(0.01)
+        wait_for(lambda: len(slow.frames) >= frames)
     return driver.vitals.take(driver.pipeline)
 
 
@@ -201,10 +199,7 @@ def test_an_amplitude_that_is_far_off_is_told_as_such(
     config, frames = SkinConfig.of({"amplitude_mv": stated_mv}), []
     url = f"sim://?scene=all&threshold=0&speed=0{options}"
     with Driver(config, url, 2_000_000, frames.append, lambda problem: None) as driver:
-        deadline_s = time.monotonic() + 60
-        while len(frames) < 100:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        wait_for(lambda: len(frames) >= 100)
         with driver.between_frames() as pipeline:
             found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]
     assert [finding.key for finding in found] == [key]
@@ -218,10 +213,7 @@ def test_only_where_nearly_all_nodes_are_weak_the_amplitude_is_suspected(
     frames: list[TactileFrame] = []
     url = "sim://?scene=all&threshold=0&speed=0"
     with Driver(CONFIG, url, 2_000_000, frames.append, lambda problem: None) as driver:
-        deadline_s = time.monotonic() + 60
-        while len(frames) < 100:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        wait_for(lambda: len(frames) >= 100)
         with driver.between_frames() as pipeline:
             pipeline.health.state[:weak] = NodeState.WEAK
             found = [*checkup.nodes(pipeline, [], driver.vitals.take(pipeline))]

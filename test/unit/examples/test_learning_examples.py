@@ -26,6 +26,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
+from test.support.waiting import PATIENCE_S
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
@@ -51,7 +52,7 @@ def run(name: str, *words: str) -> dict[str, float]:
         env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -122,7 +123,7 @@ def test_what_was_logged_before_a_port_was_lost_is_kept(
         args=(lambda: VirtualDigitizer(SimOptions()), link, unplug, lambda _: plugged.set()),
     )
     board.start()
-    assert plugged.wait(10)
+    assert plugged.wait(PATIENCE_S)
     try:
         with Skin(str(link), nodes=16, timeout_s=1.0) as skin:
             frames = example.log(skin, output, newest, threading.Event())

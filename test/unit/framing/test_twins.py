@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -14,11 +13,14 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.framing import burst as bursts
 from tactile_cdma.framing import judge
+from tactile_cdma.framing.burst import Gap
 from tactile_cdma.framing.fit import Fit, Line, numpy_refine, refine
+from tactile_cdma.framing.gap import GapSearch
+from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.judge import Votes, Weighed
-from test.support.synthetic_line import DEFAULT, SPECS, Wire
+from tactile_cdma.framing.raster import Expected
+from test.support.synthetic_line import DEFAULT, SPECS, Wire, check, run, words_of
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel was not built")
 
@@ -86,6 +88,25 @@ def test_candidates_whole_chips_apart(
     same(judge.weigh(*given), judge.numpy_weigh(*given))
 
 
+@settings(max_examples=150, deadline=None)
+@given(LINES, st.integers(1, 5), st.sampled_from([5.0, 40.0, 1e9]))
+def test_candidates_that_are_ruled_out_early_are_ruled_out(
+    line: dict, reach: int, margin: float
+) -> None:
+    wire, volts = line_of(line)
+    start = wire.sent[0].start + np.arange(-reach, reach + 1) * wire.sent[0].chip
+    chip = np.full(start.size, wire.sent[0].chip)
+    view = float(start.min()), float((start + wire.spec.span_chips * chip).max())
+    given = Line(volts, 0.1), start, chip, view, wire.spec, 1e-4
+    found = judge.weigh(*given, likely=reach, margin=margin)
+    expected = judge.numpy_weigh(*given)
+    assert astuple(found.votes) == pytest.approx(astuple(expected.votes), rel=1e-4)
+    left = found.cost > found.cost[reach] + margin
+    assert (expected.cost[left] > expected.cost[reach] + 0.5 * margin).all()
+    assert found.cost[~left] == pytest.approx(expected.cost[~left], rel=1e-3, abs=1e-2)
+    assert found.words.rows[~left] == pytest.approx(expected.words.rows[~left], rel=1e-4, abs=2e-6)
+
+
 @settings(max_examples=100, deadline=None)
 @given(LINES, st.lists(st.tuples(st.floats(-2, 2), st.floats(-0.02, 0.1)), min_size=1, max_size=4))
 def test_candidates_of_other_chips(line: dict, others: list[tuple[float, float]]) -> None:
@@ -98,29 +119,65 @@ def test_candidates_of_other_chips(line: dict, others: list[tuple[float, float]]
 
 
 @settings(max_examples=300, deadline=None)
-@given(LINES, st.floats(0, 1), st.floats(0, 1), st.sampled_from([1e-12, 1e-5, 1e-2]))
-def test_bursts_and_the_gaps_beside_them(
-    line: dict, begin: float, end: float, variance: float
+@given(
+    LINES, st.floats(0, 1), st.floats(0, 1), st.sampled_from([1e-12, 1e-5, 1e-2]), st.floats(-1, 1)
+)
+def test_what_the_kernel_sees_at_once(
+    line: dict, begin: float, end: float, variance: float, off: float
 ) -> None:
+    """Gap, burst, frame and the gaps beside it, each as numpy sees it."""
     wire, volts = line_of(line)
-    volts = volts[int(begin * wire.period) : volts.size - int(end * wire.period)]
-    search = bursts.BurstSearch(wire.spec, wire.rate_hz)
-    known = bursts.Gap(0.11, variance, 0)
-    gap, expected_gap = (
-        find(search, volts, known) for find in (bursts.compiled_find_gap, bursts.numpy_find_gap)
-    )
-    assert (gap is None) == (expected_gap is None)
-    if gap and expected_gap:
-        assert astuple(gap) == pytest.approx(astuple(expected_gap), rel=1e-9, abs=1e-15)
-    volts = volts - 0.1
-    burst = bursts.compiled_find_burst(search, volts, variance)
-    expected = bursts.numpy_find_burst(search, volts, variance)
-    assert (burst is None) == (expected is None)
-    if burst and expected:
-        assert astuple(burst) == pytest.approx(astuple(expected), rel=1e-9)
-        sides = int(max(burst.first, 0)), math.ceil(burst.last), burst
-        beside = bursts.compiled_look_beside(search, volts, *sides)
-        wanted = bursts.numpy_look_beside(search, volts, *sides)
-        assert beside.level == pytest.approx(wanted.level, rel=1e-4, abs=1e-7)
-        assert beside.variance == pytest.approx(wanted.variance, rel=1e-2, abs=1e-15)
-        assert beside.quiet == wanted.quiet
+    cut = int(begin * wire.sent[0].start)
+    volts = volts[cut : volts.size - int(end * wire.period)]
+    search = GapSearch(wire.spec, wire.rate_hz)
+    known, chip = Gap(0.11, variance, 0), wire.sent[0].chip
+    expected = Expected(wire.sent[0].start - cut + 0.1 * off * chip, 0.06 * chip, chip, 0.0, 0.02)
+    look = search.look(volts, known, expected)
+    gaps = search.gaps(volts, known)
+    assert (look is None) == (not gaps)
+    if look is None:
+        return
+    assert astuple(look.gap) == pytest.approx(astuple(gaps[0]), rel=1e-9, abs=1e-15)
+    numpy_line = Line(volts, look.gap.level)
+    burst = search.burst(numpy_line.volts, look.gap.variance)
+    assert look.is_silent == (burst is None)
+    if burst is None or look.burst is None:
+        return
+    assert astuple(look.burst) == pytest.approx(astuple(burst), rel=1e-9)
+    fit = search.carried(numpy_line, expected)
+    if fit is not None and look.proven:
+        assert look.proven == pytest.approx(search.proven(burst, fit), abs=1.01 * chip)
+    if look.found is None:
+        return
+    assert fit is not None and look.beside is not None
+    found = search.explained(numpy_line, burst, fit, expected)
+    assert found is not None and found.decided and found.doubtful is None
+    assert found.unaided == look.found.unaided
+    assert astuple(look.found.fit) == pytest.approx(astuple(fit), rel=1e-6)
+    assert look.found.words.rows == pytest.approx(found.words.rows, rel=1e-4, abs=2e-6)
+    assert look.found.words.misfit == pytest.approx(found.words.misfit, rel=1e-3, abs=1e-5)
+    beside = search.beside(numpy_line.volts, look.found.fit, burst)
+    assert look.beside.level == pytest.approx(beside.level, rel=1e-4, abs=1e-6)
+    assert look.beside.variance == pytest.approx(beside.variance, rel=1e-2, abs=1e-15)
+    assert look.beside.quiet == beside.quiet
+
+
+def test_most_frames_of_a_sound_stream_are_seen_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same frames are found by those who look more closely, and rarely need be."""
+    wire = Wire(DEFAULT, 4.0, seed=3)
+    wire.send_random(80, nodes=12, wander=0.02)
+    for sent in wire.sent:
+        sent.chip = 1.02 * wire.chip
+    volts, closely = wire.volts(rho=30), []
+    for name in ("carried", "frame"):
+        original = getattr(GapSearch, name)
+        monkeypatch.setattr(
+            GapSearch, name, lambda *given, call=original: closely.append(1) or call(*given)
+        )
+    frames = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    assert len(closely) < 110  # two for each of the first 32, and for some others
+    monkeypatch.setattr(GapSearch, "look", lambda *_: None)
+    others = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    assert [words_of(f, DEFAULT) for f in frames] == [words_of(f, DEFAULT) for f in others]
+    assert [f.start for f in frames] == pytest.approx([f.start for f in others], abs=0.01)
+    check(wire, frames)

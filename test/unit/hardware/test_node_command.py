@@ -17,6 +17,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.hardware.intel_hex import from_hex
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
+from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 PARAMS = ["--params", str(ROOT / "config/skin.yaml")]
@@ -185,7 +186,7 @@ class Stk500:
 
     def __exit__(self, *_: object) -> None:
         with socket.create_connection(("127.0.0.1", self.port)):  # where nobody ever called
-            self.thread.join(10)
+            self.thread.join(PATIENCE_S)
         self.socket.close()
 
     def serve(self) -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from test.support.waiting import PATIENCE_S
+
 pytest.importorskip("yaml", reason="pyyaml, which the generator needs, is not installed")
 ROOT = Path(__file__).parents[3]
 PACKAGE = ("", "base", "code", "wire")
@@ -22,7 +24,7 @@ def generate(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         [sys.executable, str(root / "firmware" / "generate.py"), *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
 
 

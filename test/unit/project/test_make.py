@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from test.support.waiting import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[3]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 [KNOWN] = re.findall(r"^VARIABLES = (.*)$", MAKEFILE, re.MULTILINE)
@@ -28,7 +30,7 @@ def make(*words: str) -> subprocess.CompletedProcess[str]:
         env=environment,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
 

@@ -34,7 +34,7 @@ LOAD_SERIAL = {
     "commands.record",
     "doctor.port",
     "driver.driver",
-    "driver.rest_keeper",
+    "rest.rest_keeper",
     "replay.protocol_replay",
     "sim.protocol_sim",
     "skin",

@@ -23,6 +23,7 @@ from tactile_cdma.recording.recording_file import Recorder, describe, survey
 from tactile_cdma.replay.options import ReplayOptions
 from tactile_cdma.replay.player import Player
 from tactile_cdma.wire.port import Port
+from test.support.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.xdist_group("replay")  # its recording is made once
 CONFIG = SkinConfig.of({})
@@ -67,7 +68,7 @@ def replayed(url: str, enough: int | None = None) -> tuple[list[TactileFrame], l
     begin = time.monotonic()
     driver = Driver(CONFIG, url, 9600, keep, note)
     driver.start()
-    assert done.wait(30)
+    assert done.wait(PATIENCE_S)
     took_s = time.monotonic() - begin
     driver.stop()
     assert driver.connections == 1

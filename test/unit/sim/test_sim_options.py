@@ -9,10 +9,9 @@ import pytest
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.sim.loads import LOADS
 from tactile_cdma.sim.nodes import NodeRules
 from tactile_cdma.sim.options import OPTIONS, Setup, SimOptions
-from tactile_cdma.sim.scene import EXTERNAL, SCENES
+from tactile_cdma.sim.scene import EXTERNAL, LOADS, SCENES
 from tactile_cdma.sim.sensor import SensorModel
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import FrameLayout

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.loads import DWELL_S, LOADS, STEPS_KPA, TURN_S, TURNS_KPA
 from tactile_cdma.sim.nodes import NodeFrame, RollCalls
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import DWELL_S, LOADS, STEPS_KPA, TURN_S, TURNS_KPA
 from tactile_cdma.sim.sensor import (
     MOST_HYSTERESIS,
     MOST_MISMATCH,

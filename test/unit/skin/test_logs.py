@@ -7,14 +7,18 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from tactile_cdma import Decoder, read_recording
+from tactile_cdma import Decoder, Skin, read_recording
 from tactile_cdma.base.whole_file import replace_file
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.parameters import read_file
+from tactile_cdma.recording.recording_file import Recorder
+from tactile_cdma.sim.options import SimOptions
+from test.support.simulated import record
 
 
 @pytest.fixture
@@ -25,8 +29,13 @@ def log(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    path = tmp_path / "touch.skin"
-    assert main(["record", "sim://?scene=moving&speed=0", str(path), "--seconds", "0.3"]) == 0
+    """Two seconds of the skin's time, however busy the machine is."""
+    raw, path = tmp_path / "raw", tmp_path / "touch.skin"
+    record(raw, SimOptions(scene="moving"), 2.0)
+    data, begun_s = raw.read_bytes(), time.monotonic()
+    with Recorder(path, "sim://", 9600, {}) as recorder:
+        for begin in range(0, len(data), 1000):
+            recorder.write(data[begin : begin + 1000], begun_s + begin * 1e-6)
     return path
 
 
@@ -61,6 +70,18 @@ def test_losses_of_a_recording_are_logged(recording: Path, log: pytest.LogCaptur
     recording.write_bytes(recording.read_bytes()[:-100])
     assert sum(len(data) for data, _ in read_recording(recording))
     assert any(message.startswith(f"{recording}: ") for message in log.messages)
+
+
+def test_a_digitizer_is_logged_and_a_replay_that_begins_again(
+    recording: Path, log: pytest.LogCaptureFixture
+) -> None:
+    assert main(["ports", "sim://"]) == 0
+    assert any(
+        message.startswith("sim://: 73696D0000000000, simulated") for message in log.messages
+    )
+    with Skin(f"replay://{recording}?speed=0&loop=true", timeout_s=None) as skin:
+        while f"{recording} begins again" not in log.messages:
+            skin.read()
 
 
 @pytest.mark.parametrize("verbose", [True, False])

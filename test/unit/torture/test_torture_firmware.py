@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tactile_cdma.hardware.node_memory import node_memory
+from test.support.waiting import PATIENCE_S
 from torture.fuzz.both_languages import same_answers, same_samples
 from torture.fuzz.harnesses import BUILD, FIRMWARE, SIMAVR, build
 from torture.fuzz.sync_storms import NODE, SPEC, node_of, storms_at
@@ -63,7 +64,7 @@ def test_a_core_that_differs_is_found(
     sources += [tmp_path / file, FIRMWARE / "digitizer" / "replay" / "replay.c"]
     program = tmp_path / "replay"
     command = ["cc", "-std=gnu99", "-I", FIRMWARE / "core", *sources, "-o", program]
-    subprocess.run([str(part) for part in command], check=True, timeout=60)
+    subprocess.run([str(part) for part in command], check=True, timeout=PATIENCE_S)
     compare = same_answers if file == "digitizer.c" else same_samples
     assert tuple(bad(compare(program, PLAN))) == counts
 

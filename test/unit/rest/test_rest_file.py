@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.readings.calibration import Curves, PressureCurve
-from tactile_cdma.readings.rest_file import (
+from tactile_cdma.rest.rest_file import (
     RestState,
     calibration_path,
     read_rest,

@@ -12,12 +12,12 @@ import yaml
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.parameters import PARAMETERS
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver import rest_keeper
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.driver.rest_keeper import RestKeeper
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import write_calibration
+from tactile_cdma.rest import rest_keeper
+from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry

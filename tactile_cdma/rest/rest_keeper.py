@@ -17,10 +17,10 @@ from ..base.errors import RestError
 from ..base.listing import listed
 from ..config.parameters import REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
+from ..driver.driver import Driver
 from ..readings.baseline import Baseline
-from ..readings.rest_file import RestState
-from ..readings.rest_store import Log, RestStore
-from .driver import Driver
+from .rest_file import RestState
+from .rest_store import Log, RestStore
 
 TELL_S = 10.0
 """Least time between two reports of drift, s: each makes every subscriber take the layout anew."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol
 
 from ..base.errors import CalibrationError, RestError
-from .calibration import AdcScale, Calibration, PressureCurve
-from .calibration_file import CalibrationContent, read_calibration, write_calibration
+from ..readings.calibration import AdcScale, Calibration, PressureCurve
+from ..readings.calibration_file import CalibrationContent, read_calibration, write_calibration
 from .rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
 
 

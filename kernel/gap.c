@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "gap.h"
+
+#include <math.h>
+#include <string.h>
+
+size_t gap_values(const struct burst_search *search, size_t samples)
+{
+    return 2 * samples + 1 + burst_scratch(search, samples);
+}
+
+/* Chips of the longest view of GAP_MOST candidates a chip apart. */
+static size_t most_chips(const struct fit_code *code)
+{
+    return code->span + GAP_MOST;
+}
+
+size_t gap_scratch(const struct fit_code *code, const struct burst_search *search)
+{
+    size_t order = code->frame.order, each = code->frame.bits * order + 2 * code->frame.nodes + 4;
+    size_t judge = 2 * most_chips(code) + (code->frame.bits + GAP_MOST * (code->frame.bits / 2 + 1)) * order;
+    size_t beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
+
+    judge = judge < beside ? beside : judge;
+    return GAP_MOST * each + (judge < refine ? refine : judge);
+}
+
+/* Whole chips by which rivals may begin earlier or later than a fit; as GapSearch._shifts_of. */
+static void find_shifts(const struct fit_code *code, const struct gap_rules *rules,
+                        const struct burst_found *burst, const struct fit *fit, double *earliest,
+                        double *latest)
+{
+    double length = (double)code->span * fit->chip, bit = (double)code->frame.order * fit->chip;
+    double low = burst->last - length, high = burst->last + bit - length;
+
+    low = low > burst->first - bit ? low : burst->first - bit;
+    high = high < burst->first ? high : burst->first;
+    low = ceil((low - burst->slack - fit->start) / fit->chip);
+    high = floor((high + burst->slack - fit->start) / fit->chip);
+    *earliest = (low < 0 ? low : 0) - rules->beyond;
+    *latest = (high > 0 ? high : 0) + rules->beyond;
+}
+
+/* As Expected.log_prior, negative. */
+static double cost_of_place(const struct gap_expected *expected, double wide_chips, double start)
+{
+    const double pi = 3.14159265358979323846;
+    double off = (start - expected->start) / expected->chip, width = expected->scatter / expected->chip;
+    double wide = expected->slips / (pi * wide_chips) / (1 + off * off / (wide_chips * wide_chips));
+    double narrow = (1 - expected->slips) / (sqrt(2 * pi) * width) * exp(-0.5 * off * off / (width * width));
+
+    return -log(wide + narrow);
+}
+
+/* Probability that it is another one than the chosen one. */
+static double other(const double *cost, size_t count, size_t chosen)
+{
+    double odds = 0;
+
+    for (size_t c = 0; c < count; c++)
+        odds += exp(cost[chosen] - cost[c] < 700 ? cost[chosen] - cost[c] : 700);
+    return 1 - 1 / odds;
+}
+
+/* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. */
+static bool judge(const struct fit_code *code, const struct fit_line *line, const struct judge_limits *limits,
+                  const struct gap_rules *rules, const struct gap_expected *expected, double noise,
+                  double earliest, double latest, struct gap_seen *seen, float *scratch)
+{
+    const struct words_frame *frame = &code->frame;
+    size_t size = frame->bits * frame->order, nodes = frame->nodes, count = (size_t)(latest - earliest) + 1;
+    size_t likely = (size_t)-earliest;
+    double start[GAP_MOST], chip[GAP_MOST], cost[GAP_MOST];
+    float *rows = scratch, *amplitude = rows + GAP_MOST * size, *uneven = amplitude + GAP_MOST * nodes;
+    float *four = uneven + GAP_MOST * nodes;
+    struct judge_found found = {rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
+                                four + 3 * GAP_MOST, cost};
+    struct judge_votes votes = {0, 0};
+
+    for (size_t c = 0; c < count; c++) {
+        start[c] = seen->fit.start + seen->fit.chip * ((double)c + earliest);
+        chip[c] = seen->fit.chip;
+    }
+    struct judge_candidates all = {count, likely, start, chip, start[0],
+                                   start[count - 1] + (double)code->span * chip[0], rules->ruled_out};
+    judge_weigh(code, line, limits, &all, noise, &found, &votes, four + 4 * GAP_MOST);
+    double power = found.power[likely] > 1e-30f ? (double)found.power[likely] : 1e-30;
+    if (!((double)found.misfit[likely] < rules->carried_noise * noise / power + rules->carried_misfit))
+        return false;
+    double least = cost[likely], most = judge_most(limits, rules->disturbed, &votes, count - 1 + code->span);
+    for (size_t c = 0; c < count; c++) {
+        double off = (start[c] - seen->burst.first) / (0.5 * chip[c]), before = log1p(off * off);
+        if (c != likely && cost[c] < least + rules->ruled_out / 2)
+            return false; /* with timing of its own it may get closer */
+        cost[c] += before;
+    }
+    seen->unaided = other(cost, count, likely) < rules->doubt;
+    if (!(cost[likely] < most))
+        return false;
+    for (size_t c = 0; c < count; c++)
+        cost[c] += cost_of_place(expected, rules->wide, start[c]);
+    if (!(other(cost, count, likely) < rules->doubt))
+        return false;
+    memcpy(seen->words.rows, rows + likely * size, size * sizeof *rows);
+    memcpy(seen->words.amplitude, amplitude + likely * nodes, nodes * sizeof *amplitude);
+    memcpy(seen->words.uneven, uneven + likely * nodes, nodes * sizeof *uneven);
+    *seen->words.pedestal = found.pedestal[likely];
+    *seen->words.power = found.power[likely];
+    *seen->words.spread = found.spread[likely];
+    *seen->words.misfit = found.misfit[likely];
+    return true;
+}
+
+/* Whether there may be a weaker burst before this one, as GapTiming._first_burst asks. */
+static bool may_have_another(const struct burst_search *search, const struct gap_rules *rules,
+                             const struct burst_found *burst, size_t size)
+{
+    double before = burst->pause < burst->last
+                        ? floor(burst->pause) + ceil(rules->bit)
+                        : floor(burst->first - search->chip);
+
+    return rules->shortest < before && before < (double)size;
+}
+
+bool gap_look(const struct fit_code *code, const struct burst_search *search,
+              const struct judge_limits *limits, const struct gap_rules *rules,
+              const double *reaches, size_t turns, const double *volts, size_t size,
+              double least_power, const struct burst_gap *known, const struct gap_expected *expected,
+              struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
+{
+    double *shifted = values, *sums = shifted + size, *rest = sums + size + 1, earliest, latest;
+    struct burst_found *burst = &seen->burst;
+
+    *look = GAP_SILENT;
+    seen->proven = 0;
+    if (!burst_gap(search, volts, size, known, &seen->gap, rest))
+        return false;
+    sums[0] = 0;
+    for (size_t i = 0; i < size; i++) {
+        shifted[i] = volts[i] - seen->gap.level;
+        sums[i + 1] = sums[i] + shifted[i];
+    }
+    if (!burst_find(search, shifted, size, least_power, seen->gap.variance, burst, rest))
+        return true;
+    *look = GAP_UNSURE;
+    if (may_have_another(search, rules, burst, size))
+        return true;
+    *look = GAP_BURST;
+    double loud = burst->last - burst->first;
+    if (!(expected->chip > 0 && burst->first >= search->chip &&
+          fabs(burst->first - expected->start) < rules->period / 2 &&
+          loud + 2 * burst->slack >= rules->shortest - 1.5 * (double)code->frame.order * search->chip &&
+          loud <= rules->longest + 2 * burst->slack))
+        return true;
+    const struct fit_line line = {size, shifted, sums};
+    const struct fit_refining refining = {limits->blur, rules->settled_chips, turns, reaches};
+    seen->fit = fit_refine(code, &line, &refining, (struct fit){expected->start, expected->chip}, -INFINITY,
+                           INFINITY, scratch);
+    double end = seen->fit.start + (double)code->span * seen->fit.chip;
+    if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > 0.5 * expected->chip))
+        return true;
+    find_shifts(code, rules, burst, &seen->fit, &earliest, &latest);
+    seen->proven = end + latest * seen->fit.chip;
+    double noise = burst->variance * (double)search->half / seen->fit.chip;
+    if (!(latest - earliest < GAP_MOST && seen->proven <= (double)size) ||
+        !judge(code, &line, limits, rules, expected, noise, earliest, latest, seen, scratch))
+        return true;
+    double first = floor(seen->fit.start - seen->fit.chip);
+    end = ceil(end + seen->fit.chip);
+    seen->beside = burst_beside(search, shifted, size, first > 0 ? (size_t)first : 0, (size_t)end,
+                                burst->variance, burst->power, scratch);
+    *look = GAP_FRAME;
+    return true;
+}

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""ROS nodes that are served in the background."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+
+@contextmanager
+def spinning(*groups: Sequence[Node]) -> Iterator[None]:
+    """Nodes served in the background, each group by an executor in a thread of its own.
+
+    Executors are shut down when they spin no more: rclpy would trip over what is gone.
+    """
+    ended = threading.Event()
+    executors = []
+    for nodes in groups:
+        executors.append(SingleThreadedExecutor(context=nodes[0].context))
+        for node in nodes:
+            executors[-1].add_node(node)
+
+    def spin(executor: SingleThreadedExecutor) -> None:
+        while not ended.is_set():
+            executor.spin_once()
+
+    threads = [threading.Thread(target=spin, args=(executor,)) for executor in executors]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for executor, thread in zip(executors, threads, strict=True):
+            executor.create_task(lambda: None)  # rclpy's wait ends only with something to do
+            thread.join()
+            executor.shutdown()
