@@ -54,6 +54,7 @@ struct stream {
 
     /* frames: indices are the stream's; -1: none */
     struct stream_timing timing;
+    struct frame_edges edges;
     int64_t start, due, gap_begin, mark;
     bool is_asked; /* about the frame in progress */
     size_t uses, marks, ended;
@@ -407,8 +408,8 @@ static enum stream_event decide(struct stream *stream, int64_t end, bool final)
     subject->volts = samples_from(stream, stream->start, end, &subject->count);
     if (!stream->is_asked) {
         look = frame_read(&stream->rules.frame, &stream->code, is_carried ? &timing->frame : NULL,
-                          &stream->rest, subject->volts, subject->count, final, stream->rows,
-                          stream->scratch, &subject->found);
+                          &stream->edges, &stream->rest, subject->volts, subject->count, final,
+                          stream->rows, stream->scratch, &subject->found);
         if (look <= FRAME_NEEDS_MORE &&
             !(look == FRAME_NEEDS_MORE && !make_room(stream, subject->count + subject->found.more)))
             return decided(stream, look, final);
@@ -692,8 +693,10 @@ bool stream_look(struct stream *stream, int64_t due)
     return due <= stream->end || make_room(stream, (size_t)(due - stream->end));
 }
 
-bool stream_carry(struct stream *stream, const struct stream_timing *timing)
+bool stream_carry(struct stream *stream, const struct stream_timing *timing,
+                  const struct frame_edges *edges)
 {
     stream->timing = *timing;
+    stream->edges = *edges;
     return make_room(stream, timing->due);
 }

@@ -46,8 +46,8 @@ struct stream_timing {
     size_t due, over; /* samples from the mark on until one can be decided, and is over */
     size_t uses;      /* how many may be read by it since a frame was last in doubt */
     bool asks;        /* every mark is asked about, and every frame */
-    bool has_frame;   /* frame: is meant */
-    struct frame_timing frame; /* its arrays are kept */
+    bool has_frame;   /* frame: is meant, and its edges */
+    struct frame_timing frame;
 };
 
 /* A packet that was accepted. */
@@ -131,7 +131,8 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
 /* due: index up to which samples are gathered for the next block. */
 bool stream_look(struct stream *stream, int64_t due);
 
-/* How frames are read from here on; its arrays are kept. At any time. */
-bool stream_carry(struct stream *stream, const struct stream_timing *timing);
+/* How frames are read from here on. At any time. edges: their arrays are kept. */
+bool stream_carry(struct stream *stream, const struct stream_timing *timing,
+                  const struct frame_edges *edges);
 
 #endif

@@ -94,7 +94,7 @@ static bool is_at_rest(const struct frame_rules *rules, const struct frame_timin
 }
 
 static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
-                       const struct frame_timing *timing, double level, const double *volts,
+                       const struct frame_edges *edges, double level, const double *volts,
                        size_t count, float *chips)
 {
     size_t size = rules->frame.bits * rules->frame.order;
@@ -102,7 +102,7 @@ static bool find_chips(const struct frame_rules *rules, const struct frame_code 
     if (rules->integrated)
         for (size_t i = 0; i < size; i++)
             chips[i] = (float)volts[i] - (float)level;
-    else if (!samples_chips(volts, count, level, &timing->edges, timing->places, size, chips))
+    else if (!samples_chips(volts, count, level, &edges->all, edges->places, size, chips))
         return false;
     if (code->flips)
         for (size_t i = 0; i < size; i++)
@@ -111,9 +111,9 @@ static bool find_chips(const struct frame_rules *rules, const struct frame_code 
 }
 
 enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
-                           const struct frame_timing *timing, const struct frame_rest *rest,
-                           const double *volts, size_t count, bool final, float *rows, float *scratch,
-                           struct frame_found *found)
+                           const struct frame_timing *timing, const struct frame_edges *edges,
+                           const struct frame_rest *rest, const double *volts, size_t count,
+                           bool final, float *rows, float *scratch, struct frame_found *found)
 {
     const struct words_frame *frame = &rules->frame;
 
@@ -138,7 +138,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     found->clipped = share_clipped(rules, volts, heard);
     if (found->clipped > rules->deafened)
         return FRAME_CLIPPED;
-    if (!find_chips(rules, code, timing, found->level, volts, count, rows))
+    if (!find_chips(rules, code, edges, found->level, volts, count, rows))
         return FRAME_NO_TIMING;
     transform_multiply(code->transform, rows, rows, frame->bits);
     if (!is_explained(rules, rest, rows, scratch))

@@ -43,11 +43,15 @@ struct frame_code {
 
 /* The timing of an earlier frame. */
 struct frame_timing {
-    double chip, until;        /* samples; until: those that show the line at rest after it */
-    struct samples_edges edges;
-    const int32_t *places;     /* of the bits·order chips among the edges */
-    size_t heard;              /* samples of the frame */
-    size_t tail, tail_end;     /* where the line is at rest after it */
+    double chip, until;    /* samples; until: those that show the line at rest after it */
+    size_t heard;          /* samples of the frame */
+    size_t tail, tail_end; /* where the line is at rest after it */
+};
+
+/* Where its chips are. */
+struct frame_edges {
+    struct samples_edges all;
+    const int32_t *places; /* of the bits·order chips among the edges */
 };
 
 /* What the line was when nobody spoke: its level, V, and the variance of a chip's level, V². */
@@ -81,9 +85,9 @@ enum frame_look {
 /* volts: (count,) from the mark on; NaN where absurd. timing: NULL where there is none. final: no more
  * will follow. rows: (k, N), written to. scratch: (2, n). */
 enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
-                           const struct frame_timing *timing, const struct frame_rest *rest,
-                           const double *volts, size_t count, bool final, float *rows, float *scratch,
-                           struct frame_found *found);
+                           const struct frame_timing *timing, const struct frame_edges *edges,
+                           const struct frame_rest *rest, const double *volts, size_t count,
+                           bool final, float *rows, float *scratch, struct frame_found *found);
 
 /* A frame, or more, in which no node transmitted, of which only mean, V, and variance, V², are known. */
 enum frame_look frame_summed_up(const struct frame_rules *rules, const struct frame_rest *rest,

@@ -215,23 +215,22 @@ FUNCTION(forget)
 FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share", 'd', "e"),
          ARRAY("number", 'd', "g"), ARRAY("places", 'i', "c"))
 {
-    struct stream_timing timing = *(const struct stream_timing *)call->value[0].data;
+    const struct stream_timing *timing = call->value[0].data;
+    const struct frame_edges edges = {
+        {axis(call, 'e'), call->value[1].data, call->value[2].data, call->value[3].data},
+        call->value[4].data};
     struct owner *owner = free_one(call);
 
     if (!owner)
         return NULL;
-    if (!(timing.due && timing.due <= STREAM_MOST_SAMPLES && timing.over <= STREAM_MOST_SAMPLES))
+    if (!(timing->due && timing->due <= STREAM_MOST_SAMPLES && timing->over <= STREAM_MOST_SAMPLES))
         return refuse(call, "due, over: beyond what a frame may have");
-    if (timing.has_frame) {
-        if (!(axis(call, 'g') + 1 == axis(call, 'e') && axis(call, 'c') == owner->chips &&
-              timing.frame.heard && timing.frame.tail >= timing.frame.heard &&
-              timing.frame.until <= STREAM_MOST_SAMPLES))
-            return refuse(call, "edges: those of no frame that was described");
-        timing.frame.edges = (struct samples_edges){axis(call, 'e'), call->value[1].data,
-                                                    call->value[2].data, call->value[3].data};
-        timing.frame.places = call->value[4].data;
-    }
-    if (!stream_carry(owner->stream, &timing))
+    if (timing->has_frame &&
+        !(axis(call, 'g') + 1 == axis(call, 'e') && axis(call, 'c') == owner->chips &&
+          timing->frame.heard && timing->frame.tail >= timing->frame.heard &&
+          timing->frame.until <= STREAM_MOST_SAMPLES))
+        return refuse(call, "edges: those of no frame that was described");
+    if (!stream_carry(owner->stream, timing, &edges))
         return PyErr_NoMemory();
     for (size_t i = 0; i < EDGE_ARRAYS; i++)
         exchange(&owner->edges[i], call, i + 1);

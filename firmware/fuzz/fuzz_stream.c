@@ -147,15 +147,14 @@ static void carry(struct stream *stream)
         .has_frame = run.has_timing,
         .frame = {.chip = CHIP,
                   .until = draw(3) ? DUE : UNTIL,
-                  .edges = {EDGES, whole, share, number},
-                  .places = places,
                   .heard = SIZE,
                   .tail = SIZE + 1,
                   .tail_end = DUE},
     };
 
+    struct frame_edges edges = {{EDGES, whole, share, number}, places};
     run.due_of_frames = timing.due;
-    MUST(stream_carry(stream, &timing), WRONG_VALUE);
+    MUST(stream_carry(stream, &timing, &edges), WRONG_VALUE);
 }
 
 static void place(struct stream *stream)
