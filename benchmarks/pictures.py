@@ -95,8 +95,8 @@ def times(report: Report) -> Times:
 
 def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
     """Functions by picture, each of which draws one frame after the other."""
+    from tactile_cdma.messages.cdr import Heading
     from tactile_cdma.ros.common import convert
-    from tactile_cdma.ros.common.cdr import Heading
     from tactile_cdma.ros.driver.markers import SkinMarkers
 
     layout, heading = Layout.grid(taxels, 0, 0, 7e-3, 5.5e-3), Heading(0, "skin")

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from ..base import kernel
 from ..base.errors import SpecError
 from ..clocks.clock_keeper import ClockReport
+from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
 from ..framing.timing import FrameLevels, Rejections
 from ..readings.baseline import Baseline
@@ -213,27 +214,28 @@ class Pipeline:
     def _frame(self, heard: FrameLevels) -> TactileFrame:
         assert self._description is not None
         stamp = self.timeline.stamp(heard, self._description.pace)
-        both = self._at_once(heard, stamp.t_middle)
-        if both is None:
-            words = self._words(heard)
-            both = words, self.taxels.update(words, stamp.t_middle, self.health)
-        return TactileFrame(*stamp, heard.clipped, *both)
+        words, readings = self._read(heard, stamp.t_middle)
+        return TactileFrame(*stamp, heard.clipped, words, readings)
 
-    def _at_once(self, heard: FrameLevels, t_device: float) -> tuple[Words, Readings] | None:
-        """Words and readings by the kernel, of a frame in which nothing is odd."""
-        levels, config = heard.levels, self.config
-        if levels is None or levels.rows is None or heard.doubtful is not None:
-            return None
-        if kernel.compiled is None or config.roll_call or levels.unresolved:
-            return None
-        return self.taxels.read(levels, config.spec, config.threshold, t_device, self.health)
+    def _read(self, heard: FrameLevels, t_device: float) -> tuple[Words, Readings]:
+        """The words and readings of a frame: in one call of the kernel, if nothing is odd."""
+        levels, config, taxels = heard.levels, self.config, self.taxels
+        if levels is None:
+            words = silent(config.spec.nodes, heard.noise_rms_v)
+            held = taxels.try_hold(t_device)
+            return words, held or taxels.update(words, t_device, self.health)
+        is_odd = levels.rows is None or levels.unresolved or heard.doubtful is not None
+        if kernel.compiled is not None and not is_odd and not config.roll_call:
+            read = taxels.read(levels, config.spec, config.threshold, t_device, self.health)
+            if read is not None:
+                return read
+        words = self._words(heard, levels)
+        return words, taxels.update(words, t_device, self.health)
 
-    def _words(self, heard: FrameLevels) -> Words:
+    def _words(self, heard: FrameLevels, levels: NodeLevels) -> Words:
         """What the nodes said; updates their health by words that are not a guess."""
         spec, clocks = self.config.spec, self.clocks
-        if heard.levels is None:
-            return silent(spec.nodes, heard.noise_rms_v)
-        words = decode(heard.levels, spec, self.config.threshold, self.health.swing_v)
+        words = decode(levels, spec, self.config.threshold, self.health.swing_v)
         clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
         if clocks_unknown:
             words = words.doubted(words.active)

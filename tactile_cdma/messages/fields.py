@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The fields of our messages, for the two libraries that make them: rclpy and rosbags."""
+"""The fields of TactileSkinInfo, for the two libraries that make it: rclpy and rosbags."""
 
 from __future__ import annotations
 
@@ -12,29 +12,9 @@ from numpy.typing import NDArray
 
 from ..config.skin_config import SkinConfig
 from ..driver.digitizer import Source
-from ..driver.pipeline import TactileFrame
-from ..places.layout import Layout
 
 AsField = Callable[[NDArray[np.generic]], Any]
 """Converts an array to what the library's messages hold."""
-
-
-def array_fields(
-    frame: TactileFrame, layout: Layout, info_id: int, as_field: AsField, with_voltage: bool
-) -> dict[str, Any]:
-    """The fields of TactileArray for one frame, in their order, but for the header."""
-    readings = frame.readings
-    return {
-        "sequence": frame.sequence,
-        "device_time_us": max(0, round(frame.t_middle * 1e6)),
-        "info_id": info_id,
-        "height": layout.rows,
-        "width": layout.columns,
-        "pressure": as_field(readings.pressure_pa),
-        "voltage": as_field(readings.voltage_v if with_voltage else readings.voltage_v[:0]),
-        "status": as_field(readings.status),
-        "noise_rms": frame.words.noise_rms_v,
-    }
 
 
 def info_fields(

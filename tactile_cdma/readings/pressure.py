@@ -33,6 +33,8 @@ class PressureChain:
         self.compensator = compensator
         self._looked_s: float | None = None
         self._moved = False
+        # Of the last update: voltages, pressures before the tare, and whether they count.
+        self._last: tuple[Floats32, Floats32, Bools] | None = None
 
     def update(self, voltage_v: Floats32, valid: Bools, t_s: float) -> tuple[Floats32, Bools]:
         """Pressures (n,) float32, Pa, and which are beyond the sensor's range, (n,) bool.
@@ -44,7 +46,8 @@ class PressureChain:
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - self.baseline.tare_pa
-        self.look(voltage_v, pressure_pa, valid, t_s)
+        self._last = voltage_v, pressure_pa, valid
+        self.look(*self._last, t_s)
         return reading_pa, saturated
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
@@ -68,9 +71,12 @@ class PressureChain:
 
         Returns whether they stand; if so, this counts as an update.
         """
-        if self._moved or self._due(t_s):
+        if self._moved or self._looked_s is None or self._last is None:
             return False
-        return self.compensator is None or self.compensator.try_hold(t_s)
+        if self.compensator is not None:
+            return not self._due(t_s) and self.compensator.try_hold(t_s)
+        self.look(*self._last, t_s)
+        return True
 
     def forget(self) -> None:
         """Start over: the device's clock was reset."""

@@ -235,15 +235,21 @@ class Taxels:
         """Update with one frame's words; t_device: its device time, s."""
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         anybody = bool((words.active | words.doubtful).any())
-        if not anybody and self._silence is not None and self._try_hold(t_device):
-            return self._silence
         readings = self._read(words, t_device, health)
         self._silence = None if anybody else readings
         return readings
 
-    def _try_hold(self, t_device: float) -> bool:
-        """Let a silent frame read as the last one did, if it does; see PressureChain.try_hold."""
-        return t_device <= self._stale_from_s and self.chain.try_hold(t_device)
+    def try_hold(self, t_device: float) -> Readings | None:
+        """The readings of a frame in which no node spoke, if they are those of the last one.
+
+        If so, this counts as an update; see PressureChain.try_hold.
+        """
+        if self._silence is None or t_device > self._stale_from_s:
+            return None
+        if not self.chain.try_hold(t_device):
+            return None
+        self.now_s = t_device  # not the first frame: that one was read
+        return self._silence
 
     def _read(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         trust = self._trusted(health)

@@ -24,7 +24,8 @@ from ..base.errors import CaptureError
 from ..config.skin_config import SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import TactileFrame
-from ..messages.fields import array_fields, info_fields
+from ..messages.cdr import Heading, tactile_array
+from ..messages.fields import info_fields
 from ..messages.types import PACKAGE, message_types
 
 TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
@@ -80,21 +81,19 @@ def write_bag(
                 if not 0 <= wall_s < _MOST_S:
                     raise CaptureError(f"{wall_s:g} s: the recording computer's clock was wrong")
                 stamp_ns = round(wall_s * 1e9)
-                header = _header(types, stamp_ns, frame_id)
-                messages = [(array, array_fields(frame, config.layout, INFO_ID, np.asarray, True))]
+                heading = Heading(stamp_ns, frame_id)
                 if not count:
-                    messages.insert(0, (info, about))
-                for connection, fields in messages:
-                    message = types.types[connection.msgtype](header=header, **fields)
-                    data = types.serialize_cdr(message, connection.msgtype)
-                    writer.write(connection, stamp_ns, data)
+                    message = types.types[info.msgtype](header=_header(types, heading), **about)
+                    writer.write(info, stamp_ns, types.serialize_cdr(message, info.msgtype))
+                data = tactile_array(frame, config.layout, heading, INFO_ID, with_voltage=True)
+                writer.write(array, stamp_ns, data)
                 count += 1
     except WriterError as error:
         raise CaptureError(str(error)) from None
     return count
 
 
-def _header(types: Typestore, stamp_ns: int, frame_id: str) -> Any:
-    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+def _header(types: Typestore, heading: Heading) -> Any:
+    seconds, nanoseconds = heading.time
     stamp = types.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+    return types.types["std_msgs/msg/Header"](stamp=stamp, frame_id=heading.frame_id)

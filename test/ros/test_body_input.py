@@ -30,6 +30,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from tactile_cdma.messages.cdr import Heading
 from tactile_cdma.msg import (
     TactileArray,
     TactileContact,
@@ -39,7 +40,6 @@ from tactile_cdma.msg import (
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.body.contacts import body_contacts
 from tactile_cdma.ros.body.node import BodyNode
-from tactile_cdma.ros.common.cdr import Heading
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.views.cloud import BODY_POINT

@@ -21,20 +21,13 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_cdma.driver.pipeline import TactileFrame
-from tactile_cdma.messages.fields import array_fields
+from tactile_cdma.messages.cdr import CdrError, Heading, tactile_array
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.ros.common.cdr import CdrError, Heading
-from tactile_cdma.ros.common.convert import (
-    image,
-    nanoseconds,
-    point_cloud,
-    ros_array,
-    tactile_array,
-    wrench_stamped,
-)
+from tactile_cdma.ros.common import convert
+from tactile_cdma.ros.common.convert import image, nanoseconds, point_cloud, wrench_stamped
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.driver.contacts import contacts_message
 from tactile_cdma.ros.driver.markers import RESULTANT, SUM, SkinMarkers
@@ -64,10 +57,11 @@ def header(frame_id: str) -> Header:
 
 @pytest.mark.parametrize("frame_id", NAMES)
 def test_headers(frame_id: str) -> None:
-    assert heading(frame_id).message == header(frame_id)
+    assert convert.header(heading(frame_id)) == header(frame_id)
     before = Time(sec=-5, nanosec=999_999_999)
-    assert Heading(nanoseconds(before), "").message.stamp == before
-    assert Heading(nanoseconds(STAMP) + 1, "").message.stamp == STAMP  # there is no later one
+    assert convert.header(Heading(nanoseconds(before), "")).stamp == before
+    later = Heading(nanoseconds(STAMP) + 1, "")
+    assert convert.header(later).stamp == STAMP  # there is no later one
 
 
 @pytest.mark.parametrize("frame_id", NAMES)
@@ -84,8 +78,19 @@ def test_arrays(frame_id: str, taxels: int, with_voltage: bool) -> None:
     frame = TactileFrame(2**40 + 1, 0.0, 1e7, 0.0, 5e-5, 0.0, words, readings)
     layout = Layout.grid(taxels, 1, taxels, 7e-3, 5e-3)
     written = tactile_array(frame, layout, heading(frame_id), 2**32 - 1, with_voltage)
-    fields = array_fields(frame, layout, 2**32 - 1, ros_array, with_voltage)
-    assert_same(written, TactileArray(header=header(frame_id), **fields))
+    message = TactileArray(
+        header=header(frame_id),
+        sequence=2**40 + 1,
+        device_time_us=10**13,
+        info_id=2**32 - 1,
+        height=1,
+        width=taxels,
+        pressure=values[0].tolist(),
+        voltage=values[1].tolist() if with_voltage else [],
+        status=status.tolist(),
+        noise_rms=noise_v,
+    )
+    assert_same(written, message)
 
 
 @pytest.mark.parametrize("frame_id", NAMES)

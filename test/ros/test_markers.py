@@ -11,13 +11,14 @@ import pytest
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
+from tactile_cdma.messages.cdr import Heading
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.places.mesh import MOST_SQUARES, taxel_squares
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.ros.common.cdr import Heading
+from tactile_cdma.ros.common.convert import header
 from tactile_cdma.ros.driver.markers import (
     ARROWS,
     BLIND,
@@ -75,7 +76,7 @@ def test_the_surface_has_a_coloured_square_for_every_taxel_with_a_node() -> None
     pressed = {0: 20e3, 7: 139e3, 8: float("nan")}
     [surface] = of(Skin().draw(pressed), SURFACE)
     assert surface.type == Marker.TRIANGLE_LIST
-    assert surface.header == HEADING.message
+    assert surface.header == header(HEADING)
     assert components(surface.scale).tolist() == [1, 1, 1]
     corners = np.array([components(point) for point in surface.points]).reshape(-1, 6, 3)
     # Below the taxels' places, with gaps between them, and smaller where there is no reading.

@@ -13,9 +13,9 @@ from random import Random
 
 import pytest
 
+from tactile_cdma.messages.cdr import Heading
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.ros.common.cdr import Heading
-from tactile_cdma.ros.common.convert import nanoseconds
+from tactile_cdma.ros.common.convert import header, nanoseconds
 from torture.load import campaign as load
 from torture.load.loaded_skin import LoadedSkin
 from torture.load.message_judge import LATE_S
@@ -122,7 +122,7 @@ def test_an_old_frame_that_is_stamped_as_a_new_one_is_found(
     assert skin.waits_for(lambda: time.monotonic() - kept_s > LATE_S + skin.digitizer.lag_s + 0.2)
     late_s = time.monotonic() - kept_s
     later_ns = nanoseconds(message.header.stamp) + round(late_s * 1e9)
-    message.header = Heading(later_ns, message.header.frame_id).message
+    message.header = header(Heading(later_ns, message.header.frame_id))
     take(message)
     assert skin.outcome("stamped as if it were new", 1).wrong_values == 1
 

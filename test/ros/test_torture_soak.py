@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.messages.cdr import Heading
 from tactile_cdma.msg import TactileArray
-from tactile_cdma.ros.common.cdr import Heading
+from tactile_cdma.ros.common import convert
 from tactile_cdma.ros.common.convert import ros_array
 from tactile_cdma.sim.options import SimOptions
 from test.support.oracle import Held, Stream
@@ -55,7 +56,7 @@ def messages() -> list[TactileArray]:
         middle_s = frame.start_s + CONFIG.spec.frame_s / 2
         made.append(
             TactileArray(
-                header=Heading(round((POWERED_S + middle_s) * 1e9), "").message,
+                header=convert.header(Heading(round((POWERED_S + middle_s) * 1e9), "")),
                 sequence=number - 7,
                 device_time_us=round(middle_s * 1e6),
                 pressure=ros_array(held.pressure_pa.astype(np.float32)),

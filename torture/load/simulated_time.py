@@ -12,7 +12,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from tactile_cdma.ros.common.cdr import Heading
+from tactile_cdma.messages.cdr import Heading
+from tactile_cdma.ros.common.convert import header
 
 from .loaded_skin import LoadedSkin
 from .message_judge import real_time_ahead_s
@@ -74,4 +75,4 @@ class SimulatedTime:
     def _run(self) -> None:
         while not self._stop.wait(TICK_S):
             now_ns = round((time.monotonic() + self._ahead_s) * 1e9)
-            self._publisher.publish(Clock(clock=Heading(now_ns, "").message.stamp))
+            self._publisher.publish(Clock(clock=header(Heading(now_ns, "")).stamp))

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.arrays import Floats
+from ...messages.cdr import Heading
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
-from ..common.cdr import Heading
 from ..common.touches import ID, STATE, Touches
 
 _MOST_TAXELS = 2**32 - 1

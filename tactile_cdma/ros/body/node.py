@@ -25,9 +25,9 @@ from visualization_msgs.msg import MarkerArray
 from tactile_cdma.msg import TactileContacts
 
 from ...base.errors import TransformError
+from ...messages.cdr import Heading
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
-from ..common.cdr import Heading
 from ..common.convert import nanoseconds, point_cloud, wrench_stamped
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered

@@ -16,10 +16,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.arrays import Floats
+from ...messages.cdr import CdrError
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
-from ..common.cdr import CdrError
 from ..common.convert import nanoseconds, rows
 from ..common.following import Following
 from ..common.qos import LATCHED

@@ -18,17 +18,17 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointField
+from std_msgs.msg import Header
 
 from tactile_cdma.msg import TactileSkinInfo
 
 from ...base.arrays import Floats
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
-from ...driver.pipeline import TactileFrame
-from ...messages.fields import array_fields, info_fields
+from ...messages.cdr import CdrWriter, Heading
+from ...messages.fields import info_fields
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
-from .cdr import CdrWriter, Heading
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
@@ -43,22 +43,10 @@ def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | arr
     return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
 
 
-def tactile_array(
-    frame: TactileFrame, layout: Layout, heading: Heading, info_id: int, with_voltage: bool
-) -> bytes:
-    """One frame as the message TactileArray, which a manipulation stack subscribes to."""
-    fields = array_fields(frame, layout, info_id, _as_bytes, with_voltage)
-    *numbers, pressure, voltage, status, noise_v = fields.values()
-    writer = CdrWriter()
-    writer.header(heading)
-    writer.add(_ARRAY.pack(*numbers, len(status)), 8)
-    writer.add(pressure)
-    writer.count(len(voltage) // 4)
-    writer.add(voltage)
-    writer.count(len(status))
-    writer.add(status)
-    writer.add(_FLOAT.pack(noise_v), 4)
-    return writer.message
+def header(heading: Heading) -> Header:
+    """A heading as rclpy's message."""
+    seconds, nanoseconds = heading.time
+    return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=heading.frame_id)
 
 
 def wrench_stamped(heading: Heading, force_n: Floats, torque_nm: Floats) -> bytes:
@@ -74,7 +62,7 @@ def skin_info(
 ) -> TactileSkinInfo:
     """What frames are read with: their source, layout, nodes, calibration, tare and drift."""
     fields = info_fields(config, source, info_id, ros_array, Point32)
-    message = TactileSkinInfo(header=heading.message, **fields)
+    message = TactileSkinInfo(header=header(heading), **fields)
     if baseline.tared:
         message.tare = by_taxel(config.layout, baseline.tare_pa)
     if baseline.drift_v.any():
@@ -128,14 +116,9 @@ def _point_fields(kind: np.dtype[np.void]) -> bytes:
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
-_ARRAY, _FLOAT = Struct("<QQIHHI"), Struct("<f")
 _WRENCH = Struct("<6d")
 _SIZE = Struct("<II")
 _STEP, _STEPS, _FIELD = Struct("<I"), Struct("<?3xII"), Struct("<IB3xI")
-
-
-def _as_bytes(values: NDArray[np.generic]) -> bytes:
-    return values.tobytes()
 
 
 def diagnostic(

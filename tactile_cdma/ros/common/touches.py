@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.arrays import Floats
-from .cdr import CdrReader, CdrWriter, Heading
+from ...messages.cdr import CdrReader, CdrWriter, Heading
 
 ID = np.dtype([("id", "<u4"), ("age", "<f4")])
 """The numbers of a TactileContact before those of STATE: id, and age in s."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...messages.cdr import Heading
 from ...readings.contact import Contacts
-from ..common.cdr import Heading
 from ..common.touches import ID, STATE, Touches
 
 

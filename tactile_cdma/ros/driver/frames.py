@@ -16,10 +16,10 @@ from ...config.parameters import Values
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
+from ...messages.cdr import Heading, tactile_array
 from ...readings.baseline import Baseline
 from ...readings.contact import ContactThresholds, ContactTracker
-from ..common.cdr import Heading
-from ..common.convert import skin_info, tactile_array, wrench_stamped
+from ..common.convert import skin_info, wrench_stamped
 from ..common.qos import LATCHED, RELIABLE
 from .contacts import contacts_message
 from .stamps import Stamps
@@ -30,7 +30,11 @@ publishing 120; and a subscriber needs longer than this to be discovered."""
 
 
 class FramePublishers:
-    """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin."""
+    """`~/tactile`, `~/contacts`, `~/wrench` and `~/info` of one skin.
+
+    latest: the newest frame, and the heading that its messages have; no heading where none was
+    published. None before the first frame.
+    """
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
         """live: the parameters' present values, kept by the node."""
@@ -43,7 +47,9 @@ class FramePublishers:
         # Without rclpy's checks, which take 25 µs after a pause of a frame.
         self._send_array = self._array.handle.publish_raw
         self._patch = node.get_fully_qualified_name()
+        self.latest: tuple[TactileFrame, Heading | None] | None = None
         self._tracker: ContactTracker | None = None
+        self._is_tracking = False
         self._info_id = 0
         self._asked: tuple[bool, ...] = (False, False, False)
         self._counted_s = -math.inf  # host time
@@ -55,6 +61,11 @@ class FramePublishers:
         self._layout = config.layout
         first_id = self._tracker.next_id if self._tracker else 1
         self._tracker = ContactTracker(config.layout, config.contact, first_id)
+        self._is_tracking = False
+
+    def stop(self) -> None:
+        """No more frames of the stream will come."""
+        self.latest = None
 
     def change(self, thresholds: ContactThresholds) -> None:
         """Find contacts by other thresholds from the next frame on."""
@@ -66,8 +77,8 @@ class FramePublishers:
         self._info_id += 1
         self._info.publish(skin_info(config, source, baseline, self._stamps.now(), self._info_id))
 
-    def publish(self, frame: TactileFrame) -> Heading | None:
-        """Publish a frame; returns the heading of its messages, or None if nothing was published.
+    def publish(self, frame: TactileFrame) -> None:
+        """Publish a frame.
 
         Runs in the driver's thread: from a decoded frame to the wire it is one publish.
         """
@@ -81,9 +92,13 @@ class FramePublishers:
             self._send_array(
                 tactile_array(frame, self._layout, heading, self._info_id, with_voltage)
             )
+        self.latest = frame, heading
         if not (wrench or contacts):
-            self._tracker.forget()
-            return heading
+            if self._is_tracking:
+                self._tracker.forget()
+                self._is_tracking = False
+            return
+        self._is_tracking = True
         found = self._tracker.update(frame.readings, frame.t_middle)
         if heading and wrench:
             self._wrench.publish(
@@ -93,7 +108,6 @@ class FramePublishers:
             self._contacts.publish(
                 contacts_message(found, self._patch, heading, frame.sequence, self._info_id)
             )
-        return heading
 
     def _asked_for(self, t_host: float) -> tuple[bool, ...]:
         """Whether anybody subscribes to array, wrench and contacts, as of COUNTED_S ago or less."""

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
 from ...base.arrays import Floats, Floats32
+from ...messages.cdr import CdrWriter, Heading
 from ...places.layout import Layout
 from ...places.mesh import CORNERS, MOST_SQUARES, taxel_squares
 from ...readings.contact import Contacts
 from ...readings.taxels import Coverage
 from ...views.heatmap import SCALE_RGB, scale_steps
-from ..common.cdr import CdrWriter, Heading
 
 SURFACE, ARROWS, TEXTS, RESULTANT, SUM, BLIND = (
     *("skin", "contacts", "forces", "resultant", "sum", "blind"),

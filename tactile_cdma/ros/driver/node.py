@@ -25,7 +25,6 @@ from ...config.skin_config import SkinConfig
 from ...driver.checkup import rivals
 from ...driver.digitizer import Origin, SourceWatch
 from ...driver.driver import NOT_YET, Driver
-from ...driver.pipeline import TactileFrame
 from ...driver.session import Session
 from ...rest.rest_file import rest_path
 from ...rest.rest_keeper import RestKeeper
@@ -69,7 +68,6 @@ class SkinNode(ManagedNode):
         self._rest: RestKeeper | None = None  # while configured; it has the configuration
         self._port: Port | None = None  # from configure on, until the driver takes it
         self._driver: Driver | None = None  # while active
-        self._latest: TactileFrame | None = None
         self._watch: SourceWatch | None = None  # of the port that was configured last
         self._heard: Info | None = None  # what _watch has taken in since activate
         self._has_rivals = False  # as last logged
@@ -79,7 +77,7 @@ class SkinNode(ManagedNode):
         self._report = SkinReport(self.get_fully_qualified_name())
         stamps = Stamps(self, self._live)
         self._frames = FramePublishers(self, self._live, stamps)
-        self._pictures = Pictures(self, self._live, stamps.at)
+        self._pictures = Pictures(self, self._live, self._frames, stamps.at)
         self._objects = ObjectsInput(self, self._live)
         self._mount = Mount(self, self._declared.offered(LATCHED, TF_STATIC))
         self._diagnostics_publisher = self.create_publisher(
@@ -170,7 +168,7 @@ class SkinNode(ManagedNode):
         config, spec = self._rest.config, self._rest.config.spec
         url, baud = self._watch.source.port, int(self._live["baud"])
         self._driver = Driver(
-            config, url, baud, self._publish_frame, self._log_problem, self._hear_source
+            config, url, baud, self._frames.publish, self._log_problem, self._hear_source
         )
         begun = "opened" if self._port else "connecting to"
         self.get_logger().info(
@@ -230,7 +228,7 @@ class SkinNode(ManagedNode):
             self._rest.deactivate()
             self._driver = None
         self._pictures.stop()
-        self._latest = None
+        self._frames.stop()
 
     def _release(self) -> None:
         self._start_timer.cancel()
@@ -257,11 +255,6 @@ class SkinNode(ManagedNode):
             return  # _hear_source makes up for it
         self._frames.publish_info(self._rest.config, self._watch.source, self._rest.baseline)
 
-    def _publish_frame(self, frame: TactileFrame) -> None:
-        """In the driver's thread."""
-        self._latest = frame
-        self._pictures.take(frame, self._frames.publish(frame))
-
     def _hear_source(self, info: Info) -> None:
         """The digitizer has described itself: who it is goes ahead of its frames.
 
@@ -287,8 +280,9 @@ class SkinNode(ManagedNode):
                 text = rivals(drivers) if self._has_rivals else "no other driver has this name now"
                 self.get_logger().warning(text)
             assert self._watch is not None
+            latest = self._frames.latest
             entries = self._report.of(
-                self._driver, self._watch, self._latest, self._rest.tared, drivers
+                self._driver, self._watch, latest and latest[0], self._rest.tared, drivers
             )
             self._rest.tick()
         header = Header(stamp=self.get_clock().now().to_msg())

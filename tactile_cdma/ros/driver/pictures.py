@@ -16,12 +16,13 @@ from visualization_msgs.msg import MarkerArray
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
+from ...messages.cdr import Heading
 from ...readings.contact import ContactTracker
 from ...views.cloud import POINT, Cloud
 from ...views.heatmap import heatmap, pressure_raster
-from ..common.cdr import Heading
 from ..common.convert import image, point_cloud
 from ..common.qos import PICTURE
+from .frames import FramePublishers
 from .markers import SkinMarkers
 
 TOPICS = {
@@ -47,16 +48,19 @@ class Pictures:
     """
 
     def __init__(
-        self, node: LifecycleNode, live: Values, heading_at: Callable[[float], Heading]
+        self,
+        node: LifecycleNode,
+        live: Values,
+        frames: FramePublishers,
+        heading_at: Callable[[float], Heading],
     ) -> None:
         """live: the parameters' present values, kept by the node. heading_at: host time, s."""
-        self._live, self._heading_at = live, heading_at
+        self._live, self._frames, self._heading_at = live, frames, heading_at
         self._publishers = {
             name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
             for name, kind in TOPICS.items()
         }
         self._drawings: Drawings | None = None
-        self._latest: tuple[TactileFrame, Heading | None] | None = None
         self._drawn: TactileFrame | None = None
         self._published: dict[str, bytes] = {}  # the last message of each topic
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -74,14 +78,7 @@ class Pictures:
     def stop(self) -> None:
         """Draw nothing more of the stream."""
         self._timer.cancel()
-        self._drawings = self._latest = self._drawn = None
-
-    def take(self, frame: TactileFrame, heading: Heading | None) -> None:
-        """Keep the newest frame; in the driver's thread, which this must not hold up.
-
-        heading: of the frame's other messages, so that all have the same stamp; None: none yet.
-        """
-        self._latest = frame, heading
+        self._drawings = self._drawn = None
 
     def change(self, values: Values) -> None:
         """Use other values of parameters; all of them, and they fit each other."""
@@ -103,9 +100,10 @@ class Pictures:
             self._turn_every(period_s)
 
     def _draw(self, topics: list[str]) -> None:
-        if self._latest is None or self._drawings is None or self._latest[0] is self._drawn:
+        latest = self._frames.latest  # with the heading of the frame's other messages
+        if latest is None or self._drawings is None or latest[0] is self._drawn:
             return
-        frame, heading = self._latest
+        frame, heading = latest
         self._drawn = frame
         heading = heading or self._heading_at(frame.t_host)
         for topic in topics:

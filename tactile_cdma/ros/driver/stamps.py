@@ -10,7 +10,7 @@ from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.node import Node
 
 from ...config.parameters import Values
-from ..common.cdr import Heading
+from ...messages.cdr import Heading
 
 STAMP_JITTER_NS = 1_000_000
 """A stamp that is earlier than the last by less is moved behind it; by more, ROS time stepped back.

@@ -4,7 +4,8 @@
 
 rclpy makes and takes apart an object for every number in a message's messages: 40 µs for a contact,
 20 µs for a square of markers. What is published often is therefore written as bytes, which
-publishers take as well: plain CDR, little-endian (OMG DDS-XTypes 1.3, 7.4), the same as rclpy's.
+publishers take as well, and bags: plain CDR, little-endian (OMG DDS-XTypes 1.3, 7.4), the same as
+rclpy's.
 """
 
 from __future__ import annotations
@@ -14,15 +15,17 @@ from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
-from std_msgs.msg import Header
+
+from ..driver.pipeline import TactileFrame
+from ..places.layout import Layout
 
 ENCAPSULATION = b"\0\1\0\0"
 """Begins a message: plain CDR, little-endian, no options. Places are counted from behind it."""
 PADDING = [bytes(count) for count in range(8)]
 """Zeros to the next multiple of an alignment, by their number."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
+_ARRAY, _FLOAT = Struct("<QQIHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
 
 
@@ -39,17 +42,11 @@ class Heading(NamedTuple):
     @property
     def fields(self) -> bytes:
         """It as fields of a message; they begin at a multiple of 4."""
-        return _STAMP.pack(*self._time) + _string(self.frame_id)
+        return _STAMP.pack(*self.time) + _string(self.frame_id)
 
     @property
-    def message(self) -> Header:
-        """It as rclpy's message."""
-        seconds, nanoseconds = self._time
-        return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=self.frame_id)
-
-    @property
-    def _time(self) -> tuple[int, int]:
-        """Seconds and nanoseconds."""
+    def time(self) -> tuple[int, int]:
+        """Seconds and nanoseconds, of the last time that a message can have if it is later."""
         return divmod(min(self.stamp_ns, _LAST_NS), 1_000_000_000)
 
 
@@ -101,6 +98,24 @@ class CdrWriter:
     def header(self, heading: Heading) -> None:
         """Write a header."""
         self.add(heading.fields, 4)
+
+
+def tactile_array(
+    frame: TactileFrame, layout: Layout, heading: Heading, info_id: int, with_voltage: bool
+) -> bytes:
+    """One frame as the message TactileArray, which a manipulation stack subscribes to."""
+    readings, writer = frame.readings, CdrWriter()
+    writer.header(heading)
+    device_time_us = max(0, round(frame.t_middle * 1e6))
+    size, count = (layout.rows, layout.columns), len(readings.status)
+    writer.add(_ARRAY.pack(frame.sequence, device_time_us, info_id, *size, count), 8)
+    writer.add(readings.pressure_pa.tobytes())
+    writer.count(count if with_voltage else 0)
+    writer.add(readings.voltage_v.tobytes() if with_voltage else b"")
+    writer.count(count)
+    writer.add(readings.status.tobytes())
+    writer.add(_FLOAT.pack(frame.words.noise_rms_v), 4)
+    return writer.message
 
 
 class CdrReader:
