@@ -248,75 +248,15 @@ class Code:
         sums: (m + 1,) of the first 0 to m volts. scratch: of any size, if that is enough.
         """
 
-    def weigh(
-        self,
-        limits: NDArray[np.void],
-        volts: NDArray[np.float64],
-        sums: NDArray[np.float64],
-        start: NDArray[np.float64],
-        chip: NDArray[np.float64],
-        begin: float,
-        end: float,
-        noise: float,
-        likely: int,
-        margin: float,
-        distortion: float,
-        variance: float,
-        rows: NDArray[np.float32],
-        amplitude: NDArray[np.float32],
-        uneven: NDArray[np.float32],
-        pedestal: NDArray[np.float32],
-        power: NDArray[np.float32],
-        spread: NDArray[np.float32],
-        misfit: NDArray[np.float32],
-        cost: NDArray[np.float64],
-        scratch: NDArray[np.float32],
-        /,
-    ) -> tuple[float, float, int]:
-        """As weigh in framing/judge.py, into the arrays from rows on; likely: c for none.
+    def weigh(self, *given: Any) -> tuple[float, float, int]:
+        """As weigh in framing/judge.py, into the arrays from rows on; see kernel/module_frames.c.
 
-        distortion, variance: by which to vote; 0 for what the line gives. Returns these, and the
-        chips of the longest view.
+        Returns distortion and variance by which chips voted, and the chips of the longest view.
         """
 
-    def look(
-        self,
-        search: NDArray[np.void],
-        limits: NDArray[np.void],
-        rules: NDArray[np.void],
-        reaches: NDArray[np.float64],
-        volts: NDArray[np.float64],
-        least_power: float,
-        level: float,
-        variance: float,
-        start: float,
-        scatter: float,
-        chip: float,
-        slips: float,
-        rows: NDArray[np.float32],
-        amplitude: NDArray[np.float32],
-        uneven: NDArray[np.float32],
-        pedestal: NDArray[np.float32],
-        power: NDArray[np.float32],
-        spread: NDArray[np.float32],
-        misfit: NDArray[np.float32],
-        values: NDArray[np.float64],
-        scratch: NDArray[np.float32],
-        /,
-    ) -> (
-        tuple[
-            int,
-            tuple[float, float, int],
-            tuple[float, float, float, float, float, float],
-            float,
-            tuple[float, float],
-            bool,
-            tuple[float, float, bool],
-        ]
-        | None
-    ):
-        """What GapSearch.look in framing/gap.py makes a Look of; the words into the arrays.
+    def look(self, *given: Any) -> tuple[Any, ...] | None:
+        """What GapSearch.look in framing/gap.py makes a Look of; see kernel/module_frames.c.
 
-        Returns what there is, gap, burst, proven, fit, unaided and beside. chip: 0 where no frame
-        is expected. None where there are too few samples for a gap.
+        Returns what there is, gap, burst, proven, fit, unaided and beside, and the words in the
+        arrays. None where there are too few samples for a gap.
         """

@@ -22,6 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .base.arrays import Bools, Floats32, Int32s
 from .base.errors import ParameterError, PortError, RecordingEndError, RestError
 from .config.parameters import BY_NAME, REPLAY, Value, Values, check_values, read_file
 from .config.skin_config import SkinConfig
@@ -65,14 +66,14 @@ class Frame:
     sequence: int
     t_host: float
     t_device: float
-    pressure_pa: NDArray[np.float32]
-    voltage_v: NDArray[np.float32]
+    pressure_pa: Floats32
+    voltage_v: Floats32
     status: NDArray[np.uint8]
-    positions_m: NDArray[np.float32]
-    nodes: NDArray[np.int32]
-    active: NDArray[np.bool_]
-    codes: NDArray[np.int32]
-    doubtful: NDArray[np.bool_]
+    positions_m: Floats32
+    nodes: Int32s
+    active: Bools
+    codes: Int32s
+    doubtful: Bools
     noise_rms_v: float
 
 
@@ -216,7 +217,7 @@ class Skin:
         self._running().press(objects, frames=1)
         return self.read()
 
-    def tare(self, force: bool = False) -> NDArray[np.float32]:
+    def tare(self, force: bool = False) -> Floats32:
         """Take the present reading as zero until the skin is closed.
 
         Returns the pressure taken off, (t,) float32, Pa. force: even under load. The next frame

@@ -23,7 +23,7 @@ from ..readings.dynamics import Compensator
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
-_FRAME_PARAMETERS = (
+FRAME_PARAMETERS = (
     *("nodes", "bits", "parity", "order", "first_row", "resync_chips", "guard_chips"),
     *("drive", "polarity", "scramble"),
 )
@@ -63,7 +63,7 @@ class SkinConfig:
             frame_period_s=get["frame_period_ms"] * 1e-3,
             sign_seed=None if get["sign_seed"] == NATURAL_SIGNS else get["sign_seed"],
             amplitude_v=get["amplitude_mv"] * 1e-3 or None,
-            **{name: get[name] for name in _FRAME_PARAMETERS},
+            **{name: get[name] for name in FRAME_PARAMETERS},
         )
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])

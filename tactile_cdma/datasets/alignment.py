@@ -17,7 +17,7 @@ from itertools import count
 from statistics import median
 
 from .episodes import Episode
-from .samples import ACTION, NANO, Sample, SampleStream, SkinFrame, Value
+from .samples import NANO, Kind, Sample, SampleStream, SkinFrame, Value
 from .touch import Touch, TouchStream
 
 WAIT_S = 2.0
@@ -83,7 +83,7 @@ class Aligner:
         clock: str | None = None,
     ) -> None:
         self._touch, self._episodes = touch, episodes
-        self._commands = {key for key, stream in streams.items() if stream.kind == ACTION}
+        self._commands = {key for key, stream in streams.items() if stream.kind == Kind.ACTION}
         self._clock, self._fps = clock, fps
         self._grid: Iterator[Tick] = iter(())
         self._ticks: deque[Tick] = deque()

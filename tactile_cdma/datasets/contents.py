@@ -9,6 +9,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,11 @@ from numpy.typing import NDArray
 from ..base.errors import CaptureError, TactileError
 from ..base.named_file import naming
 from .arrow import pyarrow
+from .episodes import samples_of
 from .lerobot import ABOUT, INFO
 from .lerobot.features import TIME
 from .parquet_table import METADATA
-from .progress import Progress, fraction
+from .progress import Progress
 from .samples import NANO, SkinFrame, patches_of
 from .sources.opening import Wanted, is_bag, open_source
 from .survey import FrameSurvey
@@ -84,8 +86,7 @@ def _bag(path: Path, progress: Progress) -> Lines:
         rate = f", {(number - 1) / length_s:.2f} Hz" if length_s > 0 and number > 1 else ""
         yield topic, f"{kind}, {_counted(number, 'message')}{rate}"
     surveys = {stream.key: FrameSurvey() for stream in patches_of(source)}
-    for sample in source.samples(None, None):
-        progress.at(fraction(sample.seen_ns, source.begin_ns, source.end_ns), path.name)
+    for sample in samples_of(source, (), progress):
         if isinstance(sample.value, SkinFrame):
             surveys[sample.stream].take(sample.value)
     for stream in patches_of(source):
@@ -99,19 +100,17 @@ def _bag(path: Path, progress: Progress) -> Lines:
 
 
 def _npz(path: Path) -> Lines:
-    try:
+    survey = FrameSurvey()
+    with _undamaged(path, "a table of tactile-cdma"):
         with naming(path, CaptureError), np.load(path, allow_pickle=False) as table:
             about = json.loads(str(table["about"]))
             rows, columns = (int(number) for number in table["shape"])
         yield "table", f"NPZ, {rows} × {columns} taxels"
         yield from source_lines(about)
-        survey = FrameSurvey()
         with zipfile.ZipFile(path) as archive:
             names = [*_USED, *([_EPISODE] if f"{_EPISODE}.npy" in archive.namelist() else [])]
             for values in zip(*(_rows_of(archive, name) for name in names), strict=True):
                 _survey_row(survey, dict(zip(names, values, strict=True)))
-    except _DAMAGE as error:
-        raise CaptureError(f"{path}: not a table of tactile-cdma, or damaged: {error!r}") from None
     yield from survey.lines()
 
 
@@ -133,24 +132,33 @@ def _rows_of(archive: zipfile.ZipFile, name: str) -> Iterator[Any]:
 def _parquet(path: Path) -> Lines:
     library = pyarrow()
     survey = FrameSurvey()
-    try:
-        with naming(path, CaptureError), library.parquet.ParquetFile(path) as file:
-            metadata = json.loads((file.schema_arrow.metadata or {}).get(METADATA, "{}"))
-            if not {"about", "shape"} <= metadata.keys():
-                raise CaptureError(f"{path}: Parquet, but not made by tactile-cdma export")
-            rows, columns = metadata["shape"]
-            yield "table", f"Parquet, {rows} × {columns} taxels"
-            yield from source_lines(metadata["about"])
-            names = [*_USED, *([_EPISODE] if _EPISODE in file.schema_arrow.names else [])]
-            for batch in file.iter_batches(_READ_ROWS, columns=names):
-                found = {name: _flat(batch.column(name)) for name in names}
-                for name in _PER_TAXEL:
-                    found[name] = found[name].reshape(batch.num_rows, -1)
-                for i in range(batch.num_rows):
-                    _survey_row(survey, {name: values[i] for name, values in found.items()})
-    except (*_DAMAGE, library.ArrowException) as error:
-        raise CaptureError(f"{path}: not a table of tactile-cdma, or damaged: {error!r}") from None
+    foreign = _undamaged(path, "a table of tactile-cdma", library.ArrowException)
+    with foreign, naming(path, CaptureError), library.parquet.ParquetFile(path) as file:
+        metadata = json.loads((file.schema_arrow.metadata or {}).get(METADATA, "{}"))
+        if not {"about", "shape"} <= metadata.keys():
+            raise CaptureError(f"{path}: Parquet, but not made by tactile-cdma export")
+        rows, columns = metadata["shape"]
+        yield "table", f"Parquet, {rows} × {columns} taxels"
+        yield from source_lines(metadata["about"])
+        names = [*_USED, *([_EPISODE] if _EPISODE in file.schema_arrow.names else [])]
+        for batch in file.iter_batches(_READ_ROWS, columns=names):
+            found = {name: _flat(batch.column(name)) for name in names}
+            for name in _PER_TAXEL:
+                found[name] = found[name].reshape(batch.num_rows, -1)
+            for i in range(batch.num_rows):
+                _survey_row(survey, {name: values[i] for name, values in found.items()})
     yield from survey.lines()
+
+
+@contextmanager
+def _undamaged(path: Path, kind: str, *more: type[Exception]) -> Iterator[None]:
+    """Turns what a damaged or foreign file raises, _DAMAGE and some more, into CaptureError."""
+    try:
+        yield
+    except TactileError:
+        raise
+    except (*_DAMAGE, *more) as error:  # type: ignore[misc]
+        raise CaptureError(f"{path}: not {kind}, or damaged: {error!r}") from None
 
 
 def _survey_row(survey: FrameSurvey, row: Mapping[str, Any]) -> None:
@@ -168,7 +176,7 @@ def _survey_row(survey: FrameSurvey, row: Mapping[str, Any]) -> None:
 
 def _lerobot(path: Path) -> Lines:
     library = pyarrow()
-    try:
+    with _undamaged(path, "a dataset of LeRobot v3", library.ArrowException, OSError):
         info = json.loads((path / INFO).read_text("utf-8"))
         ours = path / ABOUT
         about = json.loads(ours.read_text("utf-8")) if ours.is_file() else {}
@@ -186,10 +194,6 @@ def _lerobot(path: Path) -> Lines:
             yield "patch", f"{patch['patch']} of {patch['file']}"
             yield from source_lines(patch)
         yield from _lerobot_data(path, features, fps, frames)
-    except TactileError:
-        raise
-    except (*_DAMAGE, library.ArrowException, OSError) as error:
-        raise CaptureError(f"{path}: not a dataset of LeRobot v3, or damaged: {error!r}") from None
 
 
 def _lerobot_data(path: Path, features: Mapping[str, Any], fps: float, frames: int) -> Lines:

@@ -4,19 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from ..base.errors import CaptureError, ParameterError
-from .samples import NANO, SampleSource
+from .progress import Progress, fraction
+from .samples import NANO, Sample, SampleSource
 
 EMPTY = "std_msgs/msg/Empty"
 MARKS = ("std_msgs/msg/Bool", "std_msgs/msg/String", EMPTY)
 """Types of topics that mark episodes."""
 FOREVER_NS = 1 << 62
 """An end that is not known yet."""
+LATENESS_NS = NANO
+"""Messages are read for so long after an episode's end, as they are recorded after their stamp;
+chosen, far above what that takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,21 @@ def find_episodes(
     if not (kept := [one for one in cut if one.begin_ns < one.end_ns]):
         raise CaptureError(f"{source.path}: no episode" + (f" in {marks}" if marks else ""))
     return kept
+
+
+def samples_of(
+    source: SampleSource, episodes: Sequence[Episode], progress: Progress
+) -> Iterator[Sample]:
+    """A file's samples up to the end of its last episode; without episodes, all.
+
+    From the file's beginning on: what is held in an episode may be known from before it.
+    """
+    end_ns = episodes[-1].end_ns if episodes else FOREVER_NS
+    for sample in source.samples(None, end_ns + LATENESS_NS if end_ns < FOREVER_NS else None):
+        passed_s = (sample.seen_ns - source.begin_ns) / NANO
+        text = f"{source.path.name}: {passed_s:.0f} s" if source.begin_ns else source.path.name
+        progress.at(fraction(sample.seen_ns, source.begin_ns, source.end_ns), text)
+        yield sample
 
 
 def _marked(marks: list[tuple[int, Any]], topic: str, task: str, end_ns: int) -> list[Episode]:

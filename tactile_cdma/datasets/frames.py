@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from .episodes import FOREVER_NS, Episode
-from .progress import Progress, fraction
+from .episodes import Episode, samples_of
+from .progress import Progress
 from .samples import (
     NANO,
     Completeness,
@@ -21,10 +21,6 @@ from .samples import (
     missing_between,
     patches_of,
 )
-
-LATENESS_NS = NANO
-"""Messages are read for so long after an episode's end, as they are recorded after their stamp;
-chosen, far above what that takes."""
 
 
 class PatchFrames:
@@ -76,15 +72,10 @@ class PatchFrames:
         """Frames of one file; before: number of its first episode."""
         seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp
         restarts, restarts_ns = 0, 0
-        last_ns = episodes[-1].end_ns
-        until_ns = last_ns + LATENESS_NS if last_ns < FOREVER_NS else None
-        for sample in source.samples(None, until_ns):
+        for sample in samples_of(source, episodes, self._progress):
             frame = sample.value
             if sample.stream != key or not isinstance(frame, SkinFrame):
                 continue
-            self._progress.at(
-                fraction(sample.seen_ns, source.begin_ns, source.end_ns), source.path.name
-            )
             if self._from_first_complete and not seen.is_complete:
                 seen.take(frame)
                 if not seen.is_complete:

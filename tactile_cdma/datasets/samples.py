@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
@@ -25,11 +26,17 @@ NANO = 1_000_000_000
 MOST_SHOWN = 8
 """Taxels, or names, that a message lists; chosen."""
 _ALONE = "export them one by one"
-TACTILE, CONTACTS, WRENCH, STATE, ACTION, IMAGE = (
-    *("tactile", "contacts", "wrench"),
-    *("state", "action", "image"),
-)
-"""Kinds of streams."""
+
+
+class Kind(StrEnum):
+    """What a stream holds."""
+
+    TACTILE = "tactile"
+    CONTACTS = "contacts"
+    WRENCH = "wrench"
+    STATE = "state"
+    ACTION = "action"
+    IMAGE = "image"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,12 +110,12 @@ class Sample:
 class SampleStream:
     """What is the same in all samples of a stream.
 
-    key: its name, unique. kind: TACTILE … IMAGE. feature: name for datasets, [a-z0-9_].
+    key: its name, unique. feature: name for datasets, [a-z0-9_].
     shape: of one sample; of images height, width, 3. names: of a vector's elements.
     """
 
     key: str
-    kind: str
+    kind: Kind
     feature: str
     shape: tuple[int, ...]
     names: tuple[str, ...] = ()
@@ -152,7 +159,7 @@ class SampleSource(Protocol):
 
 def patches_of(source: SampleSource) -> list[SampleStream]:
     """The source's skin patches, in order."""
-    return [stream for stream in source.streams.values() if stream.kind == TACTILE]
+    return [stream for stream in source.streams.values() if stream.kind == Kind.TACTILE]
 
 
 def feature_name(text: str) -> str:
@@ -174,7 +181,6 @@ class Completeness:
         self.is_complete = False
 
     def take(self, frame: SkinFrame) -> None:
-        """Take in the next frame."""
         if self.is_complete:
             return
         known = np.isfinite(frame.pressure_pa)

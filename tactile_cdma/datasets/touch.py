@@ -80,7 +80,6 @@ class TouchStream:
         self._interval: deque[_Sample] = deque()
 
     def take(self, stamp_ns: int, frame: SkinFrame) -> None:
-        """Take in the next frame."""
         pressure, known = frame.pressure_pa, np.isfinite(frame.pressure_pa)
         self._held = np.where(known, pressure, self._held)
         self._wanted = is_in_service(frame.status)

@@ -104,10 +104,11 @@ class GapSearch(BurstSearch):
         size = 2 * volts.size + 1 + 3 * (volts.size // self.half + 1)
         if self._values.size < size:
             self._values = np.empty(2 * size)
-            candidate = spec.chips + 2 * spec.nodes + 4 + (spec.line_bits // 2 + 1) * spec.order
+            part = (spec.line_bits // 2 + 1) * spec.order
+            each = spec.chips + 2 * spec.nodes + 4 + spec.span_chips + _MOST_CARRIED + part
             beside = 4 * (self.gap_size // self.half + 1)
-            others = 3 * (spec.chips + spec.span_chips + spec.nodes + _MOST_CARRIED)
-            self._scratch = np.empty(_MOST_CARRIED * candidate + others + beside, np.float32)
+            most = (_MOST_CARRIED + 2) * each + spec.chips + beside
+            self._scratch = np.empty(most, np.float32)
         place = (0.0, 0.0, 0.0, 0.0)
         if expected is not None and self.is_sure(expected):
             place = expected.start, expected.scatter, expected.chip, expected.slips

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats, Floats32
 from ..base.errors import CaptureError
 from ..base.named_file import naming, open_named, read_named
 from .container import RecordingParser
@@ -38,7 +38,7 @@ class ScopeCapture:
     rate_hz: sampling rate. notes: what was wrong with the file, one sentence each.
     """
 
-    pieces: tuple[tuple[float, NDArray[np.float32]], ...]
+    pieces: tuple[tuple[float, Floats32], ...]
     rate_hz: float
     notes: tuple[str, ...]
 
@@ -141,9 +141,7 @@ def _numbers(line: str, delimiter: str | None) -> bool:
         return False
 
 
-def _pieces(
-    path: Path, time_s: NDArray[np.float64], volts: NDArray[np.float64], header: int
-) -> ScopeCapture:
+def _pieces(path: Path, time_s: Floats, volts: Floats, header: int) -> ScopeCapture:
     notes = []
     good = np.isfinite(time_s) & np.isfinite(volts) & (np.abs(volts) < _INVALID_V)
     lines = np.flatnonzero(good) + header + 1

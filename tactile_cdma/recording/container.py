@@ -136,7 +136,6 @@ class RecordingEncoder:
         return encoded
 
     def end(self, t_host: float) -> bytes:
-        """The last bytes."""
         self._tick(t_host)
         content = {
             "description": _description_content(self._description),

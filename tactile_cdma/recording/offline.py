@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..base.errors import CaptureError
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
-from ..config.skin_config import SkinConfig
+from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.gap_timing import GapTiming
@@ -67,34 +67,13 @@ def parameters_of(info: Info) -> dict[str, Value]:
     """The frame layout that a digitizer describes, as parameters."""
     spec = info.frame.spec()
     return {
-        "nodes": spec.nodes,
-        "bits": spec.bits,
-        "order": spec.order,
+        **{name: getattr(spec, name) for name in FRAME_PARAMETERS},
         "chip_us": spec.chip_s * 1e6,
         "frame_period_ms": spec.frame_period_s * 1e3,
-        "first_row": spec.first_row,
         "sign_seed": NATURAL_SIGNS if spec.sign_seed is None else spec.sign_seed,
-        "drive": spec.drive,
-        "polarity": spec.polarity,
         "timing": GAP if info.sync_mode == SyncMode.NONE else LINE,
         "samples_per_chip": info.frame.samples_per_chip,
-        "parity": spec.parity,
-        "scramble": spec.scramble,
-        "resync_chips": spec.resync_chips,
-        "guard_chips": spec.guard_chips,
     }
-
-
-def offline_values(path: Path, asked: dict[str, Value]) -> dict[str, Value]:
-    """The parameters to decode a raw capture with; what they leave open takes its default.
-
-    What is asked for overrides what the digitizer described, and that overrides what the recording
-    says was asked of it. The amplitude is learnt unless it is given.
-    Raises CaptureError where the capture holds no description.
-    """
-    learnt: dict[str, Value] = {"amplitude_mv": 0.0}
-    recorded = describe(path).parameters if is_recording(path) else {}
-    return {**learnt, **recorded, **described_parameters(path), **asked}
 
 
 def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
@@ -112,8 +91,15 @@ class RawCapture:
     """
 
     def __init__(self, path: Path, asked: dict[str, Value]) -> None:
-        """asked: parameters that override those of the file."""
-        self.path, self.values = path, offline_values(path, asked)
+        """asked: parameters that override what the digitizer described.
+
+        That overrides what the recording says was asked of it. The amplitude is learnt unless it is
+        given.
+        """
+        recorded = describe(path).parameters if is_recording(path) else {}
+        described = described_parameters(path)
+        self.path = path
+        self.values: dict[str, Value] = {"amplitude_mv": 0.0, **recorded, **described, **asked}
         self.config = SkinConfig.of(self.values)
         self.pipeline = Pipeline(self.config, background=False)
 
@@ -125,11 +111,9 @@ class RawCapture:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is wrong with the file, one sentence each."""
         return capture_notes(self.path)
 
     def frames(self) -> Iterator[TactileFrame]:
-        """All frames, once."""
         return raw_frames(self.path, self.pipeline)
 
     def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:

@@ -72,7 +72,6 @@ class Recorder:
             self._put(self._encoder.chunk(data, t_host))
 
     def close(self) -> None:
-        """End the recording."""
         with self._file:
             self._put(self._encoder.end(time.monotonic()))
 

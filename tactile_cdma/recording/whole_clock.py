@@ -14,17 +14,14 @@ from bisect import bisect
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..config.skin_config import SkinConfig
 from ..driver.clock import RECENT, SURE_INTERVALS, DeviceClock, line_below
 from ..driver.pipeline import Pipeline
 
 SPACING_S = 0.25
-"""Device time per kept arrival, s, at first; as of DeviceClock."""
-MOST_ARRIVALS = 1 << 16
-"""Kept per clock: when there are more, one of every two is kept. Chosen: 4.5 h at SPACING_S, 1 MB;
-a day is kept at 2 s."""
+"""Device time per kept arrival, s; as of DeviceClock. A day takes 5.5 MB."""
 REACH = 60
 """Arrivals before and after a knot that place it. Chosen, 15 s either way: long enough for a prompt
 packet among late ones, short enough for a crystal that warms up (tested at 2 ppm in 10 min)."""
@@ -65,7 +62,7 @@ class _ObservedClock(DeviceClock):
     def __init__(self) -> None:
         super().__init__()
         self._x_s, self._y_s = array("d"), array("d")  # device and host times
-        self._spacing_s, self._place = SPACING_S, -1
+        self._place = -1
 
     @property
     def arrivals(self) -> int:
@@ -73,13 +70,11 @@ class _ObservedClock(DeviceClock):
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
         super().observe(t_device, t_host, backlog)
-        place = int(t_device // self._spacing_s)
+        place = int(t_device // SPACING_S)
         if place != self._place or not self._x_s:
             self._place = place
             self._x_s.append(t_device)
             self._y_s.append(t_host)
-            if len(self._x_s) > MOST_ARRIVALS:
-                self._thin_out()
         elif t_host - t_device < self._y_s[-1] - self._x_s[-1]:
             self._x_s[-1], self._y_s[-1] = t_device, t_host
 
@@ -100,18 +95,6 @@ class _ObservedClock(DeviceClock):
             hosts.append(float(y[place]) + offset_s)
         return x[places].tolist(), hosts
 
-    def _thin_out(self) -> None:
-        """Keep the earlier of every two arrivals, by how late they were."""
-        x, y = (
-            np.array(values[:MOST_ARRIVALS]).reshape(-1, 2) for values in (self._x_s, self._y_s)
-        )
-        rows, second = np.arange(len(x)), ((y - x)[:, 1] < (y - x)[:, 0]).astype(int)
-        newest = self._x_s[MOST_ARRIVALS:], self._y_s[MOST_ARRIVALS:]
-        self._x_s, self._y_s = array("d", x[rows, second]), array("d", y[rows, second])
-        self._x_s.extend(newest[0])
-        self._y_s.extend(newest[1])
-        self._spacing_s *= 2
-
 
 class _FittedClock(DeviceClock):
     """Learns as any clock, by which the timeline tells restarts, and stamps by knots."""
@@ -129,7 +112,7 @@ class _FittedClock(DeviceClock):
         return y_s[i] + (t_device - x_s[i]) * rate
 
 
-def _keeps_real_time(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
+def _keeps_real_time(x: Floats, y: Floats) -> bool:
     """Whether arrivals half of the stream apart are as far apart on both clocks, mostly.
 
     They are not where a simulation or a replay runs faster or slower than real time.

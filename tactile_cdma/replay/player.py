@@ -48,7 +48,6 @@ class Player:
 
     @property
     def pending(self) -> int:
-        """Bytes that can be taken."""
         return len(self._due)
 
     @property
@@ -77,7 +76,6 @@ class Player:
         return math.inf if self.ended else 0.0
 
     def take(self, size: int) -> bytes:
-        """At most so many of the pending bytes."""
         data = bytes(self._due[:size])
         del self._due[:size]
         return data

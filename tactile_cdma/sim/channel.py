@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.arrays import Bools, Counts, Floats, Floats32
 from ..clocks.node_clocks import NodeClocks
 from ..code.encode import frame_levels, line_chips
 from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
@@ -51,7 +52,8 @@ class Channel:
         peak = float(spec.nodes)
         if spec.sign_seed is not None and spec.drive != UNIPOLAR:
             peak = min(peak, 8.0 * math.sqrt(peak))
-        return 1.1 * peak * _amplitude_v(spec) + 6.0 * self.noise_rms_v
+        amplitude_v = DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v
+        return 1.1 * peak * amplitude_v + 6.0 * self.noise_rms_v
 
     def volts_per_count(self, spec: FrameSpec) -> float:
         """One count of the digitized line, V, rounded to a float32 as on the wire."""
@@ -64,15 +66,13 @@ class Channel:
 
     @property
     def min_count(self) -> int:
-        """Lowest reading of the converter."""
         return -(1 << (self.adc_bits - 1))
 
     @property
     def max_count(self) -> int:
-        """Highest reading of the converter."""
         return (1 << (self.adc_bits - 1)) - 1
 
-    def edges(self, spec: FrameSpec, rng: np.random.Generator) -> NDArray[np.float64]:
+    def edges(self, spec: FrameSpec, rng: np.random.Generator) -> Floats:
         """Start of every chip, and the last one's end: (span_chips + 1,), s from the start."""
         chip_s = spec.chip_s * (1.0 + self.stretch * rng.random())
         edges = np.arange(spec.span_chips + 1, dtype=np.float64)
@@ -81,12 +81,8 @@ class Channel:
         return edges * chip_s
 
     def digitize(
-        self,
-        volts: NDArray[np.float32],
-        spec: FrameSpec,
-        rng: np.random.Generator,
-        averaged: int = 1,
-    ) -> NDArray[np.int16]:
+        self, volts: Floats32, spec: FrameSpec, rng: np.random.Generator, averaged: int = 1
+    ) -> Counts:
         """Amplify and convert: noise, rails, offset, quantisation. (m,) V to (m,) counts.
 
         averaged: samples that one value is the mean of.
@@ -97,12 +93,10 @@ class Channel:
         rail_v = self.rail_of(spec)
         line_v = np.minimum(np.maximum(volts, -rail_v), rail_v) + np.float32(self.offset_v)
         counts = np.rint(line_v / np.float32(self.volts_per_count(spec))) + self.zero_count(spec)
-        in_range: NDArray[np.float32] = np.minimum(
-            np.maximum(counts, self.min_count), self.max_count
-        )
+        in_range: Floats32 = np.clip(counts, self.min_count, self.max_count)
         return in_range.astype(np.int16)
 
-    def volts(self, counts: NDArray[np.int16], spec: FrameSpec) -> NDArray[np.float32]:
+    def volts(self, counts: Counts, spec: FrameSpec) -> Floats32:
         """Counts (m,) in V, (m,) float32."""
         # int16 minus int16 needs 17 bits: widen before subtracting.
         volts = (counts.astype(np.int32) - self.zero_count(spec)) * self.volts_per_count(spec)
@@ -112,10 +106,10 @@ class Channel:
 def waveforms(
     spec: FrameSpec,
     codes: NDArray[np.int64],
-    active: NDArray[np.bool_],
-    edges_s: NDArray[np.float64],
+    active: Bools,
+    edges_s: Floats,
     clocks: NodeClocks | None = None,
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
+) -> Iterator[tuple[Floats32, Floats]]:
     """Waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
 
     codes, active: (n,). edges_s: (span_chips + 1,) where a nominal clock puts them. Without
@@ -137,12 +131,8 @@ def waveforms(
 
 
 def point_samples(
-    levels: NDArray[np.float32],
-    edges_s: NDArray[np.float64],
-    rate_hz: float,
-    first: int,
-    stop: int,
-) -> NDArray[np.float32]:
+    levels: Floats32, edges_s: Floats, rate_hz: float, first: int, stop: int
+) -> Floats32:
     """The line as a converter samples it at instants, (stop − first,) float32, V.
 
     levels: (c,) V; edges_s: (c + 1,) s on the stream's clock. Sample i is taken in the middle of
@@ -157,9 +147,7 @@ def point_samples(
     return np.repeat(heights, begins[1:] - begins[:-1])
 
 
-def chip_means(
-    levels: NDArray[np.float32], edges_s: NDArray[np.float64], chip_s: float
-) -> NDArray[np.float32]:
+def chip_means(levels: Floats32, edges_s: Floats, chip_s: float) -> Floats32:
     """Mean of the line over every nominal chip of a frame, (c,) float32, V.
 
     levels: (c,) V; edges_s: (c + 1,) s after the frame's start. This is what a digitizer
@@ -167,15 +155,11 @@ def chip_means(
     """
     integral = np.concatenate(([0.0], np.cumsum(levels * np.diff(edges_s))))
     windows = np.arange(len(levels) + 1) * chip_s
-    means: NDArray[np.float64] = np.diff(np.interp(windows, edges_s, integral)) / chip_s
+    means: Floats = np.diff(np.interp(windows, edges_s, integral)) / chip_s
     return means.astype(np.float32)
 
 
 def first_sample(t_s: ArrayLike, rate_hz: float) -> NDArray[np.int64]:
     """Index of the first sample taken at or after t_s."""
-    index: NDArray[np.float64] = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
+    index: Floats = np.ceil(np.asarray(t_s, dtype=np.float64) * rate_hz - 0.5)
     return index.astype(np.int64)
-
-
-def _amplitude_v(spec: FrameSpec) -> float:
-    return DEFAULT_AMPLITUDE_V if spec.amplitude_v is None else spec.amplitude_v

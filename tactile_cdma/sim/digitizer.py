@@ -12,9 +12,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from functools import partial
 
 from ..base.errors import SpecError
 from ..places.indenters import Indenter
@@ -97,7 +95,6 @@ class VirtualDigitizer:
 
     @property
     def pending(self) -> int:
-        """Bytes in the output buffer."""
         return len(self._output)
 
     @property
@@ -182,13 +179,11 @@ class VirtualDigitizer:
         return schedule.wait_s
 
     def take(self, size: int) -> bytes:
-        """Remove at most `size` bytes from the output buffer."""
         data = bytes(self._output[:size])
         del self._output[:size]
         return data
 
     def info(self) -> Info:
-        """The description that it gives of itself."""
         setup, channel = self.setup, self.options.channel
         return Info(
             frame=FrameLayout.of(setup.spec, setup.samples_per_chip),
@@ -221,7 +216,10 @@ class VirtualDigitizer:
         match command:
             case Start():
                 self._roll_calls = RollCalls()
-                self._schedule.start(self._stream())
+                blocks = stream(
+                    self.options, self.setup, self._roll_calls, self._disturbance, self._external
+                )
+                self._schedule.start(blocks)
                 self.frames_lost, self._overrun = 0, False
                 self._truth = None
             case Stop():
@@ -241,21 +239,12 @@ class VirtualDigitizer:
         if isinstance(command, GetInfo | Configure):
             self._send(self.info())
 
-    def _stream(self) -> Iterator[Block]:
-        options, calls = self.options, self._roll_calls
-        return stream(options, self.setup, calls, self._disturbance, self._external)
-
     def _configure(self, command: Configure) -> Result:
         """Adopt a set-up as far as the options leave it open; this ends a stream."""
         layout = command.frame
         try:
-            asked = Setup(
-                layout.spec(),
-                layout.samples_per_chip,
-                command.sync_mode,
-                command.integrated,
-                command.quiet_uv,
-            )
+            how = command.sync_mode, command.integrated, command.quiet_uv
+            asked = Setup(layout.spec(), layout.samples_per_chip, *how)
             self.setup = self.options.setup(asked)
         except SpecError:
             return Result.UNSUPPORTED
@@ -264,7 +253,9 @@ class VirtualDigitizer:
         return Result.OK
 
     def _send_block(self, block: Block) -> None:
-        make = Quiet.of if block.quiet else self._samples
+        make: Callable[..., Samples | Quiet] = Quiet.of if block.quiet else Samples
+        if make is Samples and self._packs and self.options.adc_bits <= PACKED_BITS:
+            make = partial(Packed, base=self.options.channel.min_count)
         packet = make(
             round((self.started_s + block.begin_s) * 1e6),
             block.first_index + self._index_lost,
@@ -275,15 +266,6 @@ class VirtualDigitizer:
         )
         self._overrun = False
         self._send(packet)
-
-    def _samples(
-        self, device_time_us: int, first_index: int, counts: NDArray[np.int16], **marks: bool
-    ) -> Samples:
-        channel = self.options.channel
-        if self._packs and channel.adc_bits <= PACKED_BITS:
-            base = channel.min_count
-            return Packed(device_time_us, first_index, counts, base=base, **marks)
-        return Samples(device_time_us, first_index, counts, **marks)
 
     def _report(self) -> None:
         seen = self._parser.counters

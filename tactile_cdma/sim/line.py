@@ -9,27 +9,25 @@ from itertools import chain
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Counts, Floats, Floats32
 from .channel import chip_means, first_sample, point_samples, waveforms
 from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
 from .options import Setup, SimOptions
 from .scene import EXTERNAL, LOADS, SCENES, Scene, idle
 
-Waveform = tuple[NDArray[np.float32], NDArray[np.float64]]
+Waveform = tuple[Floats32, Floats]
 """Levels (c,) V between edges (c + 1,) s."""
 
 
 class Disturbance(Protocol):
     """A fault on the line, made by tests: it comes between the nodes and the converter."""
 
-    def added(self, frame: NodeFrame, edges_s: NDArray[np.float64]) -> Iterator[Waveform]:
+    def added(self, frame: NodeFrame, edges_s: Floats) -> Iterator[Waveform]:
         """Waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""
         ...
 
-    def disturbed(
-        self, frame: NodeFrame, volts: NDArray[np.float32], t_s: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def disturbed(self, frame: NodeFrame, volts: Floats32, t_s: Floats) -> Floats32:
         """The line, (m,) V at (m,) s since START, as it reaches the amplifier."""
         ...
 
@@ -59,7 +57,7 @@ def truth(
 
 def line_counts(
     options: SimOptions, setup: Setup, frame: NodeFrame, disturbance: Disturbance | None = None
-) -> NDArray[np.int16]:
+) -> Counts:
     """Readings of the converter in one frame period, (m,) int16 counts.
 
     Raw: all samples from the start of the frame to the start of the next. Integrated: the mean of
@@ -73,7 +71,7 @@ def line_counts(
         first, stop, averaged = 0, spec.chips, setup.samples_per_chip
         nominal = clocks is None and not (channel.stretch or channel.jitter)
 
-        def seen(levels: NDArray[np.float32], own_s: NDArray[np.float64]) -> NDArray[np.float32]:
+        def seen(levels: Floats32, own_s: Floats) -> Floats32:
             if nominal and own_s is edges_s:
                 return levels[spec.places]
             return chip_means(levels, own_s, spec.chip_s)[spec.places]
@@ -83,7 +81,7 @@ def line_counts(
         first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
         averaged = 1
 
-        def seen(levels: NDArray[np.float32], own_s: NDArray[np.float64]) -> NDArray[np.float32]:
+        def seen(levels: Floats32, own_s: Floats) -> Floats32:
             return point_samples(levels, own_s, setup.rate_hz, first, stop)
 
     line_v = np.zeros(stop - first, np.float32)

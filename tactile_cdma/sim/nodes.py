@@ -11,6 +11,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.arrays import Bools, Floats
 from ..clocks.node_clocks import NodeClocks
 from ..code.frame import FrameSpec
 from ..readings.calibration import AdcScale
@@ -30,10 +31,10 @@ class NodeFrame:
 
     number: int
     start_s: float
-    pressure_pa: NDArray[np.float64]
-    voltage_v: NDArray[np.float64]
+    pressure_pa: Floats
+    voltage_v: Floats
     codes: NDArray[np.int64]
-    active: NDArray[np.bool_]
+    active: Bools
     called: bool = False
 
 

@@ -14,7 +14,7 @@ from ..clocks.roll_call import LARGEST_DELAY, LARGEST_RATE_ERROR
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
 from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
-from ..config.skin_config import user_path
+from ..config.skin_config import FRAME_PARAMETERS, user_path
 from ..config.url_options import check_option, parse_options
 from ..hardware.node_memory import usual_heartbeat
 from ..places.layout import Layout
@@ -166,7 +166,6 @@ class SimOptions:
 
     @property
     def channel(self) -> Channel:
-        """The analog line."""
         return Channel(
             offset_v=self.offset,
             noise_rms_v=self.noise,
@@ -178,7 +177,6 @@ class SimOptions:
 
     @property
     def clocks(self) -> ClockModel:
-        """The nodes' clocks."""
         return ClockModel(self.clock_spread, self.delay_spread, self.drift, self.seed)
 
     @property
@@ -197,7 +195,6 @@ class SimOptions:
         )
 
     def rules(self, spec: FrameSpec) -> NodeRules:
-        """When nodes talk."""
         heartbeat = self.heartbeat
         if heartbeat == BY_THE_SECOND:
             heartbeat = usual_heartbeat(spec.frame_period_s)
@@ -278,8 +275,7 @@ class SimOptions:
 
     def _pinned_fields(self) -> dict[str, Any]:
         """The fields of FrameSpec that these options pin."""
-        names = "nodes bits parity order first_row drive polarity scramble resync_chips guard_chips"
-        pins: dict[str, Any] = {name: getattr(self, name) for name in names.split()}
+        pins: dict[str, Any] = {name: getattr(self, name) for name in FRAME_PARAMETERS}
         # The wire carries whole ns and µs.
         if self.chip_us is not None:
             pins["chip_s"] = round(self.chip_us * 1e3) / 10**9

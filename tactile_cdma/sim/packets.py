@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Counts
 from ..wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, SyncMode
 from .line import Disturbance, line_counts, truth
 from .nodes import RollCalls
@@ -32,7 +32,7 @@ class Block:
     """
 
     first_index: int
-    counts: NDArray[np.int16]
+    counts: Counts
     sync: bool
     called: bool
     quiet: bool
@@ -111,7 +111,7 @@ class _Cutter:
         quiet_counts = int(setup.quiet_uv * 1e-6 / volts_per_count)
         self._quiet_counts = 0 if setup.sync == SyncMode.NONE else quiet_counts
 
-    def cuts(self, counts: NDArray[np.int16], marked: bool) -> Iterator[_Cut]:
+    def cuts(self, counts: Counts, marked: bool) -> Iterator[_Cut]:
         """The packets of the samples from one frame's start to the next one's.
 
         marked: the first sample is a frame's, and known to be.
@@ -132,6 +132,6 @@ class _Cutter:
                 stop = min(start + self.gap_size, end)
                 yield _Cut(start, stop, self._quiet(counts[start:stop]))
 
-    def _quiet(self, counts: NDArray[np.int16]) -> bool:
+    def _quiet(self, counts: Counts) -> bool:
         """Whether the samples differ by so little that a Quiet stands for them."""
         return 0 < self._quiet_counts >= int(counts.max()) - int(counts.min())

@@ -11,9 +11,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base.arrays import Indices
+from ..base.arrays import Floats, Indices
 from ..places.indenters import Foundation, Indenter
 from ..places.layout import Layout
 
@@ -46,7 +45,7 @@ class SkinGeometry:
     layout: of the skin; taxels: (n,), the taxel there that each node is behind.
     """
 
-    positions_m: NDArray[np.float64]
+    positions_m: Floats
     pitch_m: float
     layout: Layout
     taxels: Indices
@@ -66,7 +65,7 @@ class SkinGeometry:
         return cls(flat_m[taxel], layout.pitch_m, layout, placed[taxel], seed)
 
     @property
-    def half_extent_m(self) -> NDArray[np.float64]:
+    def half_extent_m(self) -> Floats:
         """(2,) distance from the centre of the skin to its outermost taxels, m."""
         return np.asarray(np.abs(self.positions_m).max(axis=0))
 
@@ -93,7 +92,7 @@ class SkinGeometry:
         ]
 
 
-Scene = Callable[[float, SkinGeometry], NDArray[np.float64]]
+Scene = Callable[[float, SkinGeometry], Floats]
 """(t_s, skin) → (n,) float64, Pa: pressure on every taxel t_s seconds after START."""
 
 
@@ -105,32 +104,32 @@ class External:
 
     def __init__(self) -> None:
         self._objects: tuple[Indenter, ...] = ()
-        self._pressed: tuple[SkinGeometry, NDArray[np.float64]] | None = None
+        self._pressed: tuple[SkinGeometry, Floats] | None = None
 
     def press(self, objects: Sequence[Indenter]) -> None:
         """From now on these touch the skin, and no others."""
         self._objects, self._pressed = tuple(objects), None
 
-    def __call__(self, t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+    def __call__(self, t_s: float, skin: SkinGeometry) -> Floats:
         """Pressures at present, whatever t_s is; a Scene."""
         if self._pressed is None or self._pressed[0] is not skin:
             self._pressed = skin, skin.cover.pressure_pa(self._objects)
         return self._pressed[1]
 
 
-def idle(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def idle(t_s: float, skin: SkinGeometry) -> Floats:
     """Nothing touches the skin."""
     return np.zeros(len(skin.positions_m))
 
 
-def press(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def press(t_s: float, skin: SkinGeometry) -> Floats:
     """A fingertip on the node nearest the centre, 2 s on and 2 s off."""
     nearest = np.argmin(np.square(skin.positions_m).sum(axis=1))
     peak_pa = PEAK_PA * _on_off(t_s / 4.0)
     return _bump(skin, skin.positions_m[nearest], 0.9 * skin.pitch_m, peak_pa)
 
 
-def presses(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def presses(t_s: float, skin: SkinGeometry) -> Floats:
     """Several contacts of different size and force, each coming and going at its own pace."""
     return _strongest(
         _bump(
@@ -143,7 +142,7 @@ def presses(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     )
 
 
-def moving(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def moving(t_s: float, skin: SkinGeometry) -> Floats:
     """One contact wandering over the whole skin on a Lissajous figure, its force breathing."""
     swing = 0.85 * skin.half_extent_m
     centre = swing * [math.sin(2 * math.pi * t_s / 5.0), math.sin(2 * math.pi * t_s / 7.0 + 1.0)]
@@ -151,19 +150,19 @@ def moving(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     return _bump(skin, centre, radius_m, PEAK_PA * (0.8 + 0.2 * math.sin(2 * math.pi * t_s / 3.0)))
 
 
-def demo(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def demo(t_s: float, skin: SkinGeometry) -> Floats:
     """One contact wandering over the skin, which rests at first and again, so it can be tared."""
     since_s = (t_s + BEGUN_S) % EVERY_S
     return idle(t_s, skin) if since_s < REST_S else moving(since_s - REST_S, skin)
 
 
-def all_taxels(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def all_taxels(t_s: float, skin: SkinGeometry) -> Floats:
     """Every taxel pressed by 15 to 115 kPa: a slow wave that crosses the skin."""
     x = skin.positions_m[:, 0] / max(2 * float(skin.half_extent_m[0]), skin.pitch_m)
     return 65e3 + 50e3 * np.sin(2 * np.pi * (x - t_s / 8.0))
 
 
-def hand(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def hand(t_s: float, skin: SkinGeometry) -> Floats:
     """A resting hand, life-size: most of a small skin, palm and five fingers on a large one."""
     load_pa = PEAK_PA * (0.75 + 0.25 * math.sin(2 * math.pi * t_s / 4.0))
     palm = 0.6 * _profile(_radius_m(skin.positions_m / _PALM_M))
@@ -174,12 +173,12 @@ def hand(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
     return load_pa * _strongest([palm, *fingers])
 
 
-def steps(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def steps(t_s: float, skin: SkinGeometry) -> Floats:
     """The loads STEPS_KPA one after the other, DWELL_S each."""
     return _everywhere(skin, STEPS_KPA[int(t_s / DWELL_S) % len(STEPS_KPA)])
 
 
-def cycles(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
+def cycles(t_s: float, skin: SkinGeometry) -> Floats:
     """Half a cosine in TURN_S from each load of TURNS_KPA to the next."""
     turn, share = divmod(t_s / TURN_S, 1.0)
     begin, end = _SWINGS[int(turn) % len(_SWINGS)]
@@ -201,7 +200,7 @@ LOADS: dict[str, Scene] = {"steps": steps, "cycles": cycles}
 
 @dataclass(frozen=True, slots=True)
 class _Contact:
-    centre_m: NDArray[np.float64]
+    centre_m: Floats
     radius_m: float
     peak_pa: float
     period_s: float
@@ -220,14 +219,12 @@ _FINGERS_M = (
 """Base and tip of index, middle, ring and little finger and thumb about the palm's centre, m."""
 
 
-def _bump(
-    skin: SkinGeometry, centre_m: NDArray[np.float64], radius_m: float, peak_pa: float
-) -> NDArray[np.float64]:
+def _bump(skin: SkinGeometry, centre_m: Floats, radius_m: float, peak_pa: float) -> Floats:
     """Pressure under a round contact, (n,) Pa."""
     return peak_pa * _profile(_radius_m(skin.positions_m - centre_m) / radius_m)
 
 
-def _profile(rho: NDArray[np.float64]) -> NDArray[np.float64]:
+def _profile(rho: Floats) -> Floats:
     """Relative pressure at the relative radius ρ: (1 − ρ²)^1.5 inside the contact, 0 outside.
 
     Hertz's contact of two bodies has (1 − ρ²)^0.5; the soft cover of the skin rounds off its
@@ -243,21 +240,19 @@ def _on_off(cycles: float) -> float:
     return ramp * ramp * (3.0 - 2.0 * ramp)
 
 
-def _distance_m(
-    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _distance_m(points: Floats, start: Floats, end: Floats) -> Floats:
     """Distance of points (n, 2) to a line segment, (n,)."""
     along = end - start
     share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
     return _radius_m(points - start - share[:, None] * along)
 
 
-def _radius_m(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _radius_m(points: Floats) -> Floats:
     """Distance of points (n, 2) to the origin, (n,)."""
     return np.asarray(np.hypot(points[:, 0], points[:, 1]))
 
 
-def _strongest(fields: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _strongest(fields: Iterable[Floats]) -> Floats:
     """The largest of several pressures on every taxel, (n,)."""
     return np.asarray(np.stack(list(fields)).max(axis=0))
 
@@ -265,5 +260,5 @@ def _strongest(fields: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
 _SWINGS = tuple(pairwise((*TURNS_KPA, TURNS_KPA[0])))
 
 
-def _everywhere(skin: SkinGeometry, load_kpa: float) -> NDArray[np.float64]:
+def _everywhere(skin: SkinGeometry, load_kpa: float) -> Floats:
     return np.full(len(skin.positions_m), load_kpa * 1e3)

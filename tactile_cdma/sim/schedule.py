@@ -39,7 +39,6 @@ class Schedule:
 
     @property
     def due_s(self) -> float:
-        """When something is due next."""
         return min(self.report_s, self.started_s + self._next.due_s)
 
     @property
@@ -61,14 +60,12 @@ class Schedule:
         return host_s
 
     def start(self, blocks: Iterator[Block]) -> None:
-        """Begin a stream now."""
         self._steps = _steps(blocks, _PREPARE_S if self._speed else 0.0)
         self._next = next(self._steps)
         self.started_s = self.now_s
         self.streaming, self.hurried = True, self._speed == 0
 
     def stop(self) -> None:
-        """End the stream."""
         self._next = _Step(math.inf)
         self.streaming = self.hurried = False
 

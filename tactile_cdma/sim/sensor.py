@@ -8,8 +8,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..base.arrays import Floats
 from ..readings.calibration import Curves, PressureCurve
 from ..readings.dynamics import Dynamics, Hysteresis, Lag
 
@@ -84,7 +84,7 @@ class SensorModel:
         corner_pa = np.array(self.curve.pressure_pa)
         falls = np.diff(self.curve.voltage_v) / np.diff(corner_pa)
 
-        def errors(count: int) -> NDArray[np.float64]:
+        def errors(count: int) -> Floats:
             drawn = rng.standard_normal((count, nodes))
             return self.mismatch * np.clip(drawn, -_FARTHEST, _FARTHEST)
 
@@ -110,11 +110,11 @@ class Sensor:
         self._last_s: float | None = None
 
     @property
-    def rest_v(self) -> NDArray[np.float64]:
+    def rest_v(self) -> Floats:
         """(n,) V: what nodes learn at power-up, before anything touches the skin."""
         return self._curves.voltage(0.0)
 
-    def step(self, pressure_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:
+    def step(self, pressure_pa: Floats, t_s: float) -> Floats:
         """Voltages (n,), V, at t_s (s), which never goes back, under pressures (n,), Pa.
 
         The pressures have been there since the last step; the first ones for ever, rising before.

@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Floats32
+from ..base.arrays import Counts, Floats32
 
 
-def numpy_volts(counts: NDArray[np.int16], zero: int, per_count_v: float) -> Floats32:
+def numpy_volts(counts: Counts, zero: int, per_count_v: float) -> Floats32:
     """The line in V, float32, of counts (m,). zero: count at 0 V. per_count_v: V per count."""
     volts = counts.astype(np.float32)
     volts -= np.float32(zero)
@@ -19,7 +18,7 @@ def numpy_volts(counts: NDArray[np.int16], zero: int, per_count_v: float) -> Flo
     return volts
 
 
-def compiled_volts(counts: NDArray[np.int16], zero: int, per_count_v: float) -> Floats32:
+def compiled_volts(counts: Counts, zero: int, per_count_v: float) -> Floats32:
     """As numpy_volts."""
     assert kernel.compiled is not None
     volts = np.empty(counts.size, np.float32)

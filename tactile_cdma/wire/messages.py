@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats32
+from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from ._protocol import (
@@ -53,7 +53,6 @@ class Message:
             object.__setattr__(self, wire.name, _checked(wire, getattr(self, wire.name)))
 
     def pack(self) -> bytes:
-        """The message as bytes."""
         return WIRE[type(self).__name__].pack(*self._values())
 
     @classmethod
@@ -135,7 +134,8 @@ class FrameLayout(Message):
 class Packet(Message):
     """What one packet carries.
 
-    sequence: filled in by the parser. PacketWriter ignores it, and so do comparisons.
+    TYPE: the first byte of its body; see PACKETS. sequence: filled in by the parser. PacketWriter
+    ignores it, and so do comparisons.
     """
 
     TYPE: ClassVar[PacketType]
@@ -158,8 +158,6 @@ class Info(Packet):
     quiet_uv: see Configure; 0 where the digitizer never sends Quiet.
     """
 
-    TYPE = PacketType.INFO
-
     frame: FrameLayout
     sample_rate_uhz: int
     volts_per_count: float
@@ -179,7 +177,7 @@ class Info(Packet):
         """Rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
-    def volts(self, counts: NDArray[np.int16]) -> Floats32:
+    def volts(self, counts: Counts) -> Floats32:
         """The line in V, (m,) float32, of counts (m,)."""
         return to_volts(counts, self.zero_count, self.volts_per_count)
 
@@ -210,7 +208,6 @@ class Stretch(Packet):
 
     @property
     def flags(self) -> int:
-        """The marks as bits."""
         return FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
 
 
@@ -225,9 +222,7 @@ class Samples(Stretch):
     counts: (m,) int16, m = 1…MAX_SAMPLES.
     """
 
-    TYPE = PacketType.SAMPLES
-
-    counts: NDArray[np.int16]
+    counts: Counts
 
     def __post_init__(self) -> None:
         Stretch.__post_init__(self)
@@ -278,8 +273,6 @@ class Packed(Samples):
     base: count of value 0. step: counts from one value to the next; base + 4095 · step fits int16.
     Raises SpecError for counts that are not among these.
     """
-
-    TYPE = PacketType.PACKED
 
     base: int = field(default=0, kw_only=True)
     step: int = field(default=1, kw_only=True)
@@ -346,8 +339,6 @@ class Quiet(Stretch):
     Raises SpecError where no samples have such sums.
     """
 
-    TYPE = PacketType.QUIET
-
     count: int
     sum: int
     sum_of_squares: int
@@ -365,9 +356,7 @@ class Quiet(Stretch):
             )
 
     @classmethod
-    def of(
-        cls, device_time_us: int, first_index: int, counts: NDArray[np.int16], **marks: bool
-    ) -> Quiet:
+    def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
         """The packet that replaces these samples, (m,) int16. marks: sync, overrun, called."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
@@ -375,12 +364,10 @@ class Quiet(Stretch):
 
     @property
     def mean(self) -> float:
-        """Mean of the counts."""
         return self.sum / self.count
 
     @property
     def variance(self) -> float:
-        """Variance of the counts."""
         return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
 
     @classmethod
@@ -397,8 +384,6 @@ class Status(Packet):
     packets_dropped: numbered but never sent, because host or line were too slow.
     """
 
-    TYPE = PacketType.STATUS
-
     uptime_us: int
     samples_lost: int = 0
     packets_dropped: int = 0
@@ -411,8 +396,6 @@ class Status(Packet):
 @dataclass(frozen=True, slots=True)
 class Ack(Packet):
     """Answers the command of this type and sequence."""
-
-    TYPE = PacketType.ACK
 
     command: int
     command_sequence: int
@@ -432,21 +415,15 @@ class Command(Packet):
 class GetInfo(Command):
     """Asks for Info."""
 
-    TYPE = PacketType.GET_INFO
-
 
 @dataclass(frozen=True, slots=True)
 class Start(Command):
     """Starts streaming."""
 
-    TYPE = PacketType.START
-
 
 @dataclass(frozen=True, slots=True)
 class Stop(Command):
     """Ends streaming."""
-
-    TYPE = PacketType.STOP
 
 
 @dataclass(frozen=True, slots=True)
@@ -456,8 +433,6 @@ class Configure(Command):
     quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
         Quiet. 0: never. driver/quiet_limit.py computes a safe value.
     """
-
-    TYPE = PacketType.CONFIGURE
 
     frame: FrameLayout
     sync_mode: SyncMode = SyncMode.DRIVE
@@ -469,14 +444,10 @@ class Configure(Command):
 class RollCall(Command):
     """Asks every node to transmit alone once."""
 
-    TYPE = PacketType.ROLL_CALL
-
 
 @dataclass(frozen=True, slots=True)
 class Pack(Command):
     """Asks for Packed in place of Samples, until the next Configure."""
-
-    TYPE = PacketType.PACK
 
 
 @dataclass(frozen=True, slots=True)
@@ -555,23 +526,22 @@ def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
 WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 """Layout of every message's bytes; of Samples, of what comes before the samples."""
 PACKETS: dict[int, type[Packet]] = {
-    kind.TYPE: kind
-    for kind in (
-        Info,
-        Samples,
-        Packed,
-        Quiet,
-        Status,
-        Ack,
-        GetInfo,
-        Start,
-        Stop,
-        Configure,
-        RollCall,
-        Pack,
-    )
+    PacketType.INFO: Info,
+    PacketType.SAMPLES: Samples,
+    PacketType.PACKED: Packed,
+    PacketType.QUIET: Quiet,
+    PacketType.STATUS: Status,
+    PacketType.ACK: Ack,
+    PacketType.GET_INFO: GetInfo,
+    PacketType.START: Start,
+    PacketType.STOP: Stop,
+    PacketType.CONFIGURE: Configure,
+    PacketType.ROLL_CALL: RollCall,
+    PacketType.PACK: Pack,
 }
 """Packets by the first byte of their body."""
+for _type, _kind in PACKETS.items():
+    _kind.TYPE = PacketType(_type)
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
 """Fields of FrameLayout that are those of FrameSpec."""
 _FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN, "called": FLAG_CALLED}

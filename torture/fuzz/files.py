@@ -35,7 +35,7 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.calibration_file import read_calibration, write_calibration
 from tactile_cdma.recording.capture import is_text, read_bytes, read_scope_csv
 from tactile_cdma.recording.container import Description, RecordingEncoder, RecordingParser
-from tactile_cdma.recording.offline import decode_scope, offline_values
+from tactile_cdma.recording.offline import RawCapture, decode_scope
 from tactile_cdma.recording.recording_file import describe, survey
 from tactile_cdma.rest.rest_file import RestState, read_rest, write_rest
 
@@ -104,7 +104,7 @@ def _read_capture(path: Path) -> None:
     """Read bytes and parameters; decoding is left to other targets."""
     for _ in read_bytes(path):
         pass
-    SkinConfig.of(offline_values(path, {"nodes": NODES}))
+    RawCapture(path, {"nodes": NODES})
 
 
 def _read_memory(path: Path) -> None:

@@ -17,21 +17,9 @@ from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
 from ..alignment import Aligner, Row, stale_s
 from ..arrow import pyarrow
-from ..episodes import FOREVER_NS, Episode, find_episodes
-from ..frames import LATENESS_NS
-from ..progress import Progress, fraction
-from ..samples import (
-    ACTION,
-    CONTACTS,
-    NANO,
-    TACTILE,
-    WRENCH,
-    SampleSource,
-    SampleStream,
-    check_taxels,
-    differences,
-    patches_of,
-)
+from ..episodes import Episode, find_episodes, samples_of
+from ..progress import Progress
+from ..samples import NANO, Kind, SampleSource, SampleStream, check_taxels, differences, patches_of
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import HOLD, WINDOW, TouchStream, slots
@@ -140,7 +128,7 @@ def _lacking(sources: Sequence[SampleSource], clock: str | None) -> dict[str, Pa
         column(stream)
         for source in sources
         for stream in source.streams.values()
-        if stream.kind in (CONTACTS, WRENCH) and stream.topic != clock
+        if stream.kind in (Kind.CONTACTS, Kind.WRENCH) and stream.topic != clock
     }
     return {
         name: source.path
@@ -227,7 +215,7 @@ def _export(
     clock = _clock(source, taken, plan)
     aligner = Aligner(taken, touch, episodes, layout.fps, clock)
     streams = list(taken.values())
-    actions = [stream for stream in streams if stream.kind == ACTION]
+    actions = [stream for stream in streams if stream.kind == Kind.ACTION]
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
     repeated: Counter[str] = Counter()  # commands that are older than others of their topics
@@ -284,14 +272,7 @@ def _rows(
 ) -> Iterator[tuple[Row, bool]]:
     """Rows of a file, and whether each lies in a pause."""
     last_ns = source.begin_ns
-    end_ns = episodes[-1].end_ns
-    until_ns = end_ns + LATENESS_NS if end_ns < FOREVER_NS else None
-    # From the file's beginning on: what is held in an episode may be known from before it.
-    for sample in source.samples(None, until_ns):
-        progress.at(
-            fraction(sample.seen_ns, source.begin_ns, source.end_ns),
-            f"{source.path.name}: {(sample.seen_ns - source.begin_ns) / NANO:.0f} s",
-        )
+    for sample in samples_of(source, episodes, progress):
         if sample.stream not in streams:
             continue
         pause_ns = last_ns + round(PAUSE_S * NANO)
@@ -335,7 +316,7 @@ def _rate(source: SampleSource, key: str) -> int:
 def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[str, Any]:
     taxels = {}
     for stream in layout.streams.values():
-        if stream.kind == TACTILE and (patch := stream.patch) is not None:
+        if stream.kind == Kind.TACTILE and (patch := stream.patch) is not None:
             taxels[stream.feature] = {
                 "rows": patch.rows,
                 "columns": patch.columns,

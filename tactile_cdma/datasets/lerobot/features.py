@@ -12,18 +12,7 @@ import numpy as np
 
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
-from ..samples import (
-    ACTION,
-    CONTACTS,
-    IMAGE,
-    NANO,
-    STATE,
-    TACTILE,
-    WRENCH,
-    RawImage,
-    SampleSource,
-    SampleStream,
-)
+from ..samples import NANO, Kind, RawImage, SampleSource, SampleStream
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
 
@@ -51,7 +40,6 @@ class Feature:
     mask: bool = False
 
     def content(self) -> dict[str, Any]:
-        """As in meta/info.json."""
         names = list(self.names) if self.names else None
         return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
 
@@ -63,7 +51,7 @@ def features_of(
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
     for stream in streams:
         name, size = column(stream), stream.shape
-        if stream.kind == TACTILE:
+        if stream.kind == Kind.TACTILE:
             taxels = tuple(f"taxel_{i}" for i in range(size[0]))
             ages = tuple(f"age_{i}" for i in range(slots[stream.key]))
             if mode == WINDOW:
@@ -73,10 +61,10 @@ def features_of(
                 Feature(f"{name}.valid", "float32", size, taxels, mask=True),
                 Feature(f"{name}.age_s", "float32", (len(ages),), ages, "s"),
             ]
-        elif stream.kind in (CONTACTS, WRENCH):
+        elif stream.kind in (Kind.CONTACTS, Kind.WRENCH):
             features.append(Feature(name, "float32", size, stream.names))
             features.append(Feature(f"{name}.valid", "float32", size, stream.names, mask=True))
-        elif stream.kind in (STATE, ACTION):
+        elif stream.kind in (Kind.STATE, Kind.ACTION):
             features.append(Feature(name, "float32", size, stream.names))
         else:
             features.append(Feature(name, PNG_OR_JPEG, size, ("height", "width", "channels")))
@@ -85,11 +73,11 @@ def features_of(
 
 def column(stream: SampleStream) -> str:
     """The name of a stream's feature."""
-    if stream.kind == ACTION:
+    if stream.kind == Kind.ACTION:
         return "action"
-    if stream.kind == STATE:
+    if stream.kind == Kind.STATE:
         return "observation.state"
-    group = "images" if stream.kind == IMAGE else stream.kind
+    group = "images" if stream.kind == Kind.IMAGE else stream.kind
     return f"observation.{group}.{stream.feature}"
 
 
@@ -103,7 +91,7 @@ def obstacle(
     """
     for stream in streams:
         value = row.values.get(stream.key)
-        if value is None and stream.kind not in (CONTACTS, WRENCH):
+        if value is None and stream.kind not in (Kind.CONTACTS, Kind.WRENCH):
             if (last_ns := row.stopped.get(stream.key)) is None:
                 return f"{column(stream)} had not begun"
             last_s = (last_ns - source.begin_ns) / NANO
@@ -125,7 +113,7 @@ def cells(row: Row, streams: Iterable[SampleStream]) -> dict[str, Any]:
                 f"{name}.valid": value.valid,
                 f"{name}.age_s": value.age_s,
             }
-        elif stream.kind in (CONTACTS, WRENCH):
+        elif stream.kind in (Kind.CONTACTS, Kind.WRENCH):
             found[name], found[f"{name}.valid"] = _filled(value, stream.shape)
         elif isinstance(value, RawImage):
             check_size(value.message, stream.key, stream.shape)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.arrays import Floats
+from ...base.arrays import Bools, Floats
 
 
 class Statistics:
@@ -30,7 +30,7 @@ class Statistics:
         self._low, self._high = np.full(kept, np.inf), np.full(kept, -np.inf)
         self.not_finite = 0
 
-    def add(self, values: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> None:
+    def add(self, values: NDArray[Any], valid: Bools | None = None) -> None:
         """Take in one value of the feature; elements that are not valid are left out.
 
         So are those that are not finite, which are counted.
@@ -71,26 +71,14 @@ class Statistics:
         return np.broadcast_to(value, self._shape)
 
 
-class MaskStatistics:
+def mask_content(shape: tuple[int, ...], count: int) -> dict[str, Any]:
     """Of a mask: such that normalising by mean and deviation leaves it as it is.
 
     The true ones of a mask that is 1 throughout would make the first 0 that a robot sees −10⁸.
     """
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._shape, self._count = shape, 0
-
-    def add(self) -> None:
-        """Count one more."""
-        self._count += 1
-
-    def content(self) -> dict[str, Any]:
-        """As in meta/stats.json."""
-        values = {"min": 0.0, "max": 1.0, "mean": 0.0, "std": 1.0}
-        content: dict[str, Any] = {
-            name: np.full(self._shape, value).tolist() for name, value in values.items()
-        }
-        return content | {"count": [self._count]}
+    values = {"min": 0.0, "max": 1.0, "mean": 0.0, "std": 1.0}
+    content = {name: np.full(shape, value).tolist() for name, value in values.items()}
+    return content | {"count": [count]}
 
 
 class ImageStatistics:

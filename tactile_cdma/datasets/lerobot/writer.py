@@ -21,7 +21,7 @@ from ..arrow import array_column, array_type, pyarrow
 from ..sources.images import decoded
 from . import INFO
 from .features import PNG_OR_JPEG, Feature
-from .statistics import ImageStatistics, MaskStatistics, Statistics
+from .statistics import ImageStatistics, Statistics, mask_content
 
 VERSION = "v3.0"
 FILE_MB, CHUNK_FILES = 100, 1000
@@ -53,7 +53,9 @@ class DatasetWriter:
         self._schema = self._arrow.schema(
             [(feature.name, _type(feature)) for feature in self._features]
         )
-        self._statistics = {feature.name: _statistics(feature) for feature in self._features}
+        self._statistics = {
+            feature.name: _statistics(feature) for feature in self._features if not feature.mask
+        }
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
         self._rows: list[dict[str, Any]] = []
@@ -117,7 +119,6 @@ class DatasetWriter:
             self._flush()
 
     def finish(self) -> None:
-        """Write what is left, and the metadata."""
         self._flush()
         self._close()
         (self._folder / "meta").mkdir()
@@ -137,7 +138,12 @@ class DatasetWriter:
             "features": {feature.name: feature.content() for feature in self._features},
         }
         self.write_json(INFO, info)
-        statistics = {name: one.content() for name, one in self._statistics.items()}
+        statistics = {
+            feature.name: mask_content(feature.shape, self.frames)
+            if feature.mask
+            else self._statistics[feature.name].content()
+            for feature in self._features
+        }
         self.write_json("meta/stats.json", statistics)
         self._write_tasks()
         path = self._folder / EPISODES
@@ -145,7 +151,6 @@ class DatasetWriter:
         self._arrow.parquet.write_table(self._arrow.Table.from_pylist(self._episodes), path)
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Write a file of metadata."""
         path = self._folder / name
         path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
@@ -153,8 +158,6 @@ class DatasetWriter:
         for name, statistics in self._statistics.items():
             if isinstance(statistics, Statistics):
                 statistics.add(row[name], row.get(f"{name}.valid"))
-            elif isinstance(statistics, MaskStatistics):
-                statistics.add()
             elif not self.frames % self._fps:  # an image per second is enough
                 statistics.add(decoded(row[name], name))
 
@@ -204,12 +207,10 @@ class DatasetWriter:
         library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
 
 
-def _statistics(feature: Feature) -> Statistics | MaskStatistics | ImageStatistics:
+def _statistics(feature: Feature) -> Statistics | ImageStatistics:
     if feature.dtype == PNG_OR_JPEG:
         return ImageStatistics()
-    return (
-        MaskStatistics(feature.shape) if feature.mask else Statistics(feature.shape, feature.pooled)
-    )
+    return Statistics(feature.shape, feature.pooled)
 
 
 def _type(feature: Feature) -> Any:

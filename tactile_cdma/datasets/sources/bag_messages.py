@@ -76,10 +76,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
         nodes, areas, period_s = info.node, info.area, float(info.frame_period)
         if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
             period_s = float("nan")
-        about |= _facts(info) | {
-            "frame_id": info.header.frame_id,
-            _TARED: bool(len(info.tare)),
-        }
+        about |= _facts(info) | {"frame_id": info.header.frame_id, _TARED: bool(len(info.tare))}
     return PatchInfo(
         name=patch_name(topic),
         topic=topic,

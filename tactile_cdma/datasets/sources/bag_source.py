@@ -20,15 +20,10 @@ from ...base.errors import CaptureError
 from ...messages.types import message_types
 from ..lerobot import INFO
 from ..samples import (
-    ACTION,
     CONTACT_NAMES,
-    CONTACTS,
-    IMAGE,
     NANO,
-    STATE,
-    TACTILE,
-    WRENCH,
     WRENCH_NAMES,
+    Kind,
     RawImage,
     Sample,
     SampleStream,
@@ -38,6 +33,7 @@ from ..samples import (
 from . import bag_messages as fields
 from . import images
 from .bag_times import FAR_NS, believed_span
+from .opening import Wanted
 
 GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
 """Ends of cameras' topics that say nothing; features are called after what is before."""
@@ -52,22 +48,13 @@ _Take: TypeAlias = Callable[[Any, int], Value]
 class BagSource:
     """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
 
-    topics: arrays to read, all if empty. derived: contacts and wrench, too. cameras: image topics
-    to read; None: all that are no picture of a skin. state, action: topics of vectors, or None.
-    Raises CaptureError for a bag that cannot be read, or that holds none of what is asked for.
+    Of all cameras, those are read that are no picture of a skin. counts: type and number of the
+    messages of every topic. Raises CaptureError for a bag that cannot be read, or that holds none
+    of what is asked for.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        topics: Sequence[str] = (),
-        derived: bool = False,
-        cameras: Sequence[str] | None = (),
-        state: str | None = None,
-        action: str | None = None,
-    ) -> None:
-        self.path, self._derived = path, derived
-        self.problem = None
+    def __init__(self, path: Path, wanted: Wanted) -> None:
+        self.path, self.problem = path, None
         self._notes: list[str] = []
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
         self._astray: Counter[str] = Counter()  # messages whose time of recording is not believed
@@ -78,8 +65,8 @@ class BagSource:
             if not bag.message_count:
                 raise CaptureError(f"{path}: the bag is empty")
             self.begin_ns, self.end_ns = self._span(bag)
-            found = {stream.key: stream for stream in self._find(bag, topics, cameras)}
-            for kind, topic in ((STATE, state), (ACTION, action)):
+            found = {stream.key: stream for stream in self._find(bag, wanted)}
+            for kind, topic in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
                 if topic is not None:
                     found[f"{kind}:{topic}"] = self._vector(bag, kind, topic)
             self.streams = found
@@ -128,18 +115,16 @@ class BagSource:
         with self._intact():  # reads all of the bag, as seldom as that is needed
             return believed_span(seen_ns for _, seen_ns, _ in bag.messages())
 
-    def _find(
-        self, bag: AnyReader, topics: Sequence[str], cameras: Sequence[str] | None
-    ) -> Iterator[SampleStream]:
+    def _find(self, bag: AnyReader, wanted: Wanted) -> Iterator[SampleStream]:
         """The streams of skins and cameras."""
         kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
-        for topic in topics:
+        for topic in wanted.topics:
             if topic not in arrays:
                 there = ", ".join(arrays) or "none"
                 raise CaptureError(f"{self.path}: no skin's frames in {topic} (but in {there})")
         names: set[str] = set()
-        for topic in topics or arrays:
+        for topic in wanted.topics or arrays:
             stem = topic.rpartition("/")[0]
             has_info = kinds.get(f"{stem}/info") == fields.INFO
             infos = self._all(bag, f"{stem}/info") if has_info else iter(())
@@ -153,22 +138,22 @@ class BagSource:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
             self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
-            yield SampleStream(topic, TACTILE, patch.name, (len(patch),), patch=patch)
+            yield SampleStream(topic, Kind.TACTILE, patch.name, (len(patch),), patch=patch)
             for name, kind, type_, elements, take in (
-                ("contacts", CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
-                ("wrench", WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
+                ("contacts", Kind.CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
+                ("wrench", Kind.WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
             ):
                 beside = f"{stem}/{name}"
-                if self._derived and kinds.get(beside) == type_:
+                if wanted.derived and kinds.get(beside) == type_:
                     self._takes[beside].append((beside, _without_time(take)))
                     yield SampleStream(beside, kind, patch.name, (len(elements),), elements)
         pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
-        chosen = cameras
-        if chosen is None:
-            chosen = [t for t in sorted(kinds) if kinds[t] in fields.IMAGES]
-            chosen = [topic for topic in chosen if not topic.startswith(pictures)]
-        for topic in chosen:
-            if (stream := self._camera(bag, topic, asked=cameras is not None)) is not None:
+        others = (
+            t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
+        )
+        for topic in others if wanted.cameras is None else wanted.cameras:
+            stream = self._camera(bag, topic, asked=wanted.cameras is not None)
+            if stream is not None:
                 yield stream
 
     def _camera(self, bag: AnyReader, topic: str, asked: bool) -> SampleStream | None:
@@ -176,20 +161,19 @@ class BagSource:
         if (kind := self._connections(bag, topic)[0].msgtype) not in fields.IMAGES:
             raise CaptureError(f"{self.path}: {topic} is {kind}, not an image")
         first = self._first(bag, topic)
-        reason = images.problem(first)
-        if reason is not None:
+        if (reason := images.problem(first)) is not None:
             if asked:
                 raise CaptureError(f"{self.path}: {topic}: {reason}")
             self._notes.append(f"{topic} is left out: {reason}")
             return None
         shape = images.decoded(images.encoded(first, topic), topic).shape
-        self._takes[topic].append((topic, _raw_image))
+        self._takes[topic].append((topic, _without_time(RawImage)))
         words = topic.strip("/").split("/")
         while len(words) > 1 and words[-1] in GENERIC:
             words.pop()
-        return SampleStream(topic, IMAGE, feature_name("_".join(words)), shape)
+        return SampleStream(topic, Kind.IMAGE, feature_name("_".join(words)), shape)
 
-    def _vector(self, bag: AnyReader, kind: str, topic: str) -> SampleStream:
+    def _vector(self, bag: AnyReader, kind: Kind, topic: str) -> SampleStream:
         if (said := self._connections(bag, topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
@@ -200,13 +184,11 @@ class BagSource:
         return SampleStream(f"{kind}:{topic}", kind, kind, (len(names),), names)
 
     def _first(self, bag: AnyReader, topic: str) -> Any:
-        """The first message of a topic that has one."""
         for message in self._all(bag, topic):
             return message
         raise CaptureError(f"{self.path}: nothing was recorded of {topic}")
 
     def _all(self, bag: AnyReader, topic: str) -> Iterator[Any]:
-        """All messages of a topic."""
         for _, _, message in self._messages(bag, self._connections(bag, topic)):
             yield message
 
@@ -280,10 +262,6 @@ class BagSource:
 
 def _without_time(take: Callable[[Any], Value]) -> _Take:
     return lambda message, time_ns: take(message)
-
-
-def _raw_image(message: Any, time_ns: int) -> RawImage:
-    return RawImage(message)
 
 
 def _known_types() -> Typestore:

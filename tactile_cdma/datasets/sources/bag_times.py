@@ -16,20 +16,17 @@ since hardly a recorder is paused for so long, and damage or a clock that is set
 def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
     """First and last of the times, at least one, that most of them are within FAR_NS of.
 
-    Memory does not grow with their number if they rise, as those of one file do.
+    Memory grows with the days that they lie in, not with their number.
     """
-    runs: list[tuple[int, int, int]] = []  # first, last, number
+    days: dict[int, tuple[int, int, int]] = {}  # first, last, number
     for time_ns in times_ns:
-        first, last, number = runs[-1] if runs else (time_ns, time_ns, 0)
-        if not first - FAR_NS <= time_ns <= last + FAR_NS:
-            runs.append((time_ns, time_ns, 1))
-            continue
-        runs[-1:] = [(min(first, time_ns), max(last, time_ns), number + 1)]
-    joined: list[tuple[int, int, int]] = []
-    for first, last, number in sorted(runs):  # a bag of several files has runs in each
-        if joined and first - joined[-1][1] <= FAR_NS:
-            before = joined.pop()
-            first, last, number = before[0], max(before[1], last), before[2] + number
-        joined.append((first, last, number))
-    first, last, _ = max(joined, key=lambda run: run[2])
+        first, last, number = days.get(time_ns // FAR_NS, (time_ns, time_ns, 0))
+        days[time_ns // FAR_NS] = min(first, time_ns), max(last, time_ns), number + 1
+    runs: list[tuple[int, int, int]] = []
+    for first, last, number in sorted(days.values()):
+        if runs and first - runs[-1][1] <= FAR_NS:
+            before = runs.pop()
+            first, number = before[0], before[2] + number
+        runs.append((first, last, number))
+    first, last, _ = max(runs, key=lambda run: run[2])
     return first, last

@@ -43,9 +43,7 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
             from .bag_source import BagSource  # slow to load, and needed here only
 
         refuse_parameters(path, wanted.asked)
-        bag = BagSource(
-            path, wanted.topics, wanted.derived, wanted.cameras, wanted.state, wanted.action
-        )
+        bag = BagSource(path, wanted)
         _log.debug("%s is a bag with %s", path, ", ".join(bag.streams) or "nothing wanted")
         return bag
     source = RecordingSource(path, wanted.asked, wanted.derived)

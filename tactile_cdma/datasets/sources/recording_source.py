@@ -21,11 +21,9 @@ from ...recording.offline import RawCapture
 from ...recording.recording_file import describe, is_recording, read_end
 from ..samples import (
     CONTACT_NAMES,
-    CONTACTS,
     NANO,
-    TACTILE,
-    WRENCH,
     WRENCH_NAMES,
+    Kind,
     PatchInfo,
     Sample,
     SampleStream,
@@ -53,9 +51,9 @@ class RecordingSource:
     def streams(self) -> Mapping[str, SampleStream]:
         """Those of the skin, as far as the file has been decoded; see patch."""
         patch = self.patch
-        found = [SampleStream(TACTILE, TACTILE, self.name, (len(patch),), patch=patch)]
+        found = [SampleStream(Kind.TACTILE, Kind.TACTILE, self.name, (len(patch),), patch=patch)]
         if self._derived:
-            for kind, names in ((CONTACTS, CONTACT_NAMES), (WRENCH, WRENCH_NAMES)):
+            for kind, names in ((Kind.CONTACTS, CONTACT_NAMES), (Kind.WRENCH, WRENCH_NAMES)):
                 found.append(SampleStream(kind, kind, self.name, (len(names),), names))
         return {stream.key: stream for stream in found}
 
@@ -107,11 +105,11 @@ class RecordingSource:
                 end_ns is not None and stamp_ns > end_ns
             ):
                 continue  # every frame is decoded: a reading rests on all words before it
-            yield Sample(TACTILE, stamp_ns, stamp_ns, skin_frame(frame, wall_s))
+            yield Sample(Kind.TACTILE, stamp_ns, stamp_ns, skin_frame(frame, wall_s))
             if found is not None:
-                yield Sample(CONTACTS, stamp_ns, stamp_ns, _contacts(found))
+                yield Sample(Kind.CONTACTS, stamp_ns, stamp_ns, _contacts(found))
                 total = np.concatenate([found.total_force_n, found.total_torque_nm])
-                yield Sample(WRENCH, stamp_ns, stamp_ns, total.astype(np.float32))
+                yield Sample(Kind.WRENCH, stamp_ns, stamp_ns, total.astype(np.float32))
 
 
 def check_bytes(path: Path) -> None:

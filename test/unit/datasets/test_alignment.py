@@ -20,18 +20,7 @@ from numpy.typing import NDArray
 from tactile_cdma.base.errors import CaptureError, ParameterError
 from tactile_cdma.datasets.alignment import STALE_S, WAIT_S, Aligner, Row
 from tactile_cdma.datasets.episodes import FOREVER_NS, Episode, find_episodes, parse_interval
-from tactile_cdma.datasets.samples import (
-    ACTION,
-    CONTACTS,
-    IMAGE,
-    NANO,
-    STATE,
-    TACTILE,
-    RawImage,
-    Sample,
-    SampleStream,
-    SkinFrame,
-)
+from tactile_cdma.datasets.samples import NANO, Kind, RawImage, Sample, SampleStream, SkinFrame
 from tactile_cdma.datasets.touch import (
     DROP,
     HOLD,
@@ -61,7 +50,7 @@ def state(stamp_ms: float, seen_ms: float, value: float, key: str = "state") -> 
 
 
 def stream(key: str) -> SampleStream:
-    return SampleStream(key, STATE, key, (1,))
+    return SampleStream(key, Kind.STATE, key, (1,))
 
 
 def rows_of(aligner: Aligner, samples: Sequence[Sample]) -> list[Row]:
@@ -114,10 +103,8 @@ def test_a_row_holds_the_newest_value_up_to_its_tick(
 def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
     samples = [state(t, t + 1, t) for t in range(0, 200, 10)]
     frames = [state(t, t + 40, i, "camera") for i, t in enumerate((33, 66, 101, 133))]
-    streams = {
-        "state": stream("state"),
-        "camera": SampleStream("camera", IMAGE, "camera", (6, 8, 3)),
-    }
+    images = SampleStream("camera", Kind.IMAGE, "camera", (6, 8, 3))
+    streams = {"state": stream("state"), "camera": images}
     episodes = [Episode(0, 70 * MS, ""), Episode(100 * MS, FOREVER_NS, "")]
     merged = sorted(samples + frames, key=lambda sample: sample.seen_ns)
     rows = rows_of(Aligner(streams, {}, episodes, 30, clock="camera"), merged)
@@ -149,7 +136,7 @@ def test_what_comes_later_than_something_newer_does_not_replace_it() -> None:
 
 
 PERIOD_MS = 12.8
-SKIN = SampleStream("skin", TACTILE, "skin", (2,))
+SKIN = SampleStream("skin", Kind.TACTILE, "skin", (2,))
 
 
 def felt(ms: float) -> float:
@@ -296,7 +283,7 @@ def test_a_clock_that_comes_too_late_makes_no_row_of_what_is_newer() -> None:
     assert aligner.late == {"clock": 2, "state": 0}
 
 
-@pytest.mark.parametrize("kind", [STATE, ACTION, IMAGE, CONTACTS])
+@pytest.mark.parametrize("kind", [Kind.STATE, Kind.ACTION, Kind.IMAGE, Kind.CONTACTS])
 def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
     """Nor is one that pauses; one that always was slow goes on in between."""
     stamps = [*range(0, 2500, 10), *range(5000, 6000, 10)]
@@ -310,9 +297,9 @@ def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
         tick_ms = row.tick.time_ns / MS
         last_ms = max(t for t in stamps if t <= tick_ms)
         is_there = tick_ms - last_ms <= STALE_S * 1e3
-        assert ("it" in row.values) == (is_there or kind == ACTION)  # a command is in force
+        assert ("it" in row.values) == (is_there or kind == Kind.ACTION)  # a command is in force
         assert row.stopped.get("it") == (None if is_there else 2490 * MS)
-        if is_there or kind == ACTION:
+        if is_there or kind == Kind.ACTION:
             assert number(row, "it") == last_ms
         if tick_ms > 1000:
             assert number(row, "slow") == min(tick_ms // 1000 * 1000, 8000)
@@ -323,7 +310,7 @@ def test_a_stream_that_stopped_is_not_repeated(kind: str) -> None:
 def test_memory_does_not_grow_with_the_bag(clock: str | None, mode: str) -> None:
     """Nor before, between and after episodes, nor where the clock pauses."""
     episodes = [Episode(a * NANO, b * NANO, "") for a, b in ((30, 33), (60, 120))]
-    camera = SampleStream("camera", IMAGE, "camera", (6, 8, 3))
+    camera = SampleStream("camera", Kind.IMAGE, "camera", (6, 8, 3))
     streams = {"skin": SKIN, "camera": camera, "clock": stream("clock")}
     aligner = Aligner(streams, skin_taken(mode, 8), episodes, 10, clock)
     held: deque[weakref.ref[Any]] = deque()

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.bag_source import BagSource
 from tactile_cdma.datasets.sources.bag_times import FAR_NS, believed_span
+from tactile_cdma.datasets.sources.opening import Wanted
 from test.support.bags import BEGIN_NS, BagMaker
 
 pytestmark = pytest.mark.xdist_group("datasets")
@@ -95,7 +96,7 @@ def test_one_damaged_time_costs_one_message(
 
 
 def test_what_is_left_out_is_counted_anew_in_every_reading(tmp_path: Path) -> None:
-    source = BagSource(written(tmp_path / "bag", 1, sqlite=False))
+    source = BagSource(written(tmp_path / "bag", 1, sqlite=False), Wanted())
     for _ in range(2):
         assert sum(1 for _ in source.samples(None, None)) == FRAMES - 1
         [note] = source.notes

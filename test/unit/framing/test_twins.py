@@ -22,7 +22,7 @@ from tactile_cdma.framing.judge import Votes, Weighed
 from tactile_cdma.framing.raster import Expected
 from test.support.synthetic_line import DEFAULT, SPECS, Wire, check, run, words_of
 
-pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel was not built")
+pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
 KINDS = [*SPECS.values(), replace(DEFAULT, scramble=True), FrameSpec(nodes=40, chip_s=2e-5)]
 LINES = st.fixed_dictionaries(

@@ -21,10 +21,10 @@ from tactile_cdma.datasets.samples import SkinFrame
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
 from tactile_cdma.datasets.tables import write_npz
 from tactile_cdma.driver.digitizer import Source
-from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.recording.bag_export import write_bag
 from tactile_cdma.recording.capture import read_bytes
-from tactile_cdma.recording.offline import offline_values, raw_frames
+from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.recording.recording_file import Recorder, describe
 from tactile_cdma.sim.options import SimOptions
 from test.support.simulated import record
@@ -45,8 +45,7 @@ def skin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFr
         data = raw.read_bytes()
         for i in range(0, len(data), 1000):
             recorder.write(data[i : i + 1000], begin_s + 1.5 * i / len(data))
-    pipeline = Pipeline(SkinConfig.of(offline_values(path, {})), background=False)
-    frames = list(raw_frames(path, pipeline))
+    frames = list(RawCapture(path, {}).frames())
     assert len(frames) > 80
     return path, frames
 
