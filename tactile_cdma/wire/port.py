@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import select
@@ -17,6 +18,8 @@ from ..base.errors import CaptureError, PortError
 from .discovery import device_of
 from .port_failures import NETWORK, SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
+
+_log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
@@ -77,6 +80,7 @@ class Port:
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
             raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
+        _log.debug("%s is open, at %d baud", pyserial_url, baud)
 
     @property
     def device(self) -> serial.SerialBase:
