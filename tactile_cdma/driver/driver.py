@@ -19,13 +19,13 @@ from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.messages import Info
 from ..wire.packets import MAX_REPEATED
-from ..wire.port import Port
+from ..wire.port import READ_TIMEOUT_MS, Port
 from ..wire.port_failures import is_remote
+from ..wire.reader import NO_FILE
 from .backlog import Backlog
 from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
-from .steady import Event
 from .vitals import Vitals
 
 CONNECT_S = 0.5
@@ -211,7 +211,8 @@ class Driver:
                     look_s = t_host + LOOK_S
                     if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
                         with self._busy:
-                            self._hand_on(pipeline.settle(), t_host)
+                            for frame in pipeline.drain():
+                                self._hand_on(frame, t_host)
                             pipeline.skipped(port.skip())
                 if request := session.watch(pipeline, t_host):
                     port.write(request)
@@ -223,29 +224,29 @@ class Driver:
                 port.write(session.close())
 
     def _next(self, port: Port) -> tuple[TactileFrame | None, float]:
-        """Decode what comes next, and hand frames on: the last one, and when its bytes were read.
-
-        No frame where none came within READ_TIMEOUT_S.
-        """
+        """Go on to what comes next: a frame that was handed on, if it is one; when it was read."""
         pipeline = self.pipeline
-        if port.has_file and pipeline.is_steady:
-            waited = port.read_by(pipeline.wait)
-            t_host = time.monotonic() if waited.event is Event.MORE else waited.t_host
-            with self._busy:
-                return self._hand_on(pipeline.take(waited), t_host), t_host
-        data, t_host = port.read()
+        try:
+            event = pipeline.stream.next(port.file, READ_TIMEOUT_MS)
+        except OSError as error:
+            raise port.lost(error) from None
         with self._busy:
-            return self._hand_on(pipeline.feed(data, t_host, port.had_waited), t_host), t_host
+            frame = pipeline.take(event)
+            if frame is not None:
+                self._hand_on(frame, event.t_host)
+        if not event.needs_bytes:
+            return frame, event.t_host
+        if port.file == NO_FILE:
+            data, t_host = port.read()
+            pipeline.stream.give(data, t_host, port.had_waited)
+        return None, time.monotonic()
 
-    def _hand_on(self, frames: list[TactileFrame], t_host: float) -> TactileFrame | None:
-        """Pass decoded frames to whoever uses them; returns the last one."""
+    def _hand_on(self, frame: TactileFrame, t_host: float) -> None:
+        """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
         t_decoded = time.monotonic()
-        contact_pa = self.pipeline.config.rest.contact_pa
-        for frame in frames:
-            self._on_frame(frame)
-            self.vitals.note_frame(frame, t_host, t_decoded)
-            self.stuck.look(frame.readings, frame.t_middle, contact_pa)
-        return frames[-1] if frames else None
+        self._on_frame(frame)
+        self.vitals.note_frame(frame, t_host, t_decoded)
+        self.stuck.look(frame.readings, frame.t_middle, self.pipeline.config.rest.contact_pa)
 
     def _report(self, problem: str | None) -> None:
         if problem != self.problem and not self._stop.is_set():
