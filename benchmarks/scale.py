@@ -46,7 +46,7 @@ from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
-from tactile_cdma.wire.port import READ_SIZE
+from tactile_cdma.wire.reader import READ_SIZE
 
 ALL = "scene=all&threshold=0&seed=1"
 SILENT = "scene=idle&heartbeat=0&seed=1"

@@ -26,7 +26,7 @@ struct scanner {
     bool started;
     uint16_t expected;
     size_t partial; /* bytes after the last delimiter */
-    struct scanner_counts seen;
+    struct scanner_counts seen, told;
     uint8_t run[MAX_RUN], raw[MAX_RUN];
     uint8_t past[SEQUENCES]; /* of the last packet of each sequence number; */
     uint32_t crc[SEQUENCES]; /* its CRC */
@@ -226,6 +226,16 @@ void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts
     *counts = scanner->seen;
     if (!counts->packets)
         counts->text_bytes += text_bytes(scanner->run, scanner->partial);
+}
+
+void scanner_tell(struct scanner *scanner)
+{
+    scanner_counts(scanner, &scanner->told);
+}
+
+const struct scanner_counts *scanner_told(const struct scanner *scanner)
+{
+    return &scanner->told;
 }
 
 static size_t unpacked_samples(const struct scanner_packet *packet)

@@ -162,61 +162,56 @@ class Scanner:
         """Fields of Counters."""
 
 @final
-class Steady:
-    """Follows a stream while it goes on as it was; see kernel/steady.h and driver/steady.py."""
+class Stream:
+    """Goes from event to event; see kernel/frame_stream.h.
 
-    def __new__(
-        cls,
-        scanner: object,
+    Methods raise RuntimeError while another thread is in `next`.
+    """
+
+    def __new__(cls, scanner: object, /) -> Stream:
+        """scanner: shared with the parser."""
+
+    def describe(
+        self,
+        stream_rules: NDArray[np.void],
         transform: object,
-        setting: NDArray[np.float64],
+        flips: NDArray[np.float32],
         rows: NDArray[np.float32],
         /,
-    ) -> Steady:
-        """scanner: shared with the parser. rows: (k, N), written to with every frame."""
+    ) -> None:
+        """flips: (k, N), or empty. rows: (k, N), written to with every frame."""
 
-    def enter(
+    def forget(self) -> None: ...
+    def carry(
         self,
-        origin: int,
-        end: int,
-        gap_begin: int,
-        mark: int,
-        last_us: int,
-        last_count: int,
-        level_v: float,
-        noise: float,
-        gap: tuple[float, float, float],
-        volts: NDArray[np.float64],
-        due: int,
-        over: int,
-        uses: int,
-        fit: tuple[object, ...] | None,
+        stream_timing: NDArray[np.void],
+        whole: NDArray[np.int32],
+        share: NDArray[np.float64],
+        number: NDArray[np.float64],
+        places: NDArray[np.int32],
         /,
     ) -> None:
-        """Go on from a place between frames.
-
-        fit: chip, samples of the frame, begin and number of those after it, and the arrays of
-        ChipEdges.within. Raises ValueError for places beyond the `due` samples of a frame.
-        """
+        """Arrays: of ChipEdges.within; empty where there is no frame."""
 
     def give(self, data: bytes, t_host: float, backlog: bool, /) -> None:
         """Bytes to go on with. Raises RuntimeError while others are not used up."""
 
-    def wait(
+    def end(self) -> None: ...
+    def next(
         self, file: int, timeout_ms: int, /
     ) -> tuple[int, Any, list[PassedPacket], float, bool]:
-        """Event; what was found; packets that passed; when the last bytes were read, s; backlog.
+        """Event; what it is about; packets that passed; when the last bytes were read, s; backlog.
 
-        Found: start, noise (V), level (V) and share clipped of a frame, or a packet as Found.
         Without the GIL; file −1: no more than the given bytes. Raises OSError where nothing can be
-        read, RuntimeError while another thread is here.
+        read.
         """
 
-    def leave(self) -> tuple[Any, ...]:
-        """Place and use of the timing, bytes and samples that are left; see driver/steady.py."""
+    def place(self, answer: int, origin: int, anew: bool, mean: float, variance: float, /) -> bool:
+        """Whether a frame was cut short."""
 
-    def counts(self) -> dict[str, int]:
-        """As Scanner.counts, as of the last event: for any thread."""
+    def open(self, due: int, /) -> None: ...
+    def decide(self, due: int, over: int, level_v: float, /) -> None: ...
+    def look(self, due: int, /) -> None: ...
 
 @final
 class Code:

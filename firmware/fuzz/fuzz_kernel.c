@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
- * whole numbers through its transforms and sums without any trick, any levels read as words, streams
- * followed in pieces, and frames looked for without marks. */
+ * whole numbers through its transforms and sums without any trick, any levels read as words, and frames
+ * looked for without marks. What follows a stream has a harness of its own, fuzz_stream.c. */
 #include "contacts.h"
 #include "gap.h"
 #include "reference.h"
 #include "readout.h"
 #include "samples.h"
 #include "scanner.h"
-#include "steady.h"
 #include "transform.h"
 #include "words.h"
 
@@ -501,212 +500,6 @@ static void touch(struct input *input)
     free(status);
 }
 
-enum { STREAM_BITS = 2, STREAM_ORDER = 4, STREAM_CHIP = 2, STREAM_DUE = 20, STREAM_EDGES = 9 };
-
-/* What was followed of a stream: a hash of all events, and where it ended. */
-struct followed {
-    uint64_t hash;
-    int64_t end;
-    size_t used; /* bytes */
-};
-
-static void add_to(uint64_t *hash, uint64_t value)
-{
-    *hash = (*hash ^ value) * 0x100000001B3u;
-}
-
-/* Follows a stream in pieces of a size, up to the first packet or frame that is left to others. */
-static struct followed follow(const uint8_t *bytes, size_t size, size_t piece, bool has_fit)
-{
-    static const float scale = 0.25f;
-    struct transform *transform = transform_new(2, 0, NULL, NULL, scale, 0);
-    struct scanner *scanner = scanner_new(3);
-    int32_t whole[STREAM_EDGES], places[STREAM_BITS * STREAM_ORDER];
-    double share[STREAM_EDGES] = {0}, number[STREAM_EDGES];
-    float rows[STREAM_BITS * STREAM_ORDER];
-    struct followed followed = {.hash = 0xCBF29CE484222325u};
-
-    for (int32_t edge = 0; edge < STREAM_EDGES; edge++) {
-        whole[edge] = STREAM_CHIP * edge;
-        number[edge] = STREAM_CHIP;
-        if (edge < STREAM_BITS * STREAM_ORDER)
-            places[edge] = edge;
-    }
-    struct steady_setting setting = {
-        .line = {.frame = {.bits = STREAM_BITS,
-                           .order = STREAM_ORDER,
-                           .first = 1,
-                           .nodes = 3,
-                           .swing = 100,
-                           .loudest_share = 0.25f,
-                           .active_share = 0.5f,
-                           .spoken_over = 2.2},
-                 .size = STREAM_CHIP * STREAM_BITS * STREAM_ORDER,
-                 .chip = STREAM_CHIP,
-                 .least_power = 625,
-                 .most_noise = 80,
-                 .rail_low = -30000,
-                 .rail_high = 30000,
-                 .deafened = 0.25,
-                 .carried_noise = 1.5,
-                 .carried_misfit = 3e-3,
-                 .loud = 2,
-                 .transform = transform},
-        .per_count = 1,
-        .volts_per_count = 1,
-        .most_volts = 1e6,
-        .gap_size = 8,
-        .least_rest = 4,
-        .gap_weight = 0.25,
-        .rise = 4,
-        .rise_v2 = 1e-6,
-        .silent_over = 17,
-        .rate_hz = 1e6,
-        .behind_s = 1e-5,
-        .ahead_s = 1e-5,
-        .ahead = 0.01,
-        .most_device_us = 1u << 20,
-        .most_quiet = 100,
-        .most_quiet_v2 = 100,
-    };
-    struct carried_fit fit = {.chip = STREAM_CHIP,
-                              .edges = {STREAM_EDGES, whole, share, number},
-                              .places = places,
-                              .heard = 16,
-                              .tail = 17,
-                              .tail_samples = 3};
-    struct steady_place place = {.start = -1, .level = 3, .noise = 10};
-    struct steady_timing timing = {has_fit ? &fit : NULL, STREAM_DUE, 17, 5};
-    struct steady *steady = steady_new(&setting, scanner, rows);
-    MUST(steady_enter(steady, &place, 7, &timing, NULL, 0), WRONG_VALUE);
-    enum steady_event event = STEADY_MORE;
-    struct scanner_packet packet;
-    int64_t passed_end = 0, due_us = 0;
-    bool going_on = true;
-    for (size_t begin = 0; going_on && begin < size; begin += piece) {
-        steady_give(steady, bytes + begin, size - begin < piece ? size - begin : piece, 1, false);
-        do {
-            size_t marks = steady_marks(steady);
-            bool in_frame = steady_place(steady)->start >= 0;
-            event = steady_next(steady, &packet);
-            const struct steady_passed *passed;
-            size_t count = steady_passed(steady, &passed);
-            const struct steady_place *now = steady_place(steady);
-            MUST(count <= STEADY_MOST_PASSED, WRONG_VALUE);
-            for (size_t i = 0; i < count; i++) {
-                MUST(passed[i].index == passed_end && passed[i].count, UNCOUNTED_LOSS);
-                int64_t off_us = (int64_t)passed[i].device_time_us - due_us;
-                MUST(off_us >= -10 && off_us <= 10 + passed[i].count / 50, WRONG_VALUE);
-                due_us = (int64_t)passed[i].device_time_us + passed[i].count;
-                passed_end += passed[i].count;
-                add_to(&followed.hash, passed[i].device_time_us);
-            }
-            MUST(passed_end == now->end, UNCOUNTED_LOSS);
-            MUST(now->noise >= 0 && !isnan(now->level), WRONG_VALUE);
-            bool decided = event == STEADY_HEARD || event == STEADY_SILENT;
-            /* A frame is decided before the next one begins. */
-            MUST(steady_marks(steady) - marks <= (in_frame ? 0u : 1u), WRONG_VALUE);
-            if (decided) {
-                MUST(now->start < 0 && now->mark == steady_start(steady), WRONG_VALUE);
-                MUST(now->mark >= 0 && now->end > now->mark, WRONG_VALUE);
-                add_to(&followed.hash, (uint64_t)steady_start(steady) * 8 + event);
-                for (size_t i = 0; event == STEADY_HEARD && i < STREAM_BITS * STREAM_ORDER; i++)
-                    MUST(!isnan(rows[i]), WRONG_VALUE);
-            }
-            MUST(event != STEADY_HEARD || has_fit, WRONG_VALUE);
-            MUST(event != STEADY_UNDECIDED || now->start >= 0, WRONG_VALUE);
-            going_on = event != STEADY_PACKET && event != STEADY_UNDECIDED;
-        } while (going_on && event != STEADY_MORE);
-    }
-    const uint8_t *left;
-    const double *volts;
-    int64_t first = 0;
-    size_t kept = steady_samples(steady, &first, &volts);
-    for (size_t i = 0; i < kept; i++)
-        add_to(&followed.hash, (uint64_t)(int64_t)volts[i]);
-    add_to(&followed.hash, (uint64_t)(steady_place(steady)->noise * 1e3));
-    MUST(first + (int64_t)kept == steady_place(steady)->end, WRONG_VALUE);
-    followed.used = size - steady_left(steady, &left);
-    followed.end = steady_place(steady)->end;
-    add_to(&followed.hash, event);
-    steady_free(steady);
-    scanner_free(scanner);
-    transform_free(transform);
-    return followed;
-}
-
-/* A stream of packets as a digitizer sends them, more or less. */
-static void follow_stream(struct input *input)
-{
-    static uint8_t wire[1 << 14], body[2048];
-    uint64_t index = 7;
-    uint16_t sequence = 0;
-    size_t size = 0, piece = 1 + input_u8(input);
-    bool has_fit = input_u8(input) % 4;
-    size_t count;
-
-    while (input->left && size + 400 < sizeof wire) {
-        uint8_t kind = input_u8(input), flags = kind >> 4 & 1;
-        struct tp_header header = {.sequence = sequence};
-        uint64_t off = kind & 128 ? (uint64_t)(int8_t)input_u8(input) : 0;
-        size_t body_size = sizeof header;
-        if (kind % 4 == 3) {
-            int64_t mean = (int8_t)input_u8(input);
-            count = 1 + input_u8(input) % 40;
-            struct tp_quiet quiet = {.device_time_us = index + (kind & 64 ? off : 0),
-                                     .first_index = index + (kind & 64 ? 0 : off),
-                                     .flags = flags,
-                                     .count = (uint32_t)count,
-                                     .sum = mean * (int64_t)count,
-                                     .sum_of_squares =
-                                         (uint64_t)(mean * mean) * count + input_u8(input)};
-            header.type = TP_QUIET;
-            memcpy(body + body_size, &quiet, sizeof quiet);
-            body_size += sizeof quiet;
-        } else {
-            struct tp_packed samples = {.device_time_us = index + (kind & 64 ? off : 0),
-                                        .first_index = index + (kind & 64 ? 0 : off),
-                                        .flags = flags,
-                                        .base = -2048,
-                                        .step = 1};
-            uint8_t shape = input_u8(input), level = input_u8(input);
-            bool packs = (kind & 6) == 6;
-            count = 1 + shape % 30;
-            header.type = kind == 32 ? TP_STATUS : packs ? TP_PACKED : TP_SAMPLES;
-            size_t head_size = packs ? sizeof samples : sizeof(struct tp_samples);
-            memcpy(body + body_size, &samples, head_size); /* both begin alike */
-            body_size += head_size;
-            uint8_t *values = body + body_size;
-            for (size_t i = 0; i < count; i++) {
-                /* A word of the second row, silence, or anything. */
-                bool is_frame = flags && i < 16, bit = i < 8 ? shape & 64 : shape & 128;
-                int spoken = (bit ? 100 : -100) * (i / 2 % 2 ? -1 : 1);
-                int volts = kind & 8 && input->left ? (int8_t)input_u8(input) * (level & 7)
-                            : is_frame && level & 8  ? 3 + spoken
-                                                     : 3 + (int)(i % 3);
-                uint16_t word = (uint16_t)(int16_t)volts ^ TP_SAMPLE_XOR;
-                unsigned value = (unsigned)(volts + 2048) ^ 0x555u;
-                if (!packs)
-                    memcpy(values + 2 * i, &word, sizeof word);
-                for (size_t half = 3 * i; packs && half < 3 * i + 3; half++, value >>= 4)
-                    values[half / 2] = (uint8_t)(half % 2 ? values[half / 2] | (value & 15u) << 4
-                                                          : value & 15u);
-            }
-            body_size += packs ? (3 * count + 1) / 2 : 2 * count;
-        }
-        memcpy(body, &header, sizeof header);
-        index += count;
-        sequence++;
-        size += framing_wrap(body, body_size, wire + size);
-    }
-    uint8_t *exact = malloc(size + !size);
-    memcpy(exact, wire, size);
-    struct followed whole = follow(exact, size, size + !size, has_fit);
-    struct followed parts = follow(exact, size, piece, has_fit);
-    MUST(whole.hash == parts.hash && whole.end == parts.end, WRONG_VALUE);
-    free(exact);
-}
-
 /* A frame of known words on a line without marks, and whatever the input adds to it: what is seen without
  * doubt on an undisturbed line was sent. Candidates of any start and chip are weighed, too. */
 static void look_for_frame(struct input *input)
@@ -811,7 +604,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     struct input input = {bytes, size};
     uint8_t test = input_u8(&input);
 
-    switch (test < 224 ? test % 7 : test < 250 ? 7 : 8) { /* inputs that are kept stay what they were */
+    switch (test < 224 ? test % 7 : 7) { /* inputs that are kept stay what they were */
     case 0:
         scan_bytes(&input);
         break;
@@ -834,9 +627,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         touch(&input);
         break;
     case 7:
-        follow_stream(&input);
-        break;
-    case 8:
         look_for_frame(&input);
         break;
     }
