@@ -47,15 +47,15 @@ class Feature:
 def features_of(
     streams: Iterable[SampleStream], slots: Mapping[str, int], mode: str
 ) -> list[Feature]:
-    """The columns for some streams. slots: samples of a tick, by the patches' keys."""
+    """The columns for some streams. slots: samples of a tick, by the patches' features."""
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
     for stream in streams:
         name, size = column(stream), stream.shape
         if stream.kind == Kind.TACTILE:
             taxels = tuple(f"taxel_{i}" for i in range(size[0]))
-            ages = tuple(f"age_{i}" for i in range(slots[stream.key]))
+            ages = tuple(f"age_{i}" for i in range(slots[stream.feature]))
             if mode == WINDOW:
-                size, taxels = (slots[stream.key], *size), ("sample", "taxel")
+                size, taxels = (slots[stream.feature], *size), ("sample", "taxel")
             features += [
                 Feature(name, "float32", size, taxels, "Pa", pooled=True),
                 Feature(f"{name}.valid", "float32", size, taxels, mask=True),
