@@ -84,8 +84,10 @@ def write_lerobot(
         layout.check(source)
     outcome = Outcome(fps=layout.fps)
     outcome.notes += [f"{path}: no {name}, which is left out" for name, path in lacking.items()]
-    with whole_folder(folder) as unfinished:
-        writer = DatasetWriter(unfinished, layout.features, layout.fps)
+    with (
+        whole_folder(folder) as unfinished,
+        DatasetWriter(unfinished, layout.features, layout.fps) as writer,
+    ):
         files: list[str] = []
         about: list[dict[str, Any]] = []
         firsts: dict[str, dict[str, Any]] = {}  # by patch

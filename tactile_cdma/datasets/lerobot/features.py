@@ -12,6 +12,7 @@ import numpy as np
 
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
+from ..arrow import PNG_OR_JPEG
 from ..samples import NANO, Kind, RawImage, SampleSource, SampleStream
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
@@ -19,7 +20,6 @@ from ..touch import DROP, WINDOW, Touch
 TIME = "unix_time_ns"
 """Feature: the tick as Unix time; an integer, as torch makes float32 of the others. Not called
 observation: policies take no notice of it."""
-PNG_OR_JPEG = "image"
 
 
 @dataclass(frozen=True, slots=True)
