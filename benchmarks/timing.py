@@ -436,7 +436,7 @@ def panel(
     names = [name for name in COLOURS if name in kept[0][2]]
     columns = [*names, *(name for name in kept[0][2] if name not in names)]
     rows = [[nodes, value, *(found[name] for name in columns)] for nodes, value, found in kept]
-    report.table(["nodes", label, *columns], rows)
+    report.table(["nodes", label, *columns], rows, keep=False)
     for nodes in dict.fromkeys(nodes for nodes, _, _ in kept):
         values = [scale * value for some, value, _ in kept if some == nodes]
         for name in names:
@@ -491,7 +491,7 @@ def main() -> None:
     for axis in axes[:, 0]:
         axis.set_ylabel("bit error rate; 1e-5: none")
     headers = "nodes,order,scrambled,samples/chip,median gain,worst gain,unresolved,BER"
-    report.table(headers.split(","), sampling_rows())
+    report.table(headers.split(","), sampling_rows(), keep=False)
     decorrelate_ms = costs(report)
     scrambling = scrambling_costs(report)
     live = line_and_gap(report)

@@ -104,18 +104,20 @@ static bool get_buffer(struct call *call, const struct argument *takes, PyObject
 static bool get_object(struct call *call, const struct argument *takes, PyObject *object,
                        union value *value)
 {
-    if (!takes->shape)
+    const char *name = takes->shape;
+
+    if (!name)
         return true;
     PyTypeObject *own = PyType_Check(call->self) ? (PyTypeObject *)call->self : Py_TYPE(call->self);
     PyObject *module = PyModule_Check(call->self) ? call->self : PyType_GetModule(own);
-    PyObject *class = module ? PyObject_GetAttrString(module, takes->shape) : NULL;
+    PyObject *class = module ? PyObject_GetAttrString(module, name) : NULL;
     int is = class ? PyObject_IsInstance(object, class) : -1;
 
     Py_XDECREF(class);
     if (is == 1)
         value->data = held_by(object);
     return is == 1 ||
-           (!is && unfit(call, takes, PyExc_TypeError, "a %s of the kernel expected", takes->shape));
+           (!is && unfit(call, takes, PyExc_TypeError, "a %s of the kernel expected", name));
 }
 
 static bool get(struct call *call, const struct argument *takes, PyObject *object, size_t i)
@@ -214,18 +216,17 @@ static PyObject *fields_tuple(const struct layout *layout)
     return fields;
 }
 
-PyObject *layouts_dict(const struct layout *layouts, size_t count)
+bool add_layouts(PyObject *dict, const struct layout *layouts, size_t count)
 {
-    PyObject *dict = PyDict_New();
+    bool added = dict;
 
-    for (size_t i = 0; dict && i < count; i++) {
+    for (size_t i = 0; added && i < count; i++) {
         PyObject *fields = fields_tuple(&layouts[i]);
         PyObject *layout = fields ? Py_BuildValue("(nN)", (Py_ssize_t)layouts[i].size, fields) : NULL;
-        if (!layout || PyDict_SetItemString(dict, layouts[i].name, layout))
-            Py_CLEAR(dict);
+        added = layout && !PyDict_SetItemString(dict, layouts[i].name, layout);
         Py_XDECREF(layout);
     }
-    return dict;
+    return added;
 }
 
 /* ---- objects ----------------------------------------------------------------------------------- */

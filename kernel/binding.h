@@ -140,8 +140,8 @@ struct layout {
     {#member, offsetof(struct type, member), FIELD_KIND(((struct type *)NULL)->member)}
 #define LAYOUT(type, fields) {#type, sizeof(struct type), sizeof fields / sizeof *fields, fields}
 
-/* {name: (bytes, ((field, offset, kind), …))} of `count` structs. */
-PyObject *layouts_dict(const struct layout *layouts, size_t count);
+/* Adds name: (bytes, ((field, offset, kind), …)) of `count` structs; false with an exception. */
+bool add_layouts(PyObject *dict, const struct layout *layouts, size_t count);
 
 /* ---- objects ----------------------------------------------------------------------------------- */
 
@@ -167,6 +167,8 @@ PyObject *counts_dict(const struct scanner_counts *seen);
 PyObject *file_error(int failure);
 
 /* The types of the module, each in a file of its own or in module.c. */
-extern PyType_Spec steady_spec, code_spec;
+extern PyType_Spec stream_spec, code_spec;
+#define STREAM_LAYOUTS 2
+extern const struct layout stream_layouts[STREAM_LAYOUTS];
 
 #endif

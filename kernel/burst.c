@@ -40,6 +40,7 @@ bool burst_gap(const struct burst_search *search, const double *volts, size_t si
     if (width < 4)
         return false;
     sums[0] = squares[0] = 0;
+    gap->begin = 0;
     for (size_t i = 0; i < count; i++) {
         double off = mean_of(volts + i * search->half, search->half) - known->level;
         sums[i + 1] = sums[i] + off;

@@ -19,7 +19,7 @@ static size_t most_chips(const struct fit_code *code)
 size_t gap_scratch(const struct fit_code *code, const struct burst_search *search)
 {
     size_t order = code->frame.order, each = code->frame.bits * order + 2 * code->frame.nodes + 4;
-    size_t judge = 2 * most_chips(code) + (code->frame.bits + GAP_MOST * (code->frame.bits / 2 + 1)) * order;
+    size_t judge = (GAP_MOST + 2) * most_chips(code) + (code->frame.bits + GAP_MOST * (code->frame.bits / 2 + 1)) * order;
     size_t beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
 
     judge = judge < beside ? beside : judge;

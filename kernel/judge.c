@@ -72,56 +72,6 @@ static double square_sum(const float *values, size_t size)
     return sum;
 }
 
-/* Power that a candidate's words leave in its rows, V²·bits. */
-static double left_in_rows(const struct fit_code *code, const float *rows, const float *amplitude,
-                           float pedestal)
-{
-    const struct words_frame *frame = &code->frame;
-    double left = 0;
-
-    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
-        const float *levels = rows + frame->first;
-        size_t after = frame->first + frame->nodes;
-        float partial[LANES] = {0};
-        size_t node = 0;
-        for (; node + LANES <= frame->nodes; node += LANES)
-            for (size_t lane = 0; lane < LANES; lane++) {
-                float off = fabsf(levels[node + lane]) - amplitude[node + lane];
-                partial[lane] += off * off;
-            }
-        for (; node < frame->nodes; node++) {
-            float off = fabsf(levels[node]) - amplitude[node];
-            partial[0] += off * off;
-        }
-        for (size_t lane = 0; lane < LANES; lane++)
-            left += (double)partial[lane];
-        for (size_t i = 0; i < frame->first; i++) {
-            double off = (double)(rows[i] - (i ? 0 : pedestal));
-            left += off * off;
-        }
-        left += square_sum(rows + after, frame->order - after);
-    }
-    return left;
-}
-
-/* Copies the view's levels that no coded chip has: beside the frame, and guards in it. */
-static size_t copy_silent(const struct fit_code *code, const struct seen *seen, const float *levels,
-                          float *silent)
-{
-    size_t chips = code->frame.bits * code->frame.order, count = 0, end = seen->lead + code->span;
-
-    for (size_t i = 0; i < seen->lead; i++)
-        silent[count++] = levels[i];
-    for (size_t i = 0, next = 0; code->span > chips && i < code->span; i++)
-        if (next < chips && (size_t)code->places[next] == i)
-            next++;
-        else
-            silent[count++] = levels[seen->lead + i];
-    for (size_t i = end; i < seen->count; i++)
-        silent[count++] = levels[i];
-    return count;
-}
-
 /* Sum of the chips' votes, which replace what is off in them. */
 static double votes_of(float *off, size_t size, const struct judge_votes *votes, double most)
 {
@@ -177,7 +127,8 @@ static struct judge_votes votes_by(const struct judge_limits *limits, const floa
     return (struct judge_votes){distortion, variance};
 }
 
-/* What all functions below work with. off: (chips) left over by a candidate. model, part: chips. */
+/* What all functions below work with. off: (c, most) what candidates leave of the chips of their views. part:
+ * (c, part) chips of their first bits. */
 struct weighing {
     const struct fit_code *code;
     const struct fit_line *line;
@@ -186,6 +137,7 @@ struct weighing {
     const struct judge_found *found;
     struct judge_votes *votes;
     struct seen there; /* whose `levels` these are */
+    size_t most;
     float *levels, *off, *model, *part;
     double noise;
 };
@@ -199,9 +151,9 @@ static size_t bits_of_part(const struct words_frame *frame)
 
 size_t judge_scratch(const struct fit_code *code, const struct judge_candidates *all)
 {
-    size_t bits = code->frame.bits + all->count * bits_of_part(&code->frame);
+    size_t part = all->count * bits_of_part(&code->frame) * code->frame.order;
 
-    return 2 * judge_chips(code, all) + bits * code->frame.order;
+    return (all->count + 2) * judge_chips(code, all) + code->frame.bits * code->frame.order + part;
 }
 
 static struct seen look_at(struct weighing *w, size_t c)
@@ -212,7 +164,22 @@ static struct seen look_at(struct weighing *w, size_t c)
     return seen;
 }
 
-/* Finds the words of a candidate. Returns the power that they leave over, of all chips of its view. */
+/* Finds what the model's chips of the first `bits` bits leave of the levels of a candidate's view. */
+static void find_off(struct weighing *w, size_t c, const struct seen *seen, size_t bits, const float *model)
+{
+    size_t size = bits * w->code->frame.order;
+    float *off = w->off + c * w->most, *own = off + seen->lead;
+
+    memcpy(off, w->levels, seen->count * sizeof *off);
+    if (w->code->span == w->code->frame.bits * w->code->frame.order)
+        for (size_t i = 0; i < size; i++)
+            own[i] -= model[i];
+    else
+        for (size_t i = 0; i < size; i++)
+            own[w->code->places[i]] -= model[i];
+}
+
+/* Finds the words of a candidate, and what they leave over. Returns the power of that. */
 static double find_words(struct weighing *w, size_t c)
 {
     const struct words_frame *frame = &w->code->frame;
@@ -225,40 +192,31 @@ static double find_words(struct weighing *w, size_t c)
     transform_multiply(w->code->correlate, rows, rows, frame->bits);
     words_fit(frame, rows, amplitude, found->uneven + c * frame->nodes, &found->pedestal[c],
               &found->power[c], &found->spread[c], &found->misfit[c]);
-    double left = (double)frame->order * left_in_rows(w->code, rows, amplitude, found->pedestal[c]);
-    size_t silent = copy_silent(w->code, &seen, w->levels, w->off);
-    return seen.weight * (left + square_sum(w->off, silent));
+    fit_symbols(w->code, frame->bits, rows, amplitude, w->model);
+    transform_multiply(w->code->spread, w->model, w->model, frame->bits);
+    fit_model(w->code, frame->bits, found->pedestal[c], w->model);
+    find_off(w, c, &seen, frame->bits, w->model);
+    return seen.weight * square_sum(w->off + c * w->most, seen.count);
 }
 
-/* Takes the model's chips of the first `bits` bits from the levels in the view that `off` has. */
-static void leave_off(const struct weighing *w, const struct seen *seen, size_t bits, const float *model)
+/* Finds how chips vote by what a candidate leaves over, unless that is known. */
+static void find_votes(struct weighing *w, size_t c)
 {
-    size_t size = bits * w->code->frame.order;
-    float *off = w->off + seen->lead;
-
-    if (w->code->span == w->code->frame.bits * w->code->frame.order)
-        for (size_t i = 0; i < size; i++)
-            off[i] -= model[i];
-    else
-        for (size_t i = 0; i < size; i++)
-            off[w->code->places[i]] -= model[i];
-}
-
-/* The cost of a candidate whose words are known; and first, how chips vote, unless that is known. */
-static double find_cost(struct weighing *w, size_t c)
-{
-    const struct words_frame *frame = &w->code->frame;
     struct seen seen = look_at(w, c);
 
-    memcpy(w->off, w->levels, seen.count * sizeof *w->off);
-    fit_symbols(w->code, frame->bits, w->found->rows + c * frame->bits * frame->order,
-                w->found->amplitude + c * frame->nodes, w->model);
-    transform_multiply(w->code->spread, w->model, w->model, frame->bits);
-    fit_model(w->code, frame->bits, w->found->pedestal[c], w->model);
-    leave_off(w, &seen, frame->bits, w->model);
-    if (!(w->votes->variance > 0))
-        *w->votes = votes_by(w->limits, w->levels, w->off, seen.count, w->noise);
-    return seen.weight * votes_of(w->off, seen.count, w->votes, w->limits->vote);
+    if (!(w->votes->variance > 0)) {
+        float *copy = w->off + w->all->count * w->most; /* whose order changes */
+        memcpy(copy, w->off + c * w->most, seen.count * sizeof *copy);
+        *w->votes = votes_by(w->limits, w->levels, copy, seen.count, w->noise);
+    }
+}
+
+/* The cost of a candidate by what its words leave over. */
+static double cost_of(const struct weighing *w, size_t c)
+{
+    struct seen seen = seen_of(w->code, w->all, c);
+
+    return seen.weight * votes_of(w->off + c * w->most, seen.count, w->votes, w->limits->vote);
 }
 
 /* The chips (c, part) that the first bits of all candidates say by themselves, into `part`; what transforms
@@ -295,11 +253,11 @@ static double part_cost(struct weighing *w, size_t c)
     size_t bits = bits_of_part(&w->code->frame), part = bits * w->code->frame.order;
     struct seen seen = look_at(w, c);
     size_t coded = seen.lead + (size_t)w->code->places[part - 1] + 1, end = seen.lead + w->code->span;
+    float *off = w->off + c * w->most;
 
-    memcpy(w->off, w->levels, seen.count * sizeof *w->off);
-    leave_off(w, &seen, bits, w->part + c * part);
-    double cost = votes_of(w->off, coded, w->votes, w->limits->vote);
-    cost += votes_of(w->off + end, seen.count - end, w->votes, w->limits->vote);
+    find_off(w, c, &seen, bits, w->part + c * part);
+    double cost = votes_of(off, coded, w->votes, w->limits->vote);
+    cost += votes_of(off + end, seen.count - end, w->votes, w->limits->vote);
     return seen.weight * cost;
 }
 
@@ -311,13 +269,15 @@ static bool weigh_likely(struct weighing *w)
     double *cost = w->found->cost;
 
     find_parts(w);
-    double left = find_words(w, likely), least = cost[likely] = find_cost(w, likely);
+    double left = find_words(w, likely);
+    find_votes(w, likely);
+    double least = cost[likely] = cost_of(w, likely);
     for (size_t c = 0; c < w->all->count; c++) {
         if (c == likely || (cost[c] = part_cost(w, c)) > least + w->all->margin)
             continue;
         if (find_words(w, c) < left)
             return false;
-        cost[c] = find_cost(w, c);
+        cost[c] = cost_of(w, c);
     }
     return true;
 }
@@ -331,20 +291,21 @@ static void weigh_all(struct weighing *w)
         cost[c] = find_words(w, c);
         best = cost[c] < cost[best] ? c : best;
     }
-    cost[best] = find_cost(w, best);
+    find_votes(w, best);
     for (size_t c = 0; c < w->all->count; c++)
-        cost[c] = c == best ? cost[c] : find_cost(w, c);
+        cost[c] = cost_of(w, c);
 }
 
 void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                  const struct judge_limits *limits, const struct judge_candidates *all, double noise,
                  const struct judge_found *found, struct judge_votes *votes, float *scratch)
 {
-    size_t chips = judge_chips(code, all), size = code->frame.bits * code->frame.order;
+    size_t most = judge_chips(code, all), size = code->frame.bits * code->frame.order;
+    float *model = scratch + (all->count + 2) * most;
     struct judge_votes given = *votes;
     struct weighing w = {.code = code, .line = line, .limits = limits, .all = all, .found = found,
-                         .votes = votes, .noise = noise, .levels = scratch, .off = scratch + chips,
-                         .model = scratch + 2 * chips, .part = scratch + 2 * chips + size};
+                         .votes = votes, .noise = noise, .most = most, .levels = scratch,
+                         .off = scratch + most, .model = model, .part = model + size};
 
     if (all->likely < all->count && weigh_likely(&w))
         return;

@@ -210,6 +210,7 @@ FUNCTION(feed, ARRAY("data", 'B', "*"))
             Py_CLEAR(packets);
         Py_XDECREF(tuple);
     }
+    scanner_tell(scanner);
     return packets;
 }
 
@@ -217,6 +218,7 @@ static PyObject *skip(PyObject *self, PyObject *unused)
 {
     (void)unused;
     scanner_skip(held_by(self));
+    scanner_tell(held_by(self));
     Py_RETURN_NONE;
 }
 
@@ -228,11 +230,8 @@ static PyObject *held(PyObject *self, PyObject *unused)
 
 static PyObject *counts(PyObject *self, PyObject *unused)
 {
-    struct scanner_counts seen;
-
     (void)unused;
-    scanner_counts(held_by(self), &seen);
-    return counts_dict(&seen);
+    return counts_dict(scanner_told(held_by(self)));
 }
 
 static PyMethodDef scanner_methods[] = {
@@ -536,11 +535,13 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
-        add_type(module, &readout_spec) || add_type(module, &steady_spec) ||
+        add_type(module, &readout_spec) || add_type(module, &stream_spec) ||
         add_type(module, &code_spec))
         return -1;
-    PyObject *structs = layouts_dict(layouts, sizeof layouts / sizeof *layouts);
-    int failed = PyModule_AddObjectRef(module, "STRUCTS", structs);
+    PyObject *structs = PyDict_New();
+    int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||
+                 !add_layouts(structs, stream_layouts, STREAM_LAYOUTS) ||
+                 PyModule_AddObjectRef(module, "STRUCTS", structs);
     Py_XDECREF(structs);
     if (failed || PyModule_AddIntConstant(module, "VERSION", VERSION))
         return -1;

@@ -2,6 +2,8 @@
 
 #include "scanner.h"
 
+#include "crc.h"
+
 #include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,53 +26,17 @@ struct scanner {
     bool started;
     uint16_t expected;
     size_t partial; /* bytes after the last delimiter */
-    struct scanner_counts seen;
+    struct scanner_counts seen, told;
     uint8_t run[MAX_RUN], raw[MAX_RUN];
     uint8_t past[SEQUENCES]; /* of the last packet of each sequence number; */
     uint32_t crc[SEQUENCES]; /* its CRC */
 };
 
-/* Of bytes in a row of 8, from the last to the first (Kounavis and Berry 2005, "slicing by 8"). */
-static uint32_t crc_table[8][256];
-
-static void make_crc_table(void)
-{
-    for (uint32_t byte = 0; byte < 256; byte++) {
-        uint32_t crc = byte;
-        for (unsigned bit = 0; bit < 8; bit++)
-            crc = crc >> 1 ^ (crc & 1 ? 0xEDB88320u : 0);
-        crc_table[0][byte] = crc;
-    }
-    for (unsigned row = 1; row < 8; row++)
-        for (uint32_t byte = 0; byte < 256; byte++) {
-            uint32_t before = crc_table[row - 1][byte];
-            crc_table[row][byte] = before >> 8 ^ crc_table[0][before & 255];
-        }
-}
-
-static uint32_t crc32(const uint8_t *bytes, size_t size)
-{
-    uint32_t crc = UINT32_MAX, low, high;
-
-    for (; size >= 8; size -= 8, bytes += 8) {
-        memcpy(&low, bytes, 4);
-        memcpy(&high, bytes + 4, 4);
-        low ^= crc;
-        crc = crc_table[7][low & 255] ^ crc_table[6][low >> 8 & 255] ^
-              crc_table[5][low >> 16 & 255] ^ crc_table[4][low >> 24] ^
-              crc_table[3][high & 255] ^ crc_table[2][high >> 8 & 255] ^
-              crc_table[1][high >> 16 & 255] ^ crc_table[0][high >> 24];
-    }
-    while (size--)
-        crc = crc >> 8 ^ crc_table[0][(crc ^ *bytes++) & 255];
-    return ~crc;
-}
-
 struct scanner *scanner_new(unsigned long most_repeated)
 {
     struct scanner *scanner = calloc(1, sizeof *scanner);
 
-    make_crc_table();
+    crc_prepare();
     if (scanner)
         scanner->most_repeated = most_repeated;
     return scanner;
@@ -152,7 +118,7 @@ static bool parse(struct scanner *scanner, const uint8_t *run, size_t size,
         no_packet(scanner, run, size);
         return false;
     }
-    if (raw_size < CRC_SIZE || crc32(scanner->raw, raw_size) != RESIDUE) {
+    if (raw_size < CRC_SIZE || crc_of(scanner->raw, raw_size) != RESIDUE) {
         scanner->seen.crc_errors++;
         no_packet(scanner, run, size);
         return false;
@@ -260,6 +226,16 @@ void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts
     *counts = scanner->seen;
     if (!counts->packets)
         counts->text_bytes += text_bytes(scanner->run, scanner->partial);
+}
+
+void scanner_tell(struct scanner *scanner)
+{
+    scanner_counts(scanner, &scanner->told);
+}
+
+const struct scanner_counts *scanner_told(const struct scanner *scanner)
+{
+    return &scanner->told;
 }
 
 static size_t unpacked_samples(const struct scanner_packet *packet)

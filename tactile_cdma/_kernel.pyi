@@ -162,61 +162,56 @@ class Scanner:
         """Fields of Counters."""
 
 @final
-class Steady:
-    """Follows a stream while it goes on as it was; see kernel/steady.h and driver/steady.py."""
+class Stream:
+    """Goes from event to event; see kernel/frame_stream.h.
 
-    def __new__(
-        cls,
-        scanner: object,
+    Methods raise RuntimeError while another thread is in `next`.
+    """
+
+    def __new__(cls, scanner: object, /) -> Stream:
+        """scanner: shared with the parser."""
+
+    def describe(
+        self,
+        stream_rules: NDArray[np.void],
         transform: object,
-        setting: NDArray[np.float64],
+        flips: NDArray[np.float32],
         rows: NDArray[np.float32],
         /,
-    ) -> Steady:
-        """scanner: shared with the parser. rows: (k, N), written to with every frame."""
+    ) -> None:
+        """flips: (k, N), or empty. rows: (k, N), written to with every frame."""
 
-    def enter(
+    def forget(self) -> None: ...
+    def carry(
         self,
-        origin: int,
-        end: int,
-        gap_begin: int,
-        mark: int,
-        last_us: int,
-        last_count: int,
-        level_v: float,
-        noise: float,
-        gap: tuple[float, float, float],
-        volts: NDArray[np.float64],
-        due: int,
-        over: int,
-        uses: int,
-        fit: tuple[object, ...] | None,
+        stream_timing: NDArray[np.void],
+        whole: NDArray[np.int32],
+        share: NDArray[np.float64],
+        number: NDArray[np.float64],
+        places: NDArray[np.int32],
         /,
     ) -> None:
-        """Go on from a place between frames.
-
-        fit: chip, samples of the frame, begin and number of those after it, and the arrays of
-        ChipEdges.within. Raises ValueError for places beyond the `due` samples of a frame.
-        """
+        """Arrays: of ChipEdges.within; empty where there is no frame."""
 
     def give(self, data: bytes, t_host: float, backlog: bool, /) -> None:
         """Bytes to go on with. Raises RuntimeError while others are not used up."""
 
-    def wait(
+    def end(self) -> None: ...
+    def next(
         self, file: int, timeout_ms: int, /
     ) -> tuple[int, Any, list[PassedPacket], float, bool]:
-        """Event; what was found; packets that passed; when the last bytes were read, s; backlog.
+        """Event; what it is about; packets that passed; when the last bytes were read, s; backlog.
 
-        Found: start, noise (V), level (V) and share clipped of a frame, or a packet as Found.
         Without the GIL; file −1: no more than the given bytes. Raises OSError where nothing can be
-        read, RuntimeError while another thread is here.
+        read.
         """
 
-    def leave(self) -> tuple[Any, ...]:
-        """Place and use of the timing, bytes and samples that are left; see driver/steady.py."""
+    def place(self, answer: int, origin: int, anew: bool, mean: float, variance: float, /) -> bool:
+        """Whether a frame was cut short."""
 
-    def counts(self) -> dict[str, int]:
-        """As Scanner.counts, as of the last event: for any thread."""
+    def open(self, due: int, /) -> None: ...
+    def decide(self, due: int, over: int, level_v: float, /) -> None: ...
+    def look(self, due: int, /) -> None: ...
 
 @final
 class Code:
@@ -253,75 +248,15 @@ class Code:
         sums: (m + 1,) of the first 0 to m volts. scratch: of any size, if that is enough.
         """
 
-    def weigh(
-        self,
-        limits: NDArray[np.void],
-        volts: NDArray[np.float64],
-        sums: NDArray[np.float64],
-        start: NDArray[np.float64],
-        chip: NDArray[np.float64],
-        begin: float,
-        end: float,
-        noise: float,
-        likely: int,
-        margin: float,
-        distortion: float,
-        variance: float,
-        rows: NDArray[np.float32],
-        amplitude: NDArray[np.float32],
-        uneven: NDArray[np.float32],
-        pedestal: NDArray[np.float32],
-        power: NDArray[np.float32],
-        spread: NDArray[np.float32],
-        misfit: NDArray[np.float32],
-        cost: NDArray[np.float64],
-        scratch: NDArray[np.float32],
-        /,
-    ) -> tuple[float, float, int]:
-        """As weigh in framing/judge.py, into the arrays from rows on; likely: c for none.
+    def weigh(self, *given: Any) -> tuple[float, float, int]:
+        """As weigh in framing/judge.py, into the arrays from rows on; see kernel/module_frames.c.
 
-        distortion, variance: by which to vote; 0 for what the line gives. Returns these, and the
-        chips of the longest view.
+        Returns distortion and variance by which chips voted, and the chips of the longest view.
         """
 
-    def look(
-        self,
-        search: NDArray[np.void],
-        limits: NDArray[np.void],
-        rules: NDArray[np.void],
-        reaches: NDArray[np.float64],
-        volts: NDArray[np.float64],
-        least_power: float,
-        level: float,
-        variance: float,
-        start: float,
-        scatter: float,
-        chip: float,
-        slips: float,
-        rows: NDArray[np.float32],
-        amplitude: NDArray[np.float32],
-        uneven: NDArray[np.float32],
-        pedestal: NDArray[np.float32],
-        power: NDArray[np.float32],
-        spread: NDArray[np.float32],
-        misfit: NDArray[np.float32],
-        values: NDArray[np.float64],
-        scratch: NDArray[np.float32],
-        /,
-    ) -> (
-        tuple[
-            int,
-            tuple[float, float, int],
-            tuple[float, float, float, float, float, float],
-            float,
-            tuple[float, float],
-            bool,
-            tuple[float, float, bool],
-        ]
-        | None
-    ):
-        """What GapSearch.look in framing/gap.py makes a Look of; the words into the arrays.
+    def look(self, *given: Any) -> tuple[Any, ...] | None:
+        """What GapSearch.look in framing/gap.py makes a Look of; see kernel/module_frames.c.
 
-        Returns what there is, gap, burst, proven, fit, unaided and beside. chip: 0 where no frame
-        is expected. None where there are too few samples for a gap.
+        Returns what there is, gap, burst, proven, fit, unaided and beside, and the words in the
+        arrays. None where there are too few samples for a gap.
         """

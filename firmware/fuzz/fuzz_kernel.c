@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
- * whole numbers through its transforms and sums without any trick, any levels read as words, and
- * streams followed in pieces. */
+ * whole numbers through its transforms and sums without any trick, any levels read as words, and frames
+ * looked for without marks. What follows a stream has a harness of its own, fuzz_stream.c. */
 #include "contacts.h"
+#include "gap.h"
 #include "reference.h"
 #include "readout.h"
 #include "samples.h"
 #include "scanner.h"
-#include "steady.h"
 #include "transform.h"
 #include "words.h"
 
@@ -500,210 +500,102 @@ static void touch(struct input *input)
     free(status);
 }
 
-enum { STREAM_BITS = 2, STREAM_ORDER = 4, STREAM_CHIP = 2, STREAM_DUE = 20, STREAM_EDGES = 9 };
-
-/* What was followed of a stream: a hash of all events, and where it ended. */
-struct followed {
-    uint64_t hash;
-    int64_t end;
-    size_t used; /* bytes */
-};
-
-static void add_to(uint64_t *hash, uint64_t value)
+/* A frame of known words on a line without marks, and whatever the input adds to it: what is seen without
+ * doubt on an undisturbed line was sent. Candidates of any start and chip are weighed, too. */
+static void look_for_frame(struct input *input)
 {
-    *hash = (*hash ^ value) * 0x100000001B3u;
-}
+    enum { MOST_BITS = 11 };
+    unsigned twos = 2 + input_u8(input) % 4, kind = input_u8(input);
+    size_t order = (size_t)1 << twos, bits = 4 + input_u8(input) % (MOST_BITS - 3), per_chip = 3 + kind % 3;
+    size_t first = kind / 4 % 2, nodes = 1 + input_u8(input) % (order - first), chips = bits * order;
+    struct transform *correlate = transform_new(twos, 0, NULL, NULL, 1.0f / (float)order, 0);
+    struct transform *spread = transform_new(twos, 0, NULL, NULL, 1.0f, 0);
+    size_t gap = 6 * order * per_chip / 10 + input_u8(input), frame = chips * per_chip;
+    size_t after = (size_t)input_u8(input) * per_chip / 4, size = gap + frame + after;
+    float *sent = calloc(chips, sizeof *sent), *levels = malloc(chips * sizeof *levels);
+    double *volts = calloc(size, sizeof *volts), *sums = malloc((size + 1) * sizeof *sums);
+    int32_t *places = malloc(chips * sizeof *places);
+    double reaches[] = {0.5, 0.25}, noise = 1e-4;
+    struct fit_code code = {{bits, order, first, nodes, false, NAN, 0.25f, 0.5f, 2.2},
+                            chips, correlate, spread, NULL, places};
+    const struct judge_limits limits = {0.3, 0.8, 1.28, 6, 0.3};
+    const double chip = (double)per_chip, length = (double)frame;
+    const struct gap_rules rules = {length, 1.1 * length, 1.1 * (double)order * chip,
+                                    1.6 * length, 2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, 0.02};
+    size_t half = per_chip / 2, group = frame / half < 320 ? 1 : frame / half / 320, cell = half * group;
+    const struct burst_search search = {
+        half, 8, group, frame / cell, 11 * frame / 10 / cell + 1, order * per_chip / cell + 2,
+        3 * (order * per_chip / cell + 2) * group, gap, order * per_chip / half, nodes, chip,
+        0.1, 6, 1e-14, 1.2, 0.3, 1000, 4, 0.455, 0.2, 0.1};
 
-/* Follows a stream in pieces of a size, up to the first packet or frame that is left to others. */
-static struct followed follow(const uint8_t *bytes, size_t size, size_t piece, bool has_fit)
-{
-    static const float scale = 0.25f;
-    struct transform *transform = transform_new(2, 0, NULL, NULL, scale, 0);
-    struct scanner *scanner = scanner_new(3);
-    int32_t whole[STREAM_EDGES], places[STREAM_BITS * STREAM_ORDER];
-    double share[STREAM_EDGES] = {0}, number[STREAM_EDGES];
-    float rows[STREAM_BITS * STREAM_ORDER];
-    struct followed followed = {.hash = 0xCBF29CE484222325u};
-
-    for (int32_t edge = 0; edge < STREAM_EDGES; edge++) {
-        whole[edge] = STREAM_CHIP * edge;
-        number[edge] = STREAM_CHIP;
-        if (edge < STREAM_BITS * STREAM_ORDER)
-            places[edge] = edge;
+    for (size_t bit = 0; bit < bits; bit++)
+        for (size_t node = 0; node < nodes; node++)
+            sent[bit * order + first + node] = input_u8(input) % 2 ? 1.0f : -1.0f;
+    transform_multiply(spread, sent, levels, bits);
+    for (size_t i = 0; i < chips; i++)
+        places[i] = (int32_t)i;
+    for (size_t i = 0; i < size; i++) {
+        volts[i] = (i + kind) % 2 ? 0.005 : -0.005;
+        if (i >= gap && i < gap + frame)
+            volts[i] += (double)levels[(i - gap) / per_chip];
     }
-    struct steady_setting setting = {
-        .line = {.frame = {.bits = STREAM_BITS,
-                           .order = STREAM_ORDER,
-                           .first = 1,
-                           .nodes = 3,
-                           .swing = 100,
-                           .loudest_share = 0.25f,
-                           .active_share = 0.5f,
-                           .spoken_over = 2.2},
-                 .size = STREAM_CHIP * STREAM_BITS * STREAM_ORDER,
-                 .chip = STREAM_CHIP,
-                 .least_power = 625,
-                 .most_noise = 80,
-                 .rail_low = -30000,
-                 .rail_high = 30000,
-                 .deafened = 0.25,
-                 .carried_noise = 1.5,
-                 .carried_misfit = 3e-3,
-                 .loud = 2,
-                 .transform = transform},
-        .per_count = 1,
-        .volts_per_count = 1,
-        .most_volts = 1e6,
-        .gap_size = 8,
-        .least_rest = 4,
-        .gap_weight = 0.25,
-        .rise = 4,
-        .rise_v2 = 1e-6,
-        .silent_over = 17,
-        .rate_hz = 1e6,
-        .behind_s = 1e-5,
-        .ahead_s = 1e-5,
-        .ahead = 0.01,
-        .most_device_us = 1u << 20,
-        .most_quiet = 100,
-        .most_quiet_v2 = 100,
-    };
-    struct carried_fit fit = {.chip = STREAM_CHIP,
-                              .edges = {STREAM_EDGES, whole, share, number},
-                              .places = places,
-                              .heard = 16,
-                              .tail = 17,
-                              .tail_samples = 3};
-    struct steady_place place = {.start = -1, .level = 3, .noise = 10};
-    struct steady_timing timing = {has_fit ? &fit : NULL, STREAM_DUE, 17, 5};
-    struct steady *steady = steady_new(&setting, scanner, rows);
-    MUST(steady_enter(steady, &place, 7, &timing, NULL, 0), WRONG_VALUE);
-    enum steady_event event = STEADY_MORE;
-    struct scanner_packet packet;
-    int64_t passed_end = 0, due_us = 0;
-    bool going_on = true;
-    for (size_t begin = 0; going_on && begin < size; begin += piece) {
-        steady_give(steady, bytes + begin, size - begin < piece ? size - begin : piece, 1, false);
-        do {
-            size_t marks = steady_marks(steady);
-            bool in_frame = steady_place(steady)->start >= 0;
-            event = steady_next(steady, &packet);
-            const struct steady_passed *passed;
-            size_t count = steady_passed(steady, &passed);
-            const struct steady_place *now = steady_place(steady);
-            MUST(count <= STEADY_MOST_PASSED, WRONG_VALUE);
-            for (size_t i = 0; i < count; i++) {
-                MUST(passed[i].index == passed_end && passed[i].count, UNCOUNTED_LOSS);
-                int64_t off_us = (int64_t)passed[i].device_time_us - due_us;
-                MUST(off_us >= -10 && off_us <= 10 + passed[i].count / 50, WRONG_VALUE);
-                due_us = (int64_t)passed[i].device_time_us + passed[i].count;
-                passed_end += passed[i].count;
-                add_to(&followed.hash, passed[i].device_time_us);
-            }
-            MUST(passed_end == now->end, UNCOUNTED_LOSS);
-            MUST(now->noise >= 0 && !isnan(now->level), WRONG_VALUE);
-            bool decided = event == STEADY_HEARD || event == STEADY_SILENT;
-            /* A frame is decided before the next one begins. */
-            MUST(steady_marks(steady) - marks <= (in_frame ? 0u : 1u), WRONG_VALUE);
-            if (decided) {
-                MUST(now->start < 0 && now->mark == steady_start(steady), WRONG_VALUE);
-                MUST(now->mark >= 0 && now->end > now->mark, WRONG_VALUE);
-                add_to(&followed.hash, (uint64_t)steady_start(steady) * 8 + event);
-                for (size_t i = 0; event == STEADY_HEARD && i < STREAM_BITS * STREAM_ORDER; i++)
-                    MUST(!isnan(rows[i]), WRONG_VALUE);
-            }
-            MUST(event != STEADY_HEARD || has_fit, WRONG_VALUE);
-            MUST(event != STEADY_UNDECIDED || now->start >= 0, WRONG_VALUE);
-            going_on = event != STEADY_PACKET && event != STEADY_UNDECIDED;
-        } while (going_on && event != STEADY_MORE);
+    bool disturbed = input->left > 0;
+    while (input->left) {
+        size_t at = input_u16(input) % size, value = input_u8(input);
+        volts[at] = value == 255 ? NAN : value == 254 ? 1e6 : (double)((int)value - 128) / 8;
     }
-    const uint8_t *left;
-    const double *volts;
-    int64_t first = 0;
-    size_t kept = steady_samples(steady, &first, &volts);
-    for (size_t i = 0; i < kept; i++)
-        add_to(&followed.hash, (uint64_t)(int64_t)volts[i]);
-    add_to(&followed.hash, (uint64_t)(steady_place(steady)->noise * 1e3));
-    MUST(first + (int64_t)kept == steady_place(steady)->end, WRONG_VALUE);
-    followed.used = size - steady_left(steady, &left);
-    followed.end = steady_place(steady)->end;
-    add_to(&followed.hash, event);
-    steady_free(steady);
-    scanner_free(scanner);
-    transform_free(transform);
-    return followed;
-}
+    struct gap_expected expected = {(double)gap - 0.5 + (kind & 16 ? 0.3 : 0), 0.05 * chip,
+                                    kind & 32 ? 0 : chip, kind & 64 ? 1e-4 : 0.02};
+    struct gap_seen seen;
+    enum gap_look look;
+    struct burst_gap known = {0, 1e-5, 0};
+    float *words = malloc((chips + 2 * nodes + 4) * sizeof *words), *four = words + chips + 2 * nodes;
+    double *values = malloc(gap_values(&search, size) * sizeof *values);
+    float *scratch = malloc(gap_scratch(&code, &search) * sizeof *scratch);
+    seen.words = (struct judge_found){words, words + chips, words + chips + nodes, four, four + 1, four + 2,
+                                      four + 3, NULL};
+    bool has_gap = gap_look(&code, &search, &limits, &rules, reaches, 2, volts, size, 0, &known,
+                            &expected, &seen, &look, values, scratch);
+    for (size_t i = 0; has_gap && look == GAP_FRAME && !disturbed && i < chips; i++)
+        MUST(sent[i] == 0 || sent[i] * words[i] > 0, WRONG_VALUE);
+    MUST(!has_gap || look != GAP_FRAME || seen.proven <= (double)size, WRONG_VALUE);
 
-/* A stream of packets as a digitizer sends them, more or less. */
-static void follow_stream(struct input *input)
-{
-    static uint8_t wire[1 << 14], body[2048];
-    uint64_t index = 7;
-    uint16_t sequence = 0;
-    size_t size = 0, piece = 1 + input_u8(input);
-    bool has_fit = input_u8(input) % 4;
-    size_t count;
-
-    while (input->left && size + 400 < sizeof wire) {
-        uint8_t kind = input_u8(input), flags = kind >> 4 & 1;
-        struct tp_header header = {.sequence = sequence};
-        uint64_t off = kind & 128 ? (uint64_t)(int8_t)input_u8(input) : 0;
-        size_t body_size = sizeof header;
-        if (kind % 4 == 3) {
-            int64_t mean = (int8_t)input_u8(input);
-            count = 1 + input_u8(input) % 40;
-            struct tp_quiet quiet = {.device_time_us = index + (kind & 64 ? off : 0),
-                                     .first_index = index + (kind & 64 ? 0 : off),
-                                     .flags = flags,
-                                     .count = (uint32_t)count,
-                                     .sum = mean * (int64_t)count,
-                                     .sum_of_squares =
-                                         (uint64_t)(mean * mean) * count + input_u8(input)};
-            header.type = TP_QUIET;
-            memcpy(body + body_size, &quiet, sizeof quiet);
-            body_size += sizeof quiet;
-        } else {
-            struct tp_packed samples = {.device_time_us = index + (kind & 64 ? off : 0),
-                                        .first_index = index + (kind & 64 ? 0 : off),
-                                        .flags = flags,
-                                        .base = -2048,
-                                        .step = 1};
-            uint8_t shape = input_u8(input), level = input_u8(input);
-            bool packs = (kind & 6) == 6;
-            count = 1 + shape % 30;
-            header.type = kind == 32 ? TP_STATUS : packs ? TP_PACKED : TP_SAMPLES;
-            size_t head_size = packs ? sizeof samples : sizeof(struct tp_samples);
-            memcpy(body + body_size, &samples, head_size); /* both begin alike */
-            body_size += head_size;
-            uint8_t *values = body + body_size;
-            for (size_t i = 0; i < count; i++) {
-                /* A word of the second row, silence, or anything. */
-                bool is_frame = flags && i < 16, bit = i < 8 ? shape & 64 : shape & 128;
-                int spoken = (bit ? 100 : -100) * (i / 2 % 2 ? -1 : 1);
-                int volts = kind & 8 && input->left ? (int8_t)input_u8(input) * (level & 7)
-                            : is_frame && level & 8  ? 3 + spoken
-                                                     : 3 + (int)(i % 3);
-                uint16_t word = (uint16_t)(int16_t)volts ^ TP_SAMPLE_XOR;
-                unsigned value = (unsigned)(volts + 2048) ^ 0x555u;
-                if (!packs)
-                    memcpy(values + 2 * i, &word, sizeof word);
-                for (size_t half = 3 * i; packs && half < 3 * i + 3; half++, value >>= 4)
-                    values[half / 2] = (uint8_t)(half % 2 ? values[half / 2] | (value & 15u) << 4
-                                                          : value & 15u);
-            }
-            body_size += packs ? (3 * count + 1) / 2 : 2 * count;
-        }
-        memcpy(body, &header, sizeof header);
-        index += count;
-        sequence++;
-        size += framing_wrap(body, body_size, wire + size);
+    enum { COUNT = 3 };
+    double start[COUNT], chips_of[COUNT], cost[COUNT];
+    struct judge_candidates all = {COUNT, kind % 4, start, chips_of, 0, 0, 60};
+    for (size_t c = 0; c < COUNT; c++) {
+        start[c] = (double)gap - 1 + (double)c * (kind & 128 ? chip : 0.7);
+        chips_of[c] = kind & 128 ? chip : chip * (1 + 0.01 * (double)c);
+        double end = start[c] + (double)chips * chips_of[c];
+        all.end = end > all.end ? end : all.end;
     }
-    uint8_t *exact = malloc(size + !size);
-    memcpy(exact, wire, size);
-    struct followed whole = follow(exact, size, size + !size, has_fit);
-    struct followed parts = follow(exact, size, piece, has_fit);
-    MUST(whole.hash == parts.hash && whole.end == parts.end, WRONG_VALUE);
-    free(exact);
+    all.begin = start[0];
+    float *rows = malloc(COUNT * (chips + 2 * nodes + 4) * sizeof *rows), *rest = rows + COUNT * chips;
+    float *each = rest + 2 * COUNT * nodes;
+    struct judge_found found = {rows, rest, rest + COUNT * nodes, each, each + COUNT, each + 2 * COUNT,
+                                each + 3 * COUNT, cost};
+    struct judge_votes votes = {0, 0};
+    float *more = malloc(judge_scratch(&code, &all) * sizeof *more);
+    sums[0] = 0;
+    for (size_t i = 0; i < size; i++)
+        sums[i + 1] = sums[i] + volts[i];
+    const struct fit_line line = {size, volts, sums};
+    MUST(judge_chips(&code, &all) >= chips, WRONG_VALUE);
+    judge_weigh(&code, &line, &limits, &all, noise, &found, &votes, more);
+    for (size_t c = 0; c < COUNT; c++)
+        MUST(!(cost[c] < 0), WRONG_VALUE);
+    free(sent);
+    free(levels);
+    free(volts);
+    free(sums);
+    free(places);
+    free(words);
+    free(values);
+    free(scratch);
+    free(rows);
+    free(more);
+    transform_free(correlate);
+    transform_free(spread);
 }
 
 /* The input's first byte selects the test. */
@@ -735,7 +627,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         touch(&input);
         break;
     case 7:
-        follow_stream(&input);
+        look_for_frame(&input);
         break;
     }
     return 0;

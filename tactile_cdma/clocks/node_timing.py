@@ -19,13 +19,7 @@ from ..code.separate import NodeLevels
 from ..framing.fit import word_floor
 from ..framing.limits import LIMITS
 from ..framing.line_timing import LineRecogniser
-from ..framing.marked_timing import (
-    MarkedFrame,
-    MarkedLine,
-    MarkedTiming,
-    SteadyTiming,
-    Verdict,
-)
+from ..framing.marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from ..framing.timing import ABSURD, INCOMPLETE, MISFIT, Rails
 from .clock_keeper import ClockKeeper
 from .decorrelate import Decorrelator
@@ -89,24 +83,23 @@ class NodeRecogniser:
         """See Recogniser."""
         self._common.forget()
 
-    def steady(self) -> SteadyTiming | None:
-        """See Recogniser: not in roll calls, nor while one is evaluated, nor by least squares."""
+    @property
+    def carried(self) -> CarriedTiming | None:
+        """See Recogniser: none in roll calls, while one is evaluated, or by least squares."""
         clocks = self._clocks
         if self._called or self._first_call is not None or not clocks.settled:
             return None
-        return None if clocks.decorrelator else self._common.steady()
-
-    def passed(self, frames: int, uses: int) -> None:
-        """See Recogniser."""
-        self._common.passed(frames, uses)
+        return None if clocks.decorrelator else self._common.carried
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser."""
         if self._called:
+            self._common.note(frame)
             return self._hear(frame)
         decorrelator = self._clocks.decorrelator
         if decorrelator is None:
             return self._common.recognise(frame)
+        self._common.note(frame)
         return self._line.gate(frame) or self._decorrelate(frame, decorrelator)
 
     def _hear(self, frame: MarkedFrame) -> Verdict:

@@ -23,10 +23,11 @@ from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.decode import Words, decode, silent
 from ..words.health import NodeHealth
 from .clock import DeviceClock
+from .compiled_stream import CompiledStream
+from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .levels import LevelDecoder
-from .steady import NO_FILE, Event, SteadyStream, Waited
-from .timeline import Arrival, Step, StreamCounters, Timeline, sample_count
+from .stream import Decisions, Event, NumpyStream, Stream
+from .timeline import Answer, Arrival, Placement, Step, StreamCounters, Timeline, sample_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +53,12 @@ class TactileFrame:
 
 
 class Pipeline:
-    """Decodes the digitizer's bytes: bytes → packets → timeline → levels → words → readings.
+    """Decodes the digitizer's bytes: bytes → packets → levels → words → readings.
 
     problem: why nothing can be decoded at present, in one sentence; None while all is well.
     digitizer: what the digitizer has said about itself. on_info: called with that where it fits and
-    is new, before what follows is decoded.
+    is new, before what follows is decoded. decisions: where frames were decided, and why.
+    stream: of the present connection; a live port is read by it, and its events go to `take`.
     """
 
     def __init__(
@@ -65,15 +67,17 @@ class Pipeline:
         background: bool = True,
         most_repeated: int = MAX_REPEATED,
         clocks: Callable[[], DeviceClock] = DeviceClock,
+        compiled: bool = True,
+        frames: bool = True,
     ) -> None:
         """background: evaluate the nodes' clocks in a thread beside the stream, not at once.
 
         Frames then depend on when that is done. most_repeated: see PacketParser. clocks: see
-        Timeline.
+        Timeline. compiled: False for the stream in numpy, though there is a kernel. frames: False
+        to follow the stream and its clock only.
         """
         self.config = config
-        self.counters = StreamCounters()
-        self.parser = PacketParser(most_repeated)
+        self.counters, self.decisions = StreamCounters(), Decisions()
         self.digitizer = DigitizerState()
         self.problem: str | None = None
         self.on_info: Callable[[Info], None] = lambda info: None
@@ -84,106 +88,52 @@ class Pipeline:
         chain = PressureChain(config.calibration, Baseline(nodes), tracker, config.compensator())
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self._background, self._most_repeated = background, most_repeated
+        self._compiled, self._frames_wanted = compiled, frames
         self._earlier_packets = Counters()
-        self._levels: LevelDecoder | None = None  # while the digitizer can be decoded
-        self._steady: SteadyStream | None = None
+        self._description: Description | None = None  # while the digitizer can be decoded
+        self.stream = self._new_stream()
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
         """Decode bytes that were read at t_host (monotonic, s). Any split gives the same frames.
 
         backlog: they had been waiting to be read.
         """
-        steady = self._steady
-        if steady is None or not steady.entered:
-            return self._by_packets(data, t_host, backlog)
+        self.stream.give(data, t_host, backlog)
+        return self.drain()
+
+    def drain(self) -> list[TactileFrame]:
+        """The frames in the bytes that were read so far."""
         frames: list[TactileFrame] = []
-        steady.give(data, t_host, backlog)
-        while steady.entered:
-            waited = steady.wait(NO_FILE, 0)
-            frames += self.take(waited)
-            if waited.event is Event.MORE:
-                break
+        needs_bytes = False
+        while not needs_bytes:
+            event = self.stream.next()
+            if (frame := self.take(event)) is not None:
+                frames.append(frame)
+            needs_bytes = event.needs_bytes
         return frames
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether the kernel follows the stream, so that `wait` may be called."""
-        return self._steady is not None and self._steady.entered
-
-    def wait(self, file: int, timeout_ms: int) -> Waited:
-        """Wait for the next frame, or whatever has to be decided, from a file descriptor.
-
-        The only method that may run while others use the pipeline: what it brings is taken in by
-        `take`. Raises OSError where nothing can be read.
-        """
-        assert self._steady is not None
-        return self._steady.wait(file, timeout_ms)
-
-    def take(self, waited: Waited) -> list[TactileFrame]:
-        """The frames that the outcome of a wait gives."""
-        levels = self._levels
-        assert levels is not None
-        self.timeline.passed(waited.passed, levels.pace)
-        if waited.frame is not None:
-            return [self._frame(waited.frame, levels)]
-        if waited.event is Event.UNDECIDED:
-            return self._go_on()
-        if waited.packet is None:
-            return []
-        packet = self.parser.interpret(*waited.packet)
-        if packet is None or isinstance(packet, (Status, Ack)) or packet == self.digitizer.info:
-            self._hear(packet)
-            return []
-        return self._go_on(packet)
-
-    def settle(self) -> list[TactileFrame]:
-        """Decode what the kernel has read but not parsed, before bytes are left out."""
-        return self._go_on() if self._steady and self._steady.entered else []
-
-    def _go_on(self, packet: Received | None = None) -> list[TactileFrame]:
-        """Go on in stages: with the frame in progress, this packet, and the bytes behind it."""
-        assert self._steady is not None and self._levels is not None
-        heard, data, t_host, backlog = self._steady.leave()
-        frames = [self._frame(one, self._levels) for one in heard]
-        if packet is not None:
-            frames += self._take_packet(packet, t_host, backlog)
-        return frames + self._by_packets(data, t_host, backlog)
-
-    def _by_packets(self, data: bytes, t_host: float, backlog: bool) -> list[TactileFrame]:
-        frames: list[TactileFrame] = []
-        for packet in self.parser.feed(data):
-            frames += self._take_packet(packet, t_host, backlog)
-        if frames and self._steady is not None:
-            self._steady.try_enter(self.timeline)
-        return frames
-
-    def _take_packet(self, packet: Received, t_host: float, backlog: bool) -> list[TactileFrame]:
+    def take(self, event: Event) -> TactileFrame | None:
+        """Take in what the stream has come to; returns the frame, if it is one."""
+        description, packet = self._description, event.packet
+        if event.passed and description is not None:
+            self.timeline.passed(event.passed, description.pace)
+        if event.frame is not None:
+            return self._frame(event.frame)
         if isinstance(packet, (Samples, Quiet)):
-            return self._decode(Arrival(packet, t_host, backlog))
-        self._hear(packet)
-        return []
-
-    def follow(self, data: bytes, t_host: float) -> None:
-        """Follow the stream and its clock as feed does, without looking for frames."""
-        self.settle()
-        for packet in self.parser.feed(data):
-            if not isinstance(packet, (Samples, Quiet)):
-                self._hear(packet)
-            elif self._levels is not None:
-                for _ in self.timeline.accept(Arrival(packet, t_host), self._levels.pace):
-                    pass
+            self._place(Arrival(packet, event.t_host, event.backlog))
+        elif packet is not None:
+            self._hear(packet)
+        return None
 
     def flush(self) -> list[TactileFrame]:
         """At the end of a recording: a last frame that nothing followed."""
-        frames, levels = self.settle(), self._levels
-        if levels is not None:
-            frames += [self._frame(heard, levels) for heard in levels.timing.flush()]
-        return frames
+        self.stream.end()
+        return self.drain()
 
     def skipped(self, count: int) -> None:
         """Note that this many bytes were left out here, to catch up with the digitizer.
 
-        `settle` comes first.
+        `drain` comes first.
         """
         self.counters.skipped_bytes += count
         self.parser.skip()
@@ -192,9 +142,10 @@ class Pipeline:
         """Start anew on a port that was opened again; sequence and counts go on."""
         # At once, for those who read the counts meanwhile.
         self._earlier_packets = self.packet_counts
-        self.parser = PacketParser(self._most_repeated)
+        self.close()
+        self._description = None
+        self.stream = self._new_stream()
         self.digitizer, self.problem = DigitizerState(), None
-        self._drop_levels()
         self.timeline.reconnected()
         self.taxels.forget()
 
@@ -214,48 +165,55 @@ class Pipeline:
 
     def close(self) -> None:
         """End the work beside the stream."""
-        if self._levels and self._levels.clocks:
-            self._levels.clocks.close()
+        if self._description and self._description.clocks:
+            self._description.clocks.close()
+
+    @property
+    def parser(self) -> PacketParser:
+        """Of the present connection."""
+        return self.stream.parser
 
     @property
     def packet_counts(self) -> Counters:
         """The parser's counters, over all connections."""
-        steady = self._steady
-        if steady is None or not steady.entered:
-            return self._earlier_packets + self.parser.counters
-        return self._earlier_packets + self.parser.counters_of(steady.counts)
+        return self._earlier_packets + self.parser.counters
 
     @property
     def rejections(self) -> Rejections:
         """Bursts on the line that were no frame, since the digitizer described itself."""
-        return self._levels.timing.rejections if self._levels else Rejections()
+        return self._description.timing.rejections if self._description else Rejections()
 
     @property
     def clocks(self) -> ClockReport | None:
         """What is known of the nodes' clocks; None where they are not measured."""
-        keeper = self._levels.clocks if self._levels else None
+        keeper = self._description.clocks if self._description else None
         return keeper.report if keeper else None
 
     @property
     def can_call_roll(self) -> bool:
         """Whether a roll call can be evaluated now."""
-        return self._levels is not None and self._levels.can_call_roll
+        return self._description is not None and self._description.can_call_roll
 
-    def _decode(self, arrival: Arrival) -> list[TactileFrame]:
-        """The frames that a packet of samples completes."""
-        levels = self._levels
-        if levels is None:
+    def _new_stream(self) -> Stream:
+        parser = PacketParser(self._most_repeated)
+        if self._compiled and kernel.compiled is not None:
+            return CompiledStream(parser, self.decisions)
+        return NumpyStream(parser, self.decisions)
+
+    def _place(self, arrival: Arrival) -> None:
+        """Tell the stream where a packet of samples belongs."""
+        if self._description is None:
             self.counters.unannounced_samples += sample_count(arrival.packet)
-            return []
-        frames: list[TactileFrame] = []
-        for place in self.timeline.accept(arrival, levels.pace):
-            if place.step is Step.RESET:
-                self.taxels.forget()
-            frames += [self._frame(heard, levels) for heard in levels.feed(place)]
-        return frames
+            placement = Placement(Answer.IGNORE)
+        else:
+            placement = self.timeline.place(arrival, self._description.pace)
+        if placement.step is Step.RESET:
+            self.taxels.forget()
+        self.stream.place(placement)
 
-    def _frame(self, heard: FrameLevels, levels: LevelDecoder) -> TactileFrame:
-        stamp = self.timeline.stamp(heard, levels.pace)
+    def _frame(self, heard: FrameLevels) -> TactileFrame:
+        assert self._description is not None
+        stamp = self.timeline.stamp(heard, self._description.pace)
         words, readings = self._read(heard, stamp.t_middle)
         return TactileFrame(*stamp, heard.clipped, words, readings)
 
@@ -297,7 +255,7 @@ class Pipeline:
             case Info():
                 self._describe(packet)
             case OtherVersion():
-                self._drop_levels()
+                self._forget()
                 self.digitizer.info, self.problem = None, str(packet)
             case Status():
                 self.digitizer.hear_status(packet)
@@ -309,26 +267,28 @@ class Pipeline:
     def _give_up_roll_call(self, ack: Ack) -> None:
         """End waiting for a roll call that the digitizer refused."""
         refused = ack.command == PacketType.ROLL_CALL and ack.result != Result.OK
-        if refused and self._levels and self._levels.clocks:
+        if refused and self._description and self._description.clocks:
             reason = ack.result.name.lower()
-            self._levels.clocks.give_up(f"the digitizer refused the roll call: {reason}")
+            self._description.clocks.give_up(f"the digitizer refused the roll call: {reason}")
 
     def _describe(self, info: Info) -> None:
         """Set up decoding for the digitizer's new description of itself."""
         if info == self.digitizer.info:
             return
         self.digitizer.info = info
-        self._drop_levels()
+        self._forget()
         self.problem = contradiction(info, self.config)
         if self.problem is None:
             try:
-                self._levels = LevelDecoder(info, self.config, self._background)
-                self._steady = self._levels.steady(self.parser)
+                self._description = Description(info, self.config, self._background)
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
-        if self.problem is None:
+        if self._description is not None:
+            self.stream.describe(self._description, self._frames_wanted)
             self.on_info(info)
 
-    def _drop_levels(self) -> None:
+    def _forget(self) -> None:
+        """Nothing can be decoded until the digitizer describes itself again."""
         self.close()
-        self._levels = self._steady = None
+        self._description = None
+        self.stream.forget()

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum, auto
+from enum import Enum, IntEnum, auto
 from typing import NamedTuple, TypeAlias
 
 from ..code.frame import FrameSpec
@@ -18,9 +19,11 @@ from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import SEQUENCES
 from .clock import DeviceClock
 
+_log = logging.getLogger(__name__)
 
-class Passed(NamedTuple):
-    """What is known of a packet of samples that only passed; see Timeline.passed."""
+
+class AcceptedPacket(NamedTuple):
+    """What is kept of a packet of samples that was accepted; samples: their number."""
 
     first_index: int
     device_time_us: int
@@ -28,10 +31,11 @@ class Passed(NamedTuple):
     sequence: int
 
 
-AnySamples: TypeAlias = Samples | Quiet | Passed
+AnySamples: TypeAlias = Samples | Quiet | AcceptedPacket
 
 PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
-"""Index, device time (µs), count, sequence, t_host (s) and backlog of one; see Arrival."""
+"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
+an Arrival t_host (s) and backlog."""
 
 CLOCK_SLACK_S = 0.05
 """s; device time and sample count that differ by more are not those of one stream. Chosen: far
@@ -78,17 +82,29 @@ class Arrival:
     backlog: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A packet that was accepted, and where it belongs.
+class Answer(IntEnum):
+    """What becomes of a packet that does not continue the stream, as enum stream_answer in C.
 
-    index: of its first sample, counted from the last restart on: the digitizer's own indices come
-        near 2⁶⁴ and are no exact floats.
+    HOLD and TAKE forget the packet that was held back; TAKE_HELD takes that one first, and asks
+    again.
     """
 
-    packet: Samples | Quiet
-    index: int
-    step: Step
+    IGNORE = 0
+    HOLD = 1
+    TAKE = 2
+    TAKE_HELD = 3
+
+
+class Placement(NamedTuple):
+    """Where a packet belongs that does not continue the stream.
+
+    origin: the digitizer's index of the stream's index 0, which is that of the first sample after a
+    restart: the digitizer's come near 2⁶⁴ and are no exact floats.
+    """
+
+    answer: Answer
+    origin: int = 0
+    step: Step = Step.CONTINUES
 
 
 class Stamp(NamedTuple):
@@ -159,10 +175,9 @@ class Timeline:
     """Follows the digitizer's count of samples and its clock, and gives frames number and time.
 
     Whether samples were lost, and whether the digitizer was restarted or reset, is decided here and
-    nowhere else; each Place tells the stages that follow.
-
-    A packet that does not continue the stream is held back. If the next one continues it, the
-    digitizer was restarted or much was lost; otherwise its contents were impossible.
+    nowhere else, when the stream asks where a packet belongs. That packet is held back. If the next
+    one continues it, the digitizer was restarted or much was lost; otherwise its contents were
+    impossible.
 
     clock: maps device time to host time.
     """
@@ -177,7 +192,7 @@ class Timeline:
         self.clock = clocks()
         self._clocks = clocks
         self._counters = counters
-        self._last: AnySamples | None = None  # accepted
+        self._last: AcceptedPacket | None = None
         self._held: Arrival | None = None
         self._told_reset = False  # by a STATUS since: its clock is younger than the last samples
         self._anchors: deque[tuple[int, float]] = deque(maxlen=MAX_ANCHORS)  # index, device time
@@ -196,43 +211,32 @@ class Timeline:
         if self._last is not None and status.uptime_us < self._last.device_time_us:
             self._told_reset = True
 
-    def accept(self, arrival: Arrival, pace: Pace) -> Iterable[Place]:
-        """What this packet lets through: itself, the one held back and itself, or nothing.
-
-        Each enters the timeline as it is taken, so that the frames of one are stamped before the
-        next is known.
-        """
+    def place(self, arrival: Arrival, pace: Pace) -> Placement:
+        """Where a packet belongs that does not simply continue the stream; see Answer."""
         packet, held, last = arrival.packet, self._held, self._last
         if not pace.is_plausible(packet):
             self._counters.implausible_packets += 1
-            return ()
-        self._held = None
+            return Placement(Answer.IGNORE)
         if last is not None and pace.follows(last, packet):
-            self._counters.implausible_packets += held is not None
+            self._drop_held()
             missing = packet.first_index - end_index(last)
             self._counters.lost_samples += missing
-            return (self._enter(arrival, pace, Step.LOSS if missing else Step.CONTINUES),)
+            return self._begin(Answer.TAKE, packet, Step.LOSS if missing else Step.CONTINUES)
         if last is not None and not self._told_reset:
             if held is not None and pace.follows(held.packet, packet):
-                return (self._enter(some, pace, self._step(some, pace)) for some in (held, arrival))
-            self._counters.implausible_packets += held is not None
+                self._held = None
+                return self._begin(Answer.TAKE_HELD, held.packet, self._step(held, pace))
+            self._drop_held()
             self._held = arrival
-            return ()
-        self._counters.implausible_packets += held is not None
-        return (self._enter(arrival, pace, self._step(arrival, pace)),)
-
-    @property
-    def place(self) -> tuple[int, AnySamples] | None:
-        """The digitizer's index of index 0, and the last packet; None while one is held back."""
-        if self._held is not None or self._last is None:
-            return None
-        return self._origin, self._last
+            return Placement(Answer.HOLD)
+        self._drop_held()
+        return self._begin(Answer.TAKE, packet, self._step(arrival, pace))
 
     def passed(self, packets: list[PassedPacket], pace: Pace) -> None:
-        """Enter packets that continue the stream, as accept would."""
+        """Enter packets that the stream has accepted."""
         for index, device_time_us, count, sequence, t_host, backlog in packets:
             t_device = device_time_us * 1e-6
-            self._last = Passed(self._origin + index, device_time_us, count, sequence)
+            self._last = AcceptedPacket(self._origin + index, device_time_us, count, sequence)
             self._told_reset = False
             self._anchors.append((index, t_device))
             self._counters.samples += count
@@ -259,21 +263,22 @@ class Timeline:
         counters.lost_frames += periods - 1
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, chip_s)
 
-    def _enter(self, arrival: Arrival, pace: Pace, step: Step) -> Place:
-        """Let a packet take its place."""
-        packet, t_device = arrival.packet, arrival.packet.device_time_us * 1e-6
+    def _drop_held(self) -> None:
+        """Forget the packet that is held back: nothing has continued it."""
+        self._counters.implausible_packets += self._held is not None
+        self._held = None
+
+    def _begin(self, answer: Answer, packet: Samples | Quiet, step: Step) -> Placement:
+        """Let a packet be accepted, as the first of another stream after a restart or reset."""
         if step is Step.RESET:
             self._begin_clock()
         elif step is Step.RESTART:
             self._anchors.clear()
         if not self._anchors:
             self._origin = packet.first_index
-        index, count = packet.first_index - self._origin, sample_count(packet)
-        self._last, self._told_reset = packet, False
-        self._anchors.append((index, t_device))
-        self._counters.samples += count
-        self.clock.observe(t_device + count / pace.rate_hz, arrival.t_host, arrival.backlog)
-        return Place(packet, index, step)
+        if step is not Step.CONTINUES:
+            _log.debug("%s before sample %d", step.name.lower(), packet.first_index)
+        return Placement(answer, self._origin, step)
 
     def _step(self, arrival: Arrival, pace: Pace) -> Step:
         """How an accepted packet relates to the one before; counts what was lost."""

@@ -61,15 +61,15 @@ class FrameEnds:
         """
         spec, (begin, stop) = self._spec, tail_of(fit, self._spec)
         tail = line.received[begin:stop]
-        if tail.size < 0.5 * fit.chip:
+        if tail.size < LIMITS.least_tail * fit.chip:
             return End.SILENCE if level_known or spec.first_row > 0 else End.OTHER
         if not level_known and spec.drive == UNIPOLAR:
             return End.SILENCE
         total, squares = sums(tail)
         mean = total / tail.size - line.level_v
         left = max(squares / tail.size - line.level_v * (2 * mean + line.level_v), 0.0)
-        by_chance = 4 * math.sqrt(noise * fit.chip / tail.size)
-        most = noise * fit.chip * (2 + 8 / math.sqrt(tail.size))  # the fewer the more by chance
+        by_chance = LIMITS.tail_level * math.sqrt(noise * fit.chip / tail.size)
+        most = noise * fit.chip * (LIMITS.tail_noise + LIMITS.tail_scatter / math.sqrt(tail.size))
         if left < most and (spec.first_row > 0 or abs(mean) <= by_chance):
             self.silent += 1
             return End.SILENCE

@@ -38,6 +38,10 @@ class Limits:
         for: words would be hidden in noise. Chosen.
     rest: share of the weakest word's amplitude below which a line is at rest. Chosen: below half,
         so that a lone node's chips exceed it even where their edges leave out part of them.
+    tail_noise, tail_scatter: what follows a frame is noise where its power is below tail_noise +
+        tail_scatter/√m of that of the gap, of m samples. Chosen; the fewer, the more by chance.
+    tail_level: deviations of their mean from the level at rest up to which the same holds. Chosen.
+    least_tail: chips after a frame with fewer samples than which nothing is said of them. Chosen.
     beside_level, beside: mean level, relative to the RMS of the frame, and power, relative to the
         frame's, that a gap beside a frame may have beyond its noise in timing by gaps. Chosen: hum
         of a fifth of the words; two of a bit's 20 chips.
@@ -95,6 +99,10 @@ class Limits:
     stricter: float = 3.0
     faint_power: float = 1.6
     rest: float = 0.4
+    tail_noise: float = 2.0
+    tail_scatter: float = 8.0
+    tail_level: float = 4.0
+    least_tail: float = 0.5
     beside_level: float = 0.2
     beside: float = 0.1
     rise: float = 4.0

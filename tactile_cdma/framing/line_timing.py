@@ -27,7 +27,7 @@ from .fit import (
 from .frame_end import End, FrameEnds
 from .judge import Judge
 from .limits import LIMITS
-from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, SteadyTiming, Verdict
+from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
 CARRIED_FRAMES = 63
@@ -90,7 +90,6 @@ class LineRecogniser:
 
     def open(self, start: int, called: bool, since: int | None) -> int:
         """See Recogniser."""
-        self._earn(1)
         return self._due
 
     @property
@@ -102,31 +101,30 @@ class LineRecogniser:
         end = self._carried.fit.end(self._spec) if self._carried else 0.0
         return max(line.size, round(end + 0.5)) + math.ceil(TAIL_CHIPS * line.chip)
 
-    def _earn(self, frames: int) -> None:
-        """Stretches may be searched in a share of the stream's time."""
-        earned = frames * SEARCH_PER_S * self._spec.frame_period_s
+    def note(self, frame: MarkedFrame) -> None:
+        """Take in how many frames there were since one was last asked about."""
+        # Stretches may be searched in a share of the stream's time.
+        earned = frame.opened * SEARCH_PER_S * self._spec.frame_period_s
         self._budget = min(self._budget + earned, LARGEST_SEARCH)
+        self._ends.silent += frame.ended
+        if self._carried is not None:
+            self._carried.uses += frame.carried
 
     def forget(self) -> None:
         """See Recogniser."""
         self._carried = None
 
-    def steady(self) -> SteadyTiming | None:
+    @property
+    def carried(self) -> CarriedTiming:
         """See Recogniser."""
         carried = self._carried
         if carried is None:
-            return SteadyTiming(None, None, self._due, 0)
-        return SteadyTiming(carried.fit, carried.edges, self._due, CARRIED_FRAMES - carried.uses)
-
-    def passed(self, frames: int, uses: int) -> None:
-        """See Recogniser."""
-        self._earn(frames)
-        self._ends.silent += uses
-        if self._carried is not None:
-            self._carried.uses += uses
+            return CarriedTiming(self._due)
+        return CarriedTiming(self._due, carried.fit, carried.edges, CARRIED_FRAMES - carried.uses)
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser."""
+        self.note(frame)
         if verdict := self._line.gate(frame):
             return verdict
         if self._line.integrated:

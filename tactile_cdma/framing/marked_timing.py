@@ -49,11 +49,16 @@ class MarkedFrame(NamedTuple):
 
     start: stream index of the mark. volts: (m,) float64, V, from the mark on, as received.
     final: no more samples will follow.
+    opened: how many frames were marked since the recogniser was last asked, this one included.
+    carried, ended: how many were decided by the carried timing since, and seen to end in silence.
     """
 
     start: int
     volts: Floats
     final: bool
+    opened: int = 1
+    carried: int = 0
+    ended: int = 0
 
 
 class Verdict(NamedTuple):
@@ -71,36 +76,17 @@ class Verdict(NamedTuple):
     rejected: Rejections | None = None
 
 
-class SteadyTiming(NamedTuple):
-    """How frames can be read while each is like the one before.
+class CarriedTiming(NamedTuple):
+    """The timing that the next frames are tried with, where they need not be asked about.
 
-    fit: the timing before; None where only silent frames can. edges: its chips. due: samples from
-    the mark on until a frame can be decided. uses: frames that may be read by this timing.
+    due: samples from the mark on until a frame can be decided. fit: of an earlier frame; None where
+    there is none. edges: its chips. uses: frames that may be read by it.
     """
 
-    fit: Fit | None
-    edges: ChipEdges | None
     due: int
-    uses: int
-
-
-class Place(NamedTuple):
-    """Where in the stream a MarkedTiming is, and what it has learnt of the line at rest.
-
-    end: stream index of the next sample. start: of the frame in progress. gap_begin: of the gap
-    after the last one, if no hole followed. mark: index of the last mark. volts:
-    (m,) float64, V, the samples before `end` that are still needed.
-    level_v, noise, gap: see MarkedLine.
-    """
-
-    end: int
-    start: int | None
-    gap_begin: int | None
-    mark: int
-    volts: Floats
-    level_v: float
-    noise: float
-    gap: tuple[float, float, float]
+    fit: Fit | None = None
+    edges: ChipEdges | None = None
+    uses: int = 0
 
 
 class Recogniser(Protocol):
@@ -110,7 +96,8 @@ class Recogniser(Protocol):
         """Prepare for the frame marked at a stream index; returns the samples needed to decide.
 
         called: the frame belongs to a roll call. since: samples from the mark before to this one,
-        None after a hole in the stream.
+        None after a hole in the stream. Need not be called while there is a carried timing, for
+        frames that are not called.
         """
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
@@ -119,11 +106,9 @@ class Recogniser(Protocol):
     def forget(self) -> None:
         """Drop timing carried over from earlier frames, since a frame was rejected."""
 
-    def steady(self) -> SteadyTiming | None:
-        """How the next frames can be read; None where each has to be recognised."""
-
-    def passed(self, frames: int, uses: int) -> None:
-        """Note that frames were opened, and so many of them recognised, by `steady`."""
+    @property
+    def carried(self) -> CarriedTiming | None:
+        """By which the next frames may be decided; None where each has to be asked about."""
 
 
 class MarkedLine:
@@ -136,7 +121,7 @@ class MarkedLine:
     noise: variance of a chip's level in the gap, V²; 0 where unknown.
     """
 
-    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails) -> None:
+    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
         """Raises SpecError at a rate that line timing cannot use. rails_v: see share_clipped."""
         self.spec, self.rails_v = spec, rails_v
         self.chip = rate_hz * spec.chip_s
@@ -190,7 +175,9 @@ class MarkedLine:
         return share_clipped(volts, self.rails_v)
 
     def gate(self, frame: MarkedFrame) -> Verdict | None:
-        """Decide a frame that has too little power for any node, or absurd samples; else None."""
+        """Decide a frame that is cut short, has absurd samples or too little power for any node."""
+        if frame.volts.size < self.size:
+            return Verdict(rejected=INCOMPLETE)
         volts = frame.volts[: self.size]
         if self.mean_is_offset and not self.level_known:
             self.level_v = sums(volts)[0] / volts.size
@@ -276,13 +263,28 @@ class MarkedTiming(Timing):
     def __init__(self, line: MarkedLine, recogniser: Recogniser) -> None:
         """line: shared with the recogniser."""
         super().__init__()
-        self.line = line
-        self._recogniser = recogniser
+        self.line, self.recogniser = line, recogniser
         self.gap_size = math.ceil(line.spec.order * line.chip)  # most that is learnt from
         self._start: int | None = None  # the mark of the frame in progress
         self._due = 0
         self._mark: int | None = None  # the last mark, if no hole followed
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
+        self._opened = 0  # since the recogniser was asked
+
+    def recognise(self, frame: MarkedFrame) -> Verdict:
+        """The recogniser's verdict; counts a rejected frame."""
+        return self._noted(self.recogniser.recognise(frame))
+
+    def summed_up(self, start: int, mean_v: float, variance_v2: float) -> Verdict:
+        """The verdict on a frame, or more, in which no node transmitted; counts a rejected one."""
+        frame = MarkedFrame(start, np.array([mean_v]), final=True)
+        return self._noted(self.line.silent(frame, variance_v2))
+
+    def _noted(self, verdict: Verdict) -> Verdict:
+        if verdict.rejected is not None:
+            self.rejections += verdict.rejected
+            self.recogniser.forget()
+        return verdict
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
@@ -303,8 +305,9 @@ class MarkedTiming(Timing):
             return self.feed(block.samples())  # the frame goes on
         frames = self._begin(block)
         if block.sync:
-            summed_up = MarkedFrame(block.first_index, np.array([block.mean_v]), final=True)
-            frames += self._settle(line.silent(summed_up, block.variance_v2))
+            frames += self._settle(
+                self.summed_up(block.first_index, block.mean_v, block.variance_v2)
+            )
         elif self._gap_begin is not None:
             line.at_rest(block.mean_v, block.variance_v2)
         end = block.first_index + block.count
@@ -324,38 +327,6 @@ class MarkedTiming(Timing):
         if self._start is not None:
             self.rejections += INCOMPLETE
         self._start = self._mark = self._gap_begin = None
-
-    def steady(self) -> tuple[Place, SteadyTiming] | None:
-        """Where the stream is and how it can go on; None while that has to be decided here."""
-        line = self.line
-        samples, begin = self._samples, self._gap_begin
-        if line.integrated:
-            begin = samples.end
-        elif not line.level_known:
-            return None
-        if self._start is not None or self._mark is None or begin is None:
-            return None
-        if (timing := self._recogniser.steady()) is None:
-            return None
-        volts = samples.take(max(begin, samples.end - self.gap_size), samples.end)
-        rest = line.level_v, line.noise, line.gap
-        return Place(samples.end, None, self._gap_begin, self._mark, volts, *rest), timing
-
-    def go_on(
-        self, place: Place, timing: SteadyTiming, frames: int, uses: int
-    ) -> list[FrameLevels]:
-        """Go on where the stream was followed to by `timing`; frames, uses: see Recogniser.passed.
-
-        Returns the frame in progress, if it can be decided.
-        """
-        self._recogniser.passed(frames, uses)
-        self.line.level_v, self.line.noise, self.line.gap = place.level_v, place.noise, place.gap
-        self._start, self._gap_begin, self._mark = place.start, place.gap_begin, place.mark
-        self._samples.restart(place.end - place.volts.size)
-        self._samples.append(place.volts.astype(np.float32))  # as they came
-        if place.start is not None:
-            self._due = place.start + timing.due
-        return self._decide_due()
 
     def _decide_due(self) -> list[FrameLevels]:
         """The frame in progress, if there are enough samples."""
@@ -378,20 +349,20 @@ class MarkedTiming(Timing):
         self._samples.drop(index)
         since = None if self._mark is None else index - self._mark
         self._start = self._mark = index
-        self._due = index + self._recogniser.open(index, block.called, since)
+        self._opened += 1
+        self._due = index + self.recogniser.open(index, block.called, since)
         return frames
 
     def _close(self) -> list[FrameLevels]:
         """Decide the frame in progress, for which no more samples will come."""
         if self._start is None:
             return []
-        if self._samples.end - self._start < self.line.size:
-            return self._settle(Verdict(rejected=INCOMPLETE))
         return self._decide(self._start, self._samples.end, final=True)
 
     def _decide(self, start: int, end: int, final: bool) -> list[FrameLevels]:
-        frame = MarkedFrame(start, self._samples.take(start, end), final)
-        return self._settle(self._recogniser.recognise(frame))
+        frame = MarkedFrame(start, self._samples.take(start, end), final, self._opened)
+        self._opened = 0
+        return self._settle(self.recognise(frame))
 
     def _settle(self, verdict: Verdict) -> list[FrameLevels]:
         """Act on a verdict."""
@@ -401,9 +372,4 @@ class MarkedTiming(Timing):
         self._start = None
         # Where chips are integrated no gap is sent: what follows is words, and no noise.
         self._gap_begin = None if self.line.integrated else verdict.over
-        if verdict.frame is not None:
-            return [verdict.frame]
-        assert verdict.rejected is not None
-        self.rejections += verdict.rejected
-        self._recogniser.forget()
-        return []
+        return [] if verdict.frame is None else [verdict.frame]

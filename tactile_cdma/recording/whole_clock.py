@@ -45,9 +45,9 @@ def fitted_clocks(
         observed.append(_ObservedClock())
         return observed[-1]
 
-    pipeline = Pipeline(config, background=False, clocks=observing)
+    pipeline = Pipeline(config, background=False, clocks=observing, frames=False)
     for data, t_host in reads:
-        pipeline.follow(data, t_host)
+        pipeline.feed(data, t_host)
     clocks = iter([_FittedClock(*clock.knots()) if clock.arrivals else clock for clock in observed])
     # A recording may have grown between the passes, and hold another reset.
     return lambda: next(clocks, None) or DeviceClock()

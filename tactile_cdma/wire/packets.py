@@ -95,22 +95,13 @@ class PacketParser:
     @property
     def counters(self) -> Counters:
         """A snapshot."""
-        return self.counters_of(self.scanner.counts())
-
-    def counters_of(self, counts: dict[str, int]) -> Counters:
-        """A snapshot; counts: of the scanner."""
-        return Counters(**counts) + self._refused
+        return Counters(**self.scanner.counts()) + self._refused
 
     @property
     def received(self) -> tuple[int, int]:
         """Bytes and intact packets so far; cheaper than all counters."""
         counts = self.scanner.counts()
         return counts["bytes"], counts["packets"]
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether the kernel's scanner is used."""
-        return kernel.compiled is not None and isinstance(self.scanner, kernel.compiled.Scanner)
 
     @property
     def held(self) -> int:

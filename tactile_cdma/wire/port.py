@@ -4,32 +4,29 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import select
 import socket
 import time
-from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TypeVar
 
 import serial
 
-from ..base import kernel
-from ..base.errors import CaptureError, PortError, SpecError
-from ..places.indenters import Indenter
+from ..base.errors import CaptureError, PortError
 from .discovery import device_of
 from .port_failures import NETWORK, SOCKET, TerminalError, lost, why_not_open
+from .reader import NO_FILE, READ_SIZE, read_file
 
-T = TypeVar("T")
+_log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
+READ_TIMEOUT_MS = round(READ_TIMEOUT_S * 1e3)
 SKIP_S, IDLE_S = 0.1, 5e-3
 """s; skipping ends when nothing has come for IDLE_S, and after SKIP_S at the latest. Chosen: IDLE_S
 has to outlast the pause in which the kernel refills a buffer that was full."""
-READ_SIZE = 65_536
-"""Bytes that one read takes at most; chosen well above the 4 kB that a Linux tty gives at once."""
 HOST_GONE_S = 5.0
 """s without acknowledgement after which the host of a socket:// is taken for gone; chosen. TCP by
 itself retries for a quarter of an hour."""
@@ -52,8 +49,7 @@ class Port:
 
     had_waited: the bytes of the last read() were there already, so may have come long before.
     over_network: the other end is another machine, where any number of bytes may be held back.
-    pressable: a simulated skin that press() acts on. stepped: its frames pass only as press() asks
-    for them, so that silence is no fault.
+    stepped: of a simulated skin whose frames pass as a program asks for them: silence is no fault.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -77,12 +73,19 @@ class Port:
             _reduce_latency(self._serial)
             _limit_wait_for_host(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # left from before this port was opened
-            self._poll = _poll(self._serial, pyserial_url)
-            self.pressable = bool(getattr(self._serial, "pressable", False))
+            self._has_file = hasattr(select, "poll") and (
+                "://" not in pyserial_url or pyserial_url.startswith(SOCKET)
+            )
             self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
             raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
+        _log.debug("%s is open, at %d baud", pyserial_url, baud)
+
+    @property
+    def device(self) -> serial.SerialBase:
+        """What pyserial has open."""
+        return self._serial
 
     def read(self) -> tuple[bytes, float]:
         """What has arrived, after waiting up to READ_TIMEOUT_S for a byte, or a whole packet.
@@ -91,22 +94,25 @@ class Port:
         they were read.
         """
         try:
-            data = self._wait() if self._poll is None else self._wait_in_kernel(self._poll)
+            if self._has_file:
+                data, self.had_waited = read_file(self.file, READ_TIMEOUT_MS)
+            else:
+                data = self._wait()
         except _LOST as error:
-            raise lost(self.url, "reading", error) from None
+            raise self.lost(error) from None
         return data, time.monotonic()
 
     @property
-    def has_file(self) -> bool:
-        """Whether `read_by` can be used: there is a file descriptor to wait for."""
-        return self._poll is not None
+    def file(self) -> int:
+        """Descriptor that bytes may be read from in place of read(); NO_FILE where there is none.
 
-    def read_by(self, read: Callable[[int, int], T]) -> T:
-        """What `read` gives, which reads from a file descriptor for so many ms itself."""
-        try:
-            return read(self._serial.fileno(), round(READ_TIMEOUT_S * 1e3))
-        except _LOST as error:
-            raise lost(self.url, "reading", error) from None
+        Raises OSError where the port is closed.
+        """
+        return int(self._serial.fileno()) if self._has_file else NO_FILE
+
+    def lost(self, error: Exception) -> PortError:
+        """What to raise where reading has failed."""
+        return lost(self.url, "reading", error)
 
     @property
     def waiting(self) -> int:
@@ -123,12 +129,14 @@ class Port:
         """Discard what has arrived, and what waits behind it; returns the number of bytes."""
         skipped, end_s = 0, time.monotonic() + SKIP_S
         try:
-            if self._poll is None:
+            if not self._has_file:
                 skipped = int(self._serial.in_waiting)
                 self._serial.reset_input_buffer()
                 return skipped
-            while time.monotonic() < end_s and self._poll.poll(IDLE_S * 1e3):
-                data = os.read(self._serial.fileno(), READ_SIZE)
+            poll = select.poll()
+            poll.register(self.file, select.POLLIN)
+            while time.monotonic() < end_s and poll.poll(IDLE_S * 1e3):
+                data = os.read(self.file, READ_SIZE)
                 skipped += len(data)
                 if not data:  # end of file: the next read() raises
                     break
@@ -145,20 +153,6 @@ class Port:
         except _LOST as error:
             raise lost(self.url, "writing", error) from None
 
-    def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
-        """Let these objects, and no others, touch a simulated skin from its next frame on.
-
-        frames: number of frames that may pass, of a skin that is stepped.
-        """
-        if not self.pressable:
-            raise PortError(f"{self.url}: only sim://?scene=external can be pressed by a program")
-        try:
-            self._serial.press(objects, frames)
-        except SpecError as error:
-            raise PortError(f"{self.url}: {error}") from None
-        except _LOST as error:
-            raise lost(self.url, "pressing", error) from None
-
     def close(self) -> None:
         """Close the port; closing twice is harmless."""
         with suppress(OSError, TerminalError):  # the device is gone: there is nothing to close
@@ -174,34 +168,6 @@ class Port:
         """Reads through pyserial: waits for one byte, then takes the others."""
         data: bytes = self._serial.read(1)
         return data + self._serial.read(self._serial.in_waiting) if data else data
-
-    def _wait_in_kernel(self, poll: select.poll) -> bytes:
-        """The same from a file descriptor, with two or three system calls.
-
-        The compiled kernel waits until a packet ends: a tty gives only parts of large ones at once.
-        """
-        if kernel.compiled is not None:
-            data: bytes
-            data, self.had_waited = kernel.compiled.read_packets(
-                self._serial.fileno(), round(READ_TIMEOUT_S * 1e3)
-            )
-            return data
-        self.had_waited = bool(poll.poll(0))
-        if not self.had_waited and not poll.poll(READ_TIMEOUT_S * 1e3):
-            return b""
-        some = os.read(self._serial.fileno(), READ_SIZE)
-        if not some:
-            raise OSError("end of file")
-        return some
-
-
-def _poll(port: serial.SerialBase, url: str) -> select.poll | None:
-    """Waits for a port that has a file descriptor; None where only pyserial can read it."""
-    if not hasattr(select, "poll") or ("://" in url and not url.startswith(SOCKET)):
-        return None
-    poll = select.poll()
-    poll.register(port.fileno(), select.POLLIN)
-    return poll
 
 
 def _reduce_latency(port: serial.SerialBase) -> None:

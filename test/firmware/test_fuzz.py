@@ -15,7 +15,9 @@ from test.support.firmware import CORE, FIRMWARE, SANITIZE, STRICT, need, run
 from torture.fuzz import corpus
 from torture.fuzz.harnesses import BUILD, best_kind, build, fuzz, harnesses
 
-SECONDS, HANG_S = 20, 30
+SECONDS, HANG_S = 60, 30
+MUTANTS = {"board": 20}
+"""Of harnesses whose inputs take long: a whole board is emulated for each. Of others 200."""
 HARNESSES = {  # sources of firmware/fuzz and of the core
     "framing": ("fuzz_framing framing", "packet cobs crc32"),
     "setup": ("fuzz_setup settings", "setup"),
@@ -91,9 +93,10 @@ def test_kept_cases_and_mutants_of_them(name: str) -> None:
     """By any compiler, so that it works without clang."""
     need("cc")
     build("fuzz-standalone")
-    found = fuzz(BUILD / "fuzz" / "standalone" / name, "standalone", 200, 1, SECONDS, HANG_S)
+    program, count = BUILD / "fuzz" / "standalone" / name, MUTANTS.get(name, 200)
+    found = fuzz(program, "standalone", count, 1, SECONDS, HANG_S)
     assert (found.fault, found.said) == ("", "")
-    assert found.inputs == 200 + len(corpus.read(f"firmware_{name}")) > 200
+    assert found.inputs == count + len(corpus.read(f"firmware_{name}")) > count
 
 
 @pytest.mark.parametrize("name", harnesses())
@@ -164,18 +167,6 @@ KERNEL_DEFECTS = {
         "root[other] = first;",
         "wrong value",
     ),
-    "a mark within a frame begins another": (
-        "steady.c",
-        "(sync && place->start >= 0) ||\n        !continues",
-        "!continues",
-        "wrong value",
-    ),
-    "a packet that is off in time continues the stream": (
-        "steady.c",
-        "return -setting->behind_s <= ahead_s && ahead_s",
-        "return ahead_s",
-        "wrong value",
-    ),
     "a run that is too long is not counted": (
         "scanner.c",
         "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",
@@ -185,19 +176,66 @@ KERNEL_DEFECTS = {
 }
 
 
-@pytest.mark.parametrize("defect", KERNEL_DEFECTS)
+STREAM_DEFECTS = {
+    "a mark within a frame begins another": (
+        "frame_stream.c",
+        "        return decide(stream, stream->end, true);\n    if (stream->gap_begin",
+        "        stream->start = -1;\n    if (stream->gap_begin",
+        "wrong value",
+    ),
+    "a packet that is off in time continues the stream": (
+        "frame_stream.c",
+        "return -rules->behind_s <= ahead_s && ahead_s",
+        "return ahead_s",
+        "wrong value",
+    ),
+    "a packet follows while another one is held back": (
+        "frame_stream.c",
+        "|| !stream->began || stream->holds ||",
+        "|| !stream->began ||",
+        "wrong value",
+    ),
+    "a frame waits for one sample too many": (
+        "frame_stream.c",
+        "bool is_due = stream->end >= stream->due;",
+        "bool is_due = stream->end > stream->due;",
+        "uncounted loss",
+    ),
+    "the first samples of a long frame are forgotten": (
+        "frame_stream.c",
+        "    if (stream->start < 0 && stream->rules.marked)\n",
+        "    if (stream->rules.marked)\n",
+        "wrong value",
+    ),
+    "a frame that is cut off is not told": (
+        "frame_stream.c",
+        "*cut_short = reset(stream);",
+        "*cut_short = reset(stream) && answer == STREAM_TAKE_HELD;",
+        "uncounted loss",
+    ),
+    "words are silence": (
+        "marked_frame.c",
+        "    if (power <= rules->least_power) {",
+        "    if (power <= 17 * rules->least_power) {",
+        "wrong value",
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", KERNEL_DEFECTS | STREAM_DEFECTS)
 def test_a_defect_planted_in_the_kernel_is_found(defect: str, tmp_path: Path) -> None:
-    file, right, wrong, fault = KERNEL_DEFECTS[defect]
+    name = "stream" if defect in STREAM_DEFECTS else "kernel"
+    file, right, wrong, fault = (KERNEL_DEFECTS | STREAM_DEFECTS)[defect]
     for path in [*KERNEL.glob("*.h"), *KERNEL.glob("*.c")]:
         text = path.read_text().replace('"../firmware/core/', '"')
         if path.name == file:
             assert text.count(right) == 1
             text = text.replace(right, wrong)
         (tmp_path / path.name).write_text(text)
-    own = [FIRMWARE / "fuzz" / f"{name}.c" for name in ("fuzz_kernel", "framing", "standalone")]
+    own = [FIRMWARE / "fuzz" / f"{part}.c" for part in (f"fuzz_{name}", "framing", "standalone")]
     binding = {tmp_path / "binding.c", *tmp_path.glob("module*")}
     sources = [*own, *(set(tmp_path.glob("*.c")) - binding)]
-    program = tmp_path / "kernel"
+    program = tmp_path / name
     include = ("-I", tmp_path, "-I", FIRMWARE / "fuzz")
     run(need("cc"), *STRICT, *include, "-g", *SANITIZE, *sources, "-lm", "-o", program)
     found = fuzz(program, "standalone", 20_000, 1, 20, 10)

@@ -26,7 +26,7 @@ def test_the_core_stays_within_its_memory_and_its_numbers() -> None:
     # Python itself leaks, and its allocator is none of ours.
     watched = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", SANITIZED: "1"}
     # Not captured: what a sanitizer says would be lost with the process that it ends.
-    quietly = ("-q", "-x", "-s", "-p", "no:cacheprovider")
+    quietly = ("-q", "-x", "-s", "-p", "no:cacheprovider", "--hypothesis-profile", "quick")
     command = [sys.executable, "-m", "pytest", *quietly, *TESTS]
     result = subprocess.run(
         [str(part) for part in command],

@@ -23,11 +23,10 @@ from tactile_cdma.sim import line
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from test.support.boards import plugged
 from test.support.skin_client import Client, running
-from test.support.waiting import wait_for
+from test.support.waiting import PATIENCE_S, wait_for
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STALE = DiagnosticStatus.STALE
-PATIENCE_S = 60.0
 PAST = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HURRY_NS = 250_000_000
 """Reports come at this interval where a test need not wait for whole seconds."""

@@ -79,7 +79,8 @@ def main() -> None:
     from visualization_msgs.msg import MarkerArray
 
     from tactile_cdma.srv import Tare
-    from test.support.skin_client import running, wait_for
+    from test.support.skin_client import running
+    from test.support.waiting import wait_for
 
     port, calibration = sys.argv[1:]
     rclpy.init()

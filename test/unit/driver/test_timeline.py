@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,13 +14,13 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.driver.timeline import (
     MAX_LEAP_S,
     TICK_S,
-    AnySamples,
+    Answer,
     Arrival,
     Pace,
-    Place,
     Step,
     StreamCounters,
     Timeline,
+    sample_count,
 )
 from tactile_cdma.framing.timing import FrameLevels
 from tactile_cdma.wire._protocol import MAX_GAP
@@ -47,20 +48,47 @@ def samples(number: int, late_us: int = 0, index: int | None = None, gap: int = 
     return Samples(time_us, first, np.zeros(COUNT, np.int16), sequence=(number + gap) % 2**16)
 
 
+class Accepted(NamedTuple):
+    """A packet that was accepted: its index in the stream, and how it relates to the one before."""
+
+    index: int
+    step: Step
+
+
 class Line:
-    """A timeline that is fed at the device's pace."""
+    """A timeline that is asked about every packet, as they come at the device's pace."""
 
     def __init__(self) -> None:
         self.counters = StreamCounters()
         self.timeline = Timeline(self.counters)
+        self.held: Arrival | None = None
         self.hears(*map(samples, range(10)))
 
-    def hears(self, *packets: AnySamples) -> list[Place]:
-        places: list[Place] = []
+    def hears(self, *packets: Samples | Quiet, late_s: float = 0.0) -> list[Accepted]:
+        accepted: list[Accepted] = []
         for packet in packets:
-            t_host = HOST_S + (packet.device_time_us - BEGAN_US) * 1e-6
-            places += self.timeline.accept(Arrival(packet, t_host), PACE)
-        return places
+            t_host = HOST_S + (packet.device_time_us - BEGAN_US) * 1e-6 + late_s
+            accepted += self.hears_at(Arrival(packet, t_host))
+        return accepted
+
+    def hears_at(self, arrival: Arrival) -> list[Accepted]:
+        """What a stream does with an answer."""
+        answer, origin, step = self.timeline.place(arrival, PACE)
+        taken, held = arrival, self.held
+        if answer is Answer.IGNORE:
+            return []
+        self.held = arrival if answer is Answer.HOLD else None
+        if answer is Answer.HOLD:
+            return []
+        if answer is Answer.TAKE_HELD:
+            assert held is not None
+            taken = held
+        packet = taken.packet
+        index = packet.first_index - origin
+        entry = (index, packet.device_time_us, sample_count(packet), packet.sequence)
+        self.timeline.passed([(*entry, taken.t_host, taken.backlog)], PACE)
+        again = self.hears_at(arrival) if answer is Answer.TAKE_HELD else []
+        return [Accepted(index, step), *again]
 
 
 def heard_at(index: float) -> FrameLevels:
@@ -125,11 +153,8 @@ def test_what_does_not_continue_the_stream_begins_another_once_it_is_confirmed(
 
 @pytest.mark.parametrize("late_s", [1.9, 2.1])
 def test_a_packet_that_is_read_too_late_is_one_of_another_clock(late_s: float) -> None:
-    line, places = Line(), []
-    for number in (10, 11):
-        packet = samples(number, index=(number - 10) * COUNT)
-        t_host = HOST_S + (packet.device_time_us - BEGAN_US) * 1e-6 + late_s
-        places += line.timeline.accept(Arrival(packet, t_host), PACE)
+    late = [samples(number, index=(number - 10) * COUNT) for number in (10, 11)]
+    places = Line().hears(*late, late_s=late_s)
     assert places[0].step is (Step.RESTART if late_s < 2 else Step.RESET)
 
 
@@ -177,7 +202,7 @@ def test_stamps_rise_and_the_sequence_goes_on_over_a_reset() -> None:
     reset = Samples(1000, 0, np.zeros(COUNT, np.int16))
     periods = 100
     t_host = again.t_host + periods * SPEC.frame_period_s
-    list(line.timeline.accept(Arrival(reset, t_host), PACE))
+    line.hears_at(Arrival(reset, t_host))
     after = line.timeline.stamp(heard_at(0.0), PACE)
     assert after.sequence - again.sequence == pytest.approx(periods, abs=1)
     assert line.counters.lost_frames == after.sequence - 2

@@ -188,6 +188,65 @@ def test_chunking_is_invisible(data: st.DataObject) -> None:
     assert sum(frame.levels is None for frame in whole) >= 2
 
 
+def on_a_raster(slots: range, silent: tuple[int, ...] = ()) -> Wire:
+    """A stream that is timed by crystals, long enough for its raster to be known."""
+    wire = Wire(DEFAULT, 4.0, seed=23)
+    for slot in slots:
+        nodes = wire.rng.choice(16, 12, replace=False).tolist()
+        words = {node: int(wire.rng.integers(1024)) for node in nodes}
+        if slot not in silent:
+            wire.send((slot + 0.25) * wire.period, words, stretch=0.0)
+    return wire
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["as it is", "numpy"])
+def test_a_frame_is_out_once_silence_proves_its_end(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire = on_a_raster(range(45))
+    if not compiled:
+        monkeypatch.setattr(GapSearch, "look", lambda *_: None)
+    timing, volts, late, before = GapTiming(DEFAULT, wire.rate_hz), wire.volts(rho=400), [], 0
+    for begin in range(0, volts.size, 4):
+        due = timing.due
+        frames = timing.feed(SampleBlock(begin, volts[begin : begin + 4]))
+        assert not frames or begin + 4 >= due > before
+        before = begin + 4
+        for frame in frames:
+            end = frame.start + DEFAULT.span_chips * frame.chip_samples
+            late += [] if frame.levels is None else [(begin + 4 - end) / frame.chip_samples]
+    assert len(late) == 45
+    assert max(late[:30]) > 15  # until the raster is known
+    assert max(late[35:]) < 6
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.lists(st.integers(0, 50_000), max_size=40))
+def test_chunking_is_invisible_where_the_raster_is_known(cuts: list[int]) -> None:
+    wire = on_a_raster(range(48), silent=(36, 40, 41))
+    volts = wire.volts(rho=200)
+    whole = run(GapTiming(DEFAULT, wire.rate_hz), volts)
+    same(
+        run(GapTiming(DEFAULT, wire.rate_hz), volts, sorted(min(c, volts.size) for c in cuts)),
+        whole,
+    )
+    check(wire, whole, start_chips=0.15)
+
+
+def test_the_log_tells_when_the_raster_places_frames_and_when_no_more(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level("DEBUG", logger="tactile_cdma.framing.gap_timing")
+    wire = on_a_raster(range(45))
+    timing, volts = GapTiming(DEFAULT, wire.rate_hz), wire.volts(rho=400)
+    timing.feed(SampleBlock(0, volts))
+    assert "raster places frames" in caplog.text and "raster is lost" not in caplog.text
+    noise = wire.rng.normal(0, 3, round(9 * wire.period)).astype(np.float32)
+    timing.feed(SampleBlock(volts.size, noise))
+    timing.feed(SampleBlock(10**9, noise))
+    assert "no frame at sample" in caplog.text and "raster is lost" in caplog.text
+
+
 def test_sample_by_sample() -> None:
     wire = Wire(DEFAULT, 3.1, seed=6)
     wire.send_random(2)

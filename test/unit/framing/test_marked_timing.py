@@ -25,7 +25,9 @@ class Scripted:
         self.verdicts: list[Verdict] = []
         self.opened: list[tuple[int, bool, int | None]] = []
         self.frames: list[tuple[int, int, bool]] = []
+        self.asked: list[int] = []
         self.forgotten = 0
+        self.carried = None
 
     def open(self, start: int, called: bool, since: int | None) -> int:
         self.opened.append((start, called, since))
@@ -33,7 +35,10 @@ class Scripted:
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         self.frames.append((frame.start, frame.volts.size, frame.final))
-        return self.verdicts.pop(0) if self.verdicts else self.line.silent(frame, 0.0)
+        self.asked.append(frame.opened)
+        if self.verdicts:
+            return self.verdicts.pop(0)
+        return self.line.gate(frame) or self.line.silent(frame, 0.0)
 
     def forget(self) -> None:
         self.forgotten += 1
@@ -86,6 +91,16 @@ def test_frames_are_opened_with_their_distance_unless_a_hole_lies_between() -> N
         (2 * PERIOD, False, PERIOD),
         (4 * PERIOD, False, None),
     ]
+
+
+def test_a_recogniser_is_told_how_many_frames_it_was_not_asked_about() -> None:
+    timing, recogniser = scripted()
+    recogniser.verdicts = [Verdict(due=900)]
+    timing.feed(block(0))
+    for number in range(1, 4):
+        timing.quiet(QuietBlock(number * PERIOD, PERIOD, 0.0, 1e-6, sync=True))
+    timing.feed(block(4 * PERIOD))
+    assert recogniser.asked == [1, 0, 4]
 
 
 def test_level_and_noise_are_learnt_from_gaps_only() -> None:

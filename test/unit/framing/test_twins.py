@@ -22,7 +22,7 @@ from tactile_cdma.framing.judge import Votes, Weighed
 from tactile_cdma.framing.raster import Expected
 from test.support.synthetic_line import DEFAULT, SPECS, Wire, check, run, words_of
 
-pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel was not built")
+pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
 KINDS = [*SPECS.values(), replace(DEFAULT, scramble=True), FrameSpec(nodes=40, chip_s=2e-5)]
 LINES = st.fixed_dictionaries(
@@ -132,7 +132,7 @@ def test_what_the_kernel_sees_at_once(
     search = GapSearch(wire.spec, wire.rate_hz)
     known, chip = Gap(0.11, variance, 0), wire.sent[0].chip
     expected = Expected(wire.sent[0].start - cut + 0.1 * off * chip, 0.06 * chip, chip, 0.0, 0.02)
-    look = search.look(volts, known, expected)
+    look = search.look(volts, known, 0.0, expected)
     gaps = search.gaps(volts, known)
     assert (look is None) == (not gaps)
     if look is None:

@@ -22,7 +22,8 @@ from tactile_cdma.base.errors import PortError
 from tactile_cdma.wire.discovery import is_away
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
-from tactile_cdma.wire.port import HOST_GONE_S, READ_SIZE, Port
+from tactile_cdma.wire.port import HOST_GONE_S, Port
+from tactile_cdma.wire.reader import NO_FILE, READ_SIZE
 from test.support.waiting import wait_for
 
 
@@ -196,7 +197,7 @@ def test_skipped_bytes_are_counted_and_later_ones_are_read() -> None:
 
 def test_a_socket_in_capitals_is_a_socket() -> None:
     with socket_port("SOCKET") as (_, port):
-        assert port.over_network and port.has_file
+        assert port.over_network and port.file != NO_FILE
     with pytest.raises(PortError, match="are not named"):
         Port("Socket://localhost", 0)
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Packets of samples → levels of the nodes, for a digitizer that is set as its INFO says."""
+"""What a digitizer's INFO says about decoding its packets of samples."""
 
 from __future__ import annotations
 
@@ -12,23 +12,20 @@ from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.gap_timing import GapTiming
 from ..framing.line_timing import LineTiming
-from ..framing.marked_timing import MarkedTiming
-from ..framing.timing import FrameLevels, QuietBlock, SampleBlock
-from ..wire.messages import Info, Samples
-from ..wire.packets import PacketParser
-from .steady import SteadyStream, can_follow
-from .timeline import Pace, Place, Step
+from ..framing.timing import QuietBlock, SampleBlock
+from ..wire.messages import Info, Quiet, Samples
+from .timeline import Pace
 
 
-class LevelDecoder:
-    """Converts counts to volts and finds the frames in them.
+class Description:
+    """How samples are to be understood, for a digitizer that is set as its INFO says.
 
     timing: finds the frames. pace: what the digitizer's packets may claim.
     """
 
     def __init__(self, info: Info, config: SkinConfig, background: bool) -> None:
         """background: see ClockKeeper. Raises SpecError for a sampling that cannot be decoded."""
-        self._info = info
+        self.info, self.spec = info, config.spec
         spec, rate_hz = config.spec, info.sample_rate_hz
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         rails_v = float(low_v), float(high_v)
@@ -46,27 +43,16 @@ class LevelDecoder:
         """Clocks of the nodes, where these may have their own."""
         return self.timing.clocks if isinstance(self.timing, NodeTiming) else None
 
-    def steady(self, parser: PacketParser) -> SteadyStream | None:
-        """What follows the stream where nothing has to be decided, if the kernel can."""
-        timing = self.timing
-        if not (parser.is_compiled and isinstance(timing, MarkedTiming) and can_follow(timing)):
-            return None
-        return SteadyStream(self._info, timing, self.pace, parser)
-
     @property
     def can_call_roll(self) -> bool:
         """Whether a roll call can be evaluated: frames are marked and raw, the rest is known."""
         return isinstance(self.timing, NodeTiming) and self.timing.line.level_known
 
-    def feed(self, place: Place) -> list[FrameLevels]:
-        """The frames that a packet completes."""
-        if place.step is not Step.CONTINUES:
-            self.timing.reset()
-        info, packet = self._info, place.packet
-        marks = packet.sync, packet.called
+    def block(self, index: int, packet: Samples | Quiet) -> SampleBlock | QuietBlock:
+        """A packet in volts. index: of its first sample in the stream."""
+        info, marks = self.info, (packet.sync, packet.called)
         if isinstance(packet, Samples):
-            volts = info.volts(packet.counts)
-            return self.timing.feed(SampleBlock(place.index, volts, *marks))
+            return SampleBlock(index, info.volts(packet.counts), *marks)
         mean_v = (packet.mean - info.zero_count) * info.volts_per_count
         variance_v2 = packet.variance * info.volts_per_count**2
-        return self.timing.quiet(QuietBlock(place.index, packet.count, mean_v, variance_v2, *marks))
+        return QuietBlock(index, packet.count, mean_v, variance_v2, *marks)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A stream that the kernel follows gives the same as the stages, to the bit, whatever happens."""
+"""The stream in the kernel gives what the one in numpy gives, to the bit, whatever happens."""
 
 import gc
 import os
@@ -17,12 +17,25 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.code.transform import compiled_transform
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.levels import LevelDecoder
+from tactile_cdma.driver.compiled_stream import DOUBTS, CompiledStream, _rules
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.steady import Event
+from tactile_cdma.driver.session import Session
+from tactile_cdma.driver.stream import NumpyStream
+from tactile_cdma.driver.timeline import Answer
 from tactile_cdma.framing.line_timing import CARRIED_FRAMES
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Result
-from tactile_cdma.wire.messages import Ack, Info, Packed, Quiet, Samples, Status
+from tactile_cdma.wire.messages import (
+    WIRE,
+    Ack,
+    Info,
+    Packed,
+    Quiet,
+    RollCall,
+    Samples,
+    Status,
+)
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.simulated import stream
 
@@ -40,45 +53,19 @@ def sent(parameters: tuple[tuple[str, object], ...], url: str, frames: int = FRA
     return stream(SkinConfig.of(dict(parameters)), url, frames)
 
 
-class Followed:
-    """A pipeline, and how much of the stream it left to the kernel."""
-
-    def __init__(self, config: SkinConfig, in_stages: bool = False) -> None:
-        self.pipeline = Pipeline(config, background=False)
-        self.in_stages = in_stages
-        self.steady_frames = 0
-
-    def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-        if self.in_stages:  # whatever could be left to the kernel is decided here
-            self.pipeline._steady = None
-            return [
-                frame
-                for begin in range(0, len(data), 64)
-                for frame in self._feed_in_stages(data[begin : begin + 64], t_host, backlog)
-            ]
-        was_steady = self.pipeline.is_steady
-        frames = self.pipeline.feed(data, t_host, backlog)
-        self.steady_frames += len(frames) * was_steady
-        return frames
-
-    def _feed_in_stages(self, data: bytes, t_host: float, backlog: bool) -> list[TactileFrame]:
-        frames = self.pipeline.feed(data, t_host, backlog)
-        assert not self.pipeline.is_steady, "64 bytes introduce no digitizer and end a frame"
-        self.pipeline._steady = None
-        return frames
-
-
-def outcome(followed: Followed, data: bytes, chunk: int) -> tuple[list[TactileFrame], object]:
+def outcome(pipeline: Pipeline, data: bytes, chunk: int) -> tuple[list[TactileFrame], object]:
+    """The frames of a stream, and what was counted and learnt."""
     frames: list[TactileFrame] = []
     for begin in range(0, len(data), chunk):
         # Bytes are stamped by their place, so that the clock does not depend on the chunks.
         for part in range(begin, min(begin + chunk, len(data)), 997):
             stop = min(part + 997, begin + chunk)
-            frames += followed.feed(data[part:stop], part * 2e-7, part % 3 == 0)
-    frames += followed.pipeline.flush()
-    pipeline = followed.pipeline
-    told = pipeline.counters, pipeline.packet_counts, pipeline.rejections, pipeline.digitizer
-    return frames, told
+            frames += pipeline.feed(data[part:stop], part * 2e-7, part % 3 == 0)
+    frames += pipeline.flush()
+    health = pipeline.health
+    learnt = health.invalid.tolist(), health.suspect.tolist(), str(health.swing_v)
+    counted = pipeline.counters, pipeline.packet_counts, pipeline.rejections
+    return frames, (*counted, pipeline.digitizer, pipeline.clocks, learnt)
 
 
 def assert_same(some: list[TactileFrame], others: list[TactileFrame]) -> None:
@@ -93,15 +80,24 @@ def assert_same(some: list[TactileFrame], others: list[TactileFrame]) -> None:
                 np.testing.assert_array_equal(*values, err_msg=f"{part}.{item.name}")
 
 
-def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Followed:
-    followed = Followed(config)
-    frames, told = outcome(followed, data, chunk)
-    expected, expected_told = outcome(Followed(config, in_stages=True), data, chunk)
+def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Pipeline:
+    """Decode a stream both ways; returns the pipeline of the kernel's."""
+    pipeline = Pipeline(config, background=False)
+    reference = Pipeline(config, background=False, compiled=False)
+    assert isinstance(pipeline.stream, CompiledStream)
+    assert isinstance(reference.stream, NumpyStream)
+    frames, told = outcome(pipeline, data, chunk)
+    expected, expected_told = outcome(reference, data, chunk)
     assert_same(frames, expected)
     assert told == expected_told
-    return followed
+    decided = pipeline.decisions.compiled + sum(pipeline.decisions.in_python.values())
+    assert decided >= len(frames)
+    assert not reference.decisions.compiled
+    return pipeline
 
 
+TIGHT = {"frame_period_ms": 10.1}  # the next mark comes before it is seen how a frame ends
+GAP = {"timing": "gap"}
 CASES = [
     (SMALL, "scene=moving"),
     (SMALL, "scene=all&threshold=0"),
@@ -131,23 +127,50 @@ CASES = [
     (LARGE | CHIPS, "scene=hand"),
     (LARGE, "scene=hand"),
     (LARGE, "scene=all&threshold=0"),
+    ({"scramble": True}, "scene=moving&offset=0.2"),
+    ({"scramble": True}, "scene=idle&heartbeat=0&noise=0.1"),
+    ({"scramble": True} | CHIPS, "scene=all&threshold=0"),
+    ({"scramble": True} | LARGE, "scene=hand"),
+    (TIGHT, "scene=moving"),
+    (TIGHT | FULL, "scene=all&threshold=0"),
+    (GAP, "scene=moving&stretch=0.1"),
 ]
 
 
 @pytest.mark.parametrize("parameters, options", CASES, ids=lambda case: str(case))
-def test_frames_are_those_of_the_stages(parameters: dict[str, object], options: str) -> None:
+def test_frames_are_those_of_numpy(parameters: dict[str, object], options: str) -> None:
     data = sent(tuple(parameters.items()), f"sim://?seed=1&{options}")
     compare(SkinConfig.of(parameters), data)
 
 
-@pytest.mark.parametrize("parameters", [SMALL, CHIPS])
+@pytest.mark.parametrize("parameters", [SMALL, CHIPS, TIGHT, {"scramble": True}, FULL])
 @pytest.mark.parametrize("options", ["scene=all&threshold=0", "scene=idle", "scene=moving"])
-def test_most_frames_of_a_sound_skin_are_left_to_the_kernel(
+def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     parameters: dict[str, object], options: str
 ) -> None:
     config = SkinConfig.of(parameters)
-    followed = compare(config, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200))
-    assert followed.steady_frames > 190 - 4 * (200 // CARRIED_FRAMES)
+    pipeline = compare(config, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200))
+    assert pipeline.decisions.compiled > 195 - (200 // CARRIED_FRAMES + 1)
+    assert pipeline.decisions.python_share < 0.05
+
+
+@pytest.mark.parametrize(
+    ("parameters", "options", "reason"),
+    [
+        (SMALL, "scene=all&threshold=0&stretch=0.1", "unexplained"),
+        (SMALL, "scene=all&threshold=0&rail=1.0", "clipped"),
+        (SMALL, "scene=idle&heartbeat=0&noise=0.4", "no timing yet"),
+        (GAP, "scene=moving", "gap timing"),
+    ],
+)
+def test_why_frames_are_decided_in_python_is_told(
+    parameters: dict[str, object], options: str, reason: str
+) -> None:
+    pipeline = compare(
+        SkinConfig.of(parameters), sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 60)
+    )
+    assert pipeline.decisions.in_python.most_common(1)[0][0] == reason
+    assert pipeline.decisions.python_share > 0.9
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 64, 500, 1 << 14, 1 << 22])
@@ -167,7 +190,7 @@ def test_any_split_gives_the_same(chunk: int) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    case=st.sampled_from([CASES[0], CASES[2], CASES[17]]),
+    case=st.sampled_from([CASES[0], CASES[2], CASES[17], CASES[28], CASES[32], CASES[34]]),
     damages=st.lists(
         st.tuples(
             st.sampled_from(["flip", "cut", "repeat", "zero", "insert"]),
@@ -219,6 +242,19 @@ def is_samples(packet: object) -> bool:
     return isinstance(packet, (Samples, Quiet))
 
 
+class Impossible:
+    """Samples whose squares are too few for their sum, which Quiet refuses."""
+
+    TYPE = Quiet.TYPE
+
+    def __init__(self, packet: Samples | Quiet) -> None:
+        self._place = packet.device_time_us, packet.first_index
+
+    def pack(self) -> bytes:
+        data: bytes = WIRE["Quiet"].pack(*self._place, 0, 100, 1000, 1)
+        return data
+
+
 SPOILT = {
     "a mark is missing": lambda n, p: other(p, sync=False) if is_samples(p) and n == 100 else p,
     "a mark too many": lambda n, p: other(p, sync=True) if is_samples(p) and n == 101 else p,
@@ -242,6 +278,15 @@ SPOILT = {
     "a loud sample": lambda n, p: (
         other(p, counts=np.full_like(p.counts, 2047)) if isinstance(p, Samples) and n == 100 else p
     ),
+    "silence within a frame": lambda n, p: (
+        Quiet.of(p.device_time_us, p.first_index, np.full_like(p.counts, n % 5), sync=p.sync)
+        if isinstance(p, Samples) and n % 3 == 0
+        else p
+    ),
+    "silence that lasts too long": lambda n, p: (
+        Quiet(p.device_time_us, p.first_index, 1 << 27, 0, 1 << 28) if n == 100 else p
+    ),
+    "silence that cannot be": lambda n, p: Impossible(p) if n == 100 else p,
     "another digitizer": lambda n, p: (
         [p, Info(**{f.name: getattr(INFO, f.name) for f in fields(Info)} | {"quiet_uv": 3})]
         if n == 100
@@ -257,9 +302,26 @@ SPOILT = {
 
 @pytest.mark.parametrize("what", SPOILT)
 @pytest.mark.parametrize("options", ["scene=moving", "scene=idle&heartbeat=20"])
-def test_packets_that_do_not_go_on_are_left_to_the_stages(what: str, options: str) -> None:
+def test_packets_that_do_not_go_on_cost_the_same(what: str, options: str) -> None:
     data = edited(sent((), f"sim://?seed=1&{options}"), SPOILT[what])
     compare(SkinConfig.of(SMALL), data)
+
+
+@pytest.mark.parametrize("options", ["clock_spread=0.01&delay_spread=0.5", "clock_spread=5e-5"])
+def test_a_roll_call_gives_the_same(options: str) -> None:
+    """Also of nodes whose clocks decide how every frame is read."""
+    config, data = SkinConfig.of(SMALL), b""
+    url = f"sim://?scene=all&threshold=0&speed=0&{options}"
+    digitizer = VirtualDigitizer(SimOptions.from_url(url), clock=lambda: 0.0)
+    digitizer.receive(Session(config).open())
+    for count in (20, 200):
+        for _ in range(count):
+            digitizer.advance(1)
+            data += digitizer.take(digitizer.pending)
+        digitizer.receive(PacketWriter(50).encode(RollCall()))
+    pipeline = compare(config, data)
+    assert pipeline.clocks is not None and pipeline.clocks.heard == 16
+    assert pipeline.decisions.in_python[DOUBTS[0]] >= 16
 
 
 @pytest.mark.parametrize("parameters", [SMALL, CHIPS])
@@ -276,10 +338,10 @@ def test_packed_samples_are_followed_like_others(parameters: dict[str, object]) 
 
     packed = edited(data, pack)
     assert len(packed) < 0.85 * len(data)
-    followed = compare(config, packed)
-    assert followed.steady_frames > 190 - 4 * (200 // CARRIED_FRAMES)
-    plain, _ = outcome(Followed(config), data, 997)
-    frames, _ = outcome(Followed(config), packed, 997)  # at other times: of fewer bytes
+    pipeline = compare(config, packed)
+    assert pipeline.decisions.python_share < 0.05
+    plain, _ = outcome(Pipeline(config, background=False), data, 997)
+    frames, _ = outcome(Pipeline(config, background=False), packed, 997)  # at other times
     assert len(frames) == len(plain)
     for one, other in zip(frames, plain, strict=True):
         np.testing.assert_array_equal(one.words.codes, other.words.codes)
@@ -300,73 +362,109 @@ def at_the_rail(number: int, packet: object) -> object:
 @pytest.mark.parametrize("options", ["scene=all&threshold=0", "scene=idle&heartbeat=0"])
 def test_a_line_that_is_stuck_at_a_rail_is_not_called_silent(options: str) -> None:
     data = edited(sent((), f"sim://?seed=1&{options}"), at_the_rail)
-    followed = compare(SkinConfig.of(SMALL), data)
-    whole = Followed(SkinConfig.of(SMALL))
-    frames, _ = outcome(whole, data, 997)
-    assert followed.steady_frames > 10, "it was followed before"
-    assert len(frames) < FRAMES - 10
-    assert whole.pipeline.rejections.at_rail > 10
+    pipeline = compare(SkinConfig.of(SMALL), data)
+    assert 10 < pipeline.counters.frames < FRAMES - 10
+    assert pipeline.rejections.at_rail > 10
 
 
-def test_waiting_at_a_file_gives_what_giving_bytes_gives() -> None:
+def test_levels_that_are_kept_stay_what_they_were() -> None:
+    """Frames share no memory, though the kernel writes all correlations to one place."""
+    config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=all&threshold=0", 20)
+    pipeline = Pipeline(config, background=False)
+    pipeline.stream.give(data, 1.0, False)
+    kept, copies = [], []
+    needs_bytes = False
+    while not needs_bytes:
+        event = pipeline.stream.next()
+        pipeline.take(event)
+        if event.frame and event.frame.levels:
+            kept.append(event.frame.levels.values)
+            copies.append(event.frame.levels.values.copy())
+        needs_bytes = event.needs_bytes
+    assert len(kept) >= 19
+    np.testing.assert_array_equal(kept, copies)
+
+
+def wait_for_frames(pipeline: Pipeline, reader: int, count: int) -> list[TactileFrame]:
+    """So many frames, from a file that has them."""
+    frames: list[TactileFrame] = []
+    while len(frames) < count:
+        event = pipeline.stream.next(reader, 1000)
+        frame = pipeline.take(event)
+        frames += [] if frame is None else [frame]
+    return frames
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_reading_a_file_gives_what_giving_bytes_gives(compiled: bool) -> None:
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
     expected = Pipeline(config, background=False).feed(data, 1.0)
-    pipeline = Pipeline(config, background=False)
+    pipeline = Pipeline(config, background=False, compiled=compiled)
     reader, writer = os.pipe()
-    frames: list[TactileFrame] = []
-    first = len(data) // 4
-    frames += pipeline.feed(data[:first], 1.0)
-    assert pipeline.is_steady
 
     def write() -> None:
-        for begin in range(first, len(data), 333):
+        for begin in range(0, len(data), 333):
             os.write(writer, data[begin : begin + 333])
 
     thread = threading.Thread(target=write)
     thread.start()
-    while len(frames) < len(expected):
-        if pipeline.is_steady:
-            waited = pipeline.wait(reader, 1000)
-            assert waited.event is not Event.MORE, "bytes are missing"
-            frames += pipeline.take(waited)
-        else:
-            frames += pipeline.feed(os.read(reader, 4096), 1.0)
+    frames = wait_for_frames(pipeline, reader, len(expected))
     thread.join()
     for one, other_one in zip(frames, expected, strict=True):
         np.testing.assert_array_equal(one.readings.pressure_pa, other_one.readings.pressure_pa)
         assert one.t_start == other_one.t_start
-    if pipeline.is_steady:
-        assert pipeline.wait(reader, 1).event is Event.MORE
-        os.close(writer)
-        with pytest.raises(OSError, match="end of file"):
-            pipeline.wait(reader, 1000)
-    else:
-        os.close(writer)
+    while not pipeline.stream.next(reader, 1).needs_bytes:
+        pass
+    os.close(writer)
+    with pytest.raises(OSError, match="end of file"):
+        pipeline.stream.next(reader, 1000)
     os.close(reader)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_bytes_that_are_no_packets_do_not_hold_up_who_reads_them(compiled: bool) -> None:
+    pipeline = Pipeline(SkinConfig.of(SMALL), compiled=compiled)
+    reader, writer = os.pipe()
+    stop = threading.Event()
+
+    def babble() -> None:
+        with suppress(OSError):
+            while not stop.is_set():
+                os.write(writer, b"no packet\0")
+
+    thread = threading.Thread(target=babble)
+    thread.start()
+    for _ in range(3):
+        event = pipeline.stream.next(reader, 20)
+        assert event.needs_bytes and not event.packet
+    stop.set()
+    os.close(reader)
+    thread.join()
+    os.close(writer)
+    assert pipeline.packet_counts.framing_errors + pipeline.packet_counts.crc_errors > 2
 
 
 def test_counts_may_be_read_while_another_thread_waits() -> None:
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
     pipeline = Pipeline(config, background=False)
     pipeline.feed(data[: len(data) // 4], 1.0)
-    assert pipeline.is_steady
     before = pipeline.packet_counts
     reader, writer = os.pipe()
 
     def wait() -> None:
         with suppress(OSError):  # end of file
-            pipeline.wait(reader, 2000)
+            pipeline.stream.next(reader, 2000)
 
     thread = threading.Thread(target=wait)
     thread.start()
     while not threading.active_count() > 1:
         pass
     assert pipeline.packet_counts == before
-    os.close(writer)
     with pytest.raises(RuntimeError, match="another thread"):
         while thread.is_alive():
-            pipeline.wait(reader, 0)
+            pipeline.stream.next(reader, 0)
         raise RuntimeError("another thread was quicker")
+    os.close(writer)
     thread.join()
     os.close(reader)
 
@@ -377,14 +475,13 @@ def test_bytes_that_were_read_are_decoded_before_others_are_left_out() -> None:
     pipeline = Pipeline(config, background=False)
     half = len(data) // 2
     frames = pipeline.feed(data[:half], 1.0)
-    assert pipeline.is_steady
     reader, writer = os.pipe()
     os.write(writer, data[half : half + 30_000])
-    while len(frames) <= len(expected) // 2:
-        frames += pipeline.take(pipeline.wait(reader, 0))
-    frames += pipeline.settle()
+    frames += wait_for_frames(pipeline, reader, 1)
+    left = pipeline.drain()
+    assert left, "more than a frame was read"
+    frames += left
     pipeline.skipped(5000)
-    assert not pipeline.is_steady
     assert pipeline.counters.skipped_bytes == 5000
     os.close(reader), os.close(writer)
     for one, other_one in zip(frames, expected, strict=False):
@@ -396,33 +493,53 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     config = SkinConfig.of(SMALL)
     pipeline = Pipeline(config, background=False)
     pipeline.feed(sent((), "sim://?seed=1&scene=moving"), 1.0)
-    levels = pipeline._levels
-    assert isinstance(levels, LevelDecoder) and pipeline._steady is not None
-    steady, parser = pipeline._steady._kernel, PacketParser()
-    rows, setting = np.empty((10, 20), np.float32), np.zeros(43)
-    with pytest.raises(TypeError, match="not a Scanner"):
-        kernel.compiled.Steady(3, 3, setting, rows)
-    with pytest.raises(TypeError, match="not a Transform"):
-        kernel.compiled.Steady(parser.scanner, parser.scanner, setting, rows)
-    transform = compiled_transform((2, 2), True)
-    with pytest.raises(ValueError, match="no frame of this code"):
-        kernel.compiled.Steady(parser.scanner, transform, setting, rows)
-    with pytest.raises(ValueError, match="43"):
-        kernel.compiled.Steady(parser.scanner, transform, setting[1:], rows)
-    steady.leave()
-    place = (0, 0, 0, 0, 0, 1, 0.0, 0.0, (0.0, 0.0, 0.0), np.empty(0))
-    with pytest.raises(ValueError, match="fewer samples"):
-        steady.enter(*place, 3, 0, 1, None)
+    assert isinstance(pipeline.stream, CompiledStream) and pipeline._description is not None
+    rules = _rules(pipeline._description, frames=True)
+    flips, rows = np.empty(0, np.float32), np.empty((10, 20), np.float32)
+    transform = compiled_transform(config.spec.book.plan, spreading=False)
+    with pytest.raises(TypeError, match="scanner: a Scanner of the kernel"):
+        kernel.compiled.Stream(3)
+    made = kernel.compiled.Stream(PacketParser().scanner)
+    with pytest.raises(TypeError, match="transform: a Transform of the kernel"):
+        made.describe(rules, made, flips, rows)
+    with pytest.raises(ValueError, match=r"stream_rules: .* bytes of settings"):
+        made.describe(rules["size"], transform, flips, rows)
+    with pytest.raises(ValueError, match="rows: "):
+        made.describe(rules, transform, flips, rows[:, :4].copy())
+    with pytest.raises(ValueError, match="rows: "):
+        made.describe(rules, compiled_transform((2, 2), spreading=False), flips, rows)
+    with pytest.raises(ValueError, match="flips: "):
+        made.describe(rules, transform, rows[0].copy(), rows)
+    for name, wrong in {
+        "nodes": 0,
+        "first": 5,
+        "chip": np.nan,
+        "rate_hz": -1,
+        "gap_size": 0,
+    }.items():
+        with pytest.raises(ValueError, match="rows: "):
+            spoilt = rules.copy()
+            spoilt[name] = wrong
+            made.describe(spoilt, transform, flips, rows)
+    made.describe(rules, transform, flips, rows)
+    timing = {"due": 1000, "over": 900, "uses": 1, "asks": False, "has_frame": True, "chip": 4.0}
+    timing |= {"until": 950.0, "heard": 800, "tail": 900, "tail_end": 910}
     edges = np.arange(3, dtype=np.int32), np.zeros(3), np.ones(2), np.zeros(200, np.int32)
-    with pytest.raises(ValueError, match="does not fit"):
-        steady.enter(*place, 1000, 0, 1, (4.0, 2000, 900, 10, *edges))
-    with pytest.raises(ValueError, match="does not fit"):
-        steady.enter(*place, 1000, 0, 1, (4.0, 800, 995, 10, *edges))
-    with pytest.raises(ValueError, match="values"):
-        steady.enter(*place, 1000, 0, 1, (4.0, 800, 900, 10, *edges[:3], edges[0]))
-    steady.enter(*place, 1000, 0, 1, None)
-    steady.give(b"\1\2", 0.0, False)
+    made.carry(kernel.settings("stream_timing", **timing), *edges)
+    for change in ({"due": 0}, {"over": 1 << 40}, {"tail": 700}, {"until": np.nan}, {"heard": 0}):
+        with pytest.raises(ValueError, match=r"due, over: |edges: "):
+            made.carry(kernel.settings("stream_timing", **timing | change), *edges)
+    with pytest.raises(ValueError, match="edges: "):
+        made.carry(kernel.settings("stream_timing", **timing), *edges[:3], edges[0])
+    made.give(b"\1\2", 0.0, False)
     with pytest.raises(RuntimeError, match="not used up"):
-        steady.give(b"\3", 0.0, False)
-    del steady, pipeline
+        made.give(b"\3", 0.0, False)
+    for answer, arguments in ((made.open, (1,)), (made.decide, (1, 2, 0.0)), (made.look, (1,))):
+        with pytest.raises(ValueError, match="nothing of the kind was asked"):
+            answer(*arguments)
+    with pytest.raises(ValueError, match="nothing of the kind was asked"):
+        made.place(Answer.TAKE, 0, False, 0.0, 0.0)
+    with pytest.raises(ValueError, match="answer: "):
+        made.place(17, 0, False, 0.0, 0.0)
+    del made, pipeline, answer
     gc.collect()

@@ -1,0 +1,702 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "frame_stream.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LARGEST_EXACT ((uint64_t)1 << 53) /* up to which a double holds every integer */
+
+/* What becomes of the packet at hand next. */
+enum stage {
+    NEXT,    /* there is none: look for it */
+    ARRIVED, /* does it continue the stream? */
+    CLOSING, /* it begins a frame: decide the one in progress, learn the gap */
+    OPENING, /* it was asked how that frame is to be read */
+    SUMMED,  /* its samples are summed up */
+    FILLING, /* take its samples in */
+    ENDING,  /* none will come any more */
+};
+
+/* A packet of samples; if quiet, they are not in it, but their mean and variance, counts. */
+struct arrival {
+    uint64_t first_index, device_us;
+    uint32_t count;
+    uint16_t sequence;
+    bool sync, called, quiet, is_exact, backlog;
+    double mean, variance, t_host;
+    int16_t counts[TP_MAX_SAMPLES];
+};
+
+struct stream {
+    struct stream_rules rules;
+    bool described;
+    struct frame_code code;
+    float *rows, *scratch;
+    struct scanner *scanner;
+    struct scanner_packet packet;
+    struct stream_subject subject;
+
+    /* packets: the one at hand, and the one that is held back or, if that was taken, waits behind it */
+    struct arrival arrivals[2], *now, *other;
+    enum stage stage;
+    enum stream_event asked; /* what has to be answered */
+    bool holds, waits;
+    bool is_summed_up; /* the one at hand, by itself */
+    uint32_t filled;   /* samples of it that were taken in */
+
+    /* continuity */
+    bool began;
+    uint64_t origin, last_us;
+    uint32_t last_count;
+    int64_t end; /* of what was taken in */
+
+    /* frames: indices are the stream's; -1: none */
+    struct stream_timing timing;
+    struct frame_edges edges;
+    int64_t start, due, gap_begin, mark;
+    bool is_asked; /* about the frame in progress */
+    size_t uses, marks, ended;
+
+    struct frame_rest rest;
+    double gap_count, gap_sum, gap_squares; /* not evaluated yet */
+
+    const uint8_t *bytes; /* not used up */
+    size_t left;
+    double t_host;
+    bool backlog;
+
+    struct stream_passed passed[STREAM_MOST_PASSED];
+    size_t passed_count;
+
+    float volts[TP_MAX_SAMPLES];
+    double *store; /* samples: `kept` of them, the last one before `end` */
+    size_t room, first, kept;
+};
+
+struct stream *stream_new(struct scanner *scanner)
+{
+    struct stream *stream = calloc(1, sizeof *stream);
+
+    if (!stream)
+        return NULL;
+    stream->scanner = scanner;
+    stream->now = &stream->arrivals[0];
+    stream->other = &stream->arrivals[1];
+    stream->asked = STREAM_GOES_ON;
+    return stream;
+}
+
+void stream_free(struct stream *stream)
+{
+    free(stream->store);
+    free(stream->scratch);
+    free(stream);
+}
+
+/* ---- samples ----------------------------------------------------------------------------------- */
+
+/* Makes room for so many samples of a frame, with the gap before and a packet behind them; twice, so that
+ * they are seldom moved. */
+static bool make_room(struct stream *stream, size_t samples)
+{
+    size_t room = 2 * (samples + stream->rules.gap_size + TP_MAX_SAMPLES);
+
+    if (room <= stream->room)
+        return true;
+    double *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
+    if (!store)
+        return false;
+    if (stream->kept)
+        memcpy(store, stream->store + stream->first, stream->kept * sizeof *store);
+    free(stream->store);
+    stream->store = store;
+    stream->room = room;
+    stream->first = 0;
+    return true;
+}
+
+/* Samples from index `begin` on, as far as they are kept, up to `end`. */
+static const double *samples_from(const struct stream *stream, int64_t begin, int64_t end,
+                                  size_t *count)
+{
+    int64_t first = stream->end - (int64_t)stream->kept;
+
+    begin = begin < first ? first : begin;
+    end = end > stream->end ? stream->end : end;
+    *count = end > begin ? (size_t)(end - begin) : 0;
+    return stream->store + stream->first + (*count ? begin - first : 0);
+}
+
+static void forget_before(struct stream *stream, int64_t index)
+{
+    int64_t count = index - (stream->end - (int64_t)stream->kept);
+
+    if (count > (int64_t)stream->kept)
+        count = (int64_t)stream->kept;
+    if (count > 0) {
+        stream->first += (size_t)count;
+        stream->kept -= (size_t)count;
+    }
+}
+
+static void append(struct stream *stream, size_t count)
+{
+    if (stream->first + stream->kept + count > stream->room) {
+        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
+        stream->first = 0;
+    }
+    samples_copy(stream->volts, count, stream->rules.most_volts,
+                 stream->store + stream->first + stream->kept);
+    stream->kept += count;
+    stream->end += (int64_t)count;
+    stream->filled += (uint32_t)count;
+}
+
+/* The next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
+static void fill(struct stream *stream)
+{
+    const struct arrival *now = stream->now;
+    double zero = stream->rules.zero_count, per_count = stream->rules.volts_per_count;
+    size_t count = now->count - stream->filled;
+
+    if (now->quiet) {
+        float mean = (float)((now->mean - zero) * per_count);
+        float deviation = (float)sqrt(now->variance * (per_count * per_count));
+        count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+        for (size_t i = 0; i < count; i++)
+            stream->volts[i] = i % 2 ? mean - deviation : mean + deviation;
+    } else
+        samples_volts(now->counts, count, (float)zero, (float)per_count, stream->volts);
+    append(stream, count);
+}
+
+/* ---- the line at rest -------------------------------------------------------------------------- */
+
+/* As MarkedLine.at_rest. */
+static void at_rest(struct stream *stream, double mean, double variance)
+{
+    const struct stream_rules *rules = &stream->rules;
+    struct frame_rest *rest = &stream->rest;
+    double newest = variance / rules->frame.chip, weight = rest->known ? rules->gap_weight : 1;
+    double most = rules->rise * rest->noise + rules->rise_v2;
+
+    if (rest->known && most < newest)
+        newest = most;
+    rest->noise += weight * (newest - rest->noise);
+    rest->level = mean;
+    rest->known = true;
+}
+
+/* As MarkedLine.add_gap, of the gap before a mark at the end of what was taken in. */
+static void learn_gap(struct stream *stream)
+{
+    int64_t earliest = stream->end - (int64_t)stream->rules.gap_size;
+    int64_t begin = stream->gap_begin > earliest ? stream->gap_begin : earliest;
+    size_t count;
+    const double *volts = samples_from(stream, begin, stream->end, &count);
+
+    if (!count)
+        return;
+    struct samples_sums sums = samples_add(volts, count);
+    if (isnan(sums.sum))
+        return;
+    stream->gap_count += (double)count;
+    stream->gap_sum += sums.sum;
+    stream->gap_squares += sums.squares;
+    if (stream->gap_count >= (double)stream->rules.least_rest) {
+        double number = stream->gap_count, mean = stream->gap_sum / number;
+        double left = stream->gap_squares - number * (mean * mean);
+        at_rest(stream, mean, (left < 0 ? 0 : left) / (number - 1));
+        stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
+    }
+}
+
+/* Forgets the frame in progress; whether there was one. */
+static bool reset(struct stream *stream)
+{
+    bool cut_short = stream->start >= 0;
+
+    stream->start = stream->mark = stream->gap_begin = -1;
+    stream->kept = 0;
+    stream->due = 0;
+    return cut_short;
+}
+
+/* ---- packets ----------------------------------------------------------------------------------- */
+
+static bool read_quiet(const struct scanner_packet *packet, struct arrival *arrival)
+{
+    struct tp_quiet quiet;
+
+    if (packet->size != sizeof quiet)
+        return false;
+    memcpy(&quiet, packet->payload, sizeof quiet);
+    uint64_t count = quiet.count, squares = quiet.sum_of_squares;
+    uint64_t size = quiet.sum < 0 ? 0 - (uint64_t)quiet.sum : (uint64_t)quiet.sum;
+    arrival->first_index = quiet.first_index;
+    arrival->device_us = quiet.device_time_us;
+    arrival->count = quiet.count;
+    arrival->sync = quiet.flags & TP_FLAG_SYNC;
+    arrival->called = quiet.flags & TP_FLAG_CALLED;
+    arrival->quiet = true;
+    arrival->is_exact = false;
+    /* What does not fit, or cannot be, is asked about. */
+    if (!count || count >> 26 || size >> 31 || squares >= LARGEST_EXACT * 1024 / count)
+        return true;
+    int64_t spread = (int64_t)(count * squares) - (int64_t)(size * size);
+    arrival->is_exact = spread >= 0 && (uint64_t)spread < LARGEST_EXACT;
+    arrival->mean = (double)quiet.sum / (double)count;
+    arrival->variance = (double)spread / ((double)count * (double)count);
+    return true;
+}
+
+/* Takes a packet of samples apart; false for any other, or one that is malformed. */
+static bool read_packet(const struct scanner_packet *packet, struct arrival *arrival)
+{
+    size_t count = scanner_samples(packet);
+    struct tp_samples head;
+
+    if (packet->type == TP_QUIET)
+        return read_quiet(packet, arrival);
+    if (!count)
+        return false;
+    scanner_copy_samples(packet, &head, arrival->counts);
+    arrival->first_index = head.first_index;
+    arrival->device_us = head.device_time_us;
+    arrival->count = (uint32_t)count;
+    arrival->sync = head.flags & TP_FLAG_SYNC;
+    arrival->called = head.flags & TP_FLAG_CALLED;
+    arrival->quiet = false;
+    return true;
+}
+
+/* Exchanges the packet at hand with the other one. */
+static void exchange(struct stream *stream)
+{
+    struct arrival *now = stream->now;
+
+    stream->now = stream->other;
+    stream->other = now;
+}
+
+static enum stream_event find_packet(struct stream *stream)
+{
+    if (stream->passed_count == STREAM_MOST_PASSED)
+        return STREAM_FULL;
+    if (stream->waits) {
+        stream->waits = false;
+        exchange(stream);
+        stream->stage = ARRIVED;
+        return STREAM_GOES_ON;
+    }
+    if (!stream->left)
+        return STREAM_NEEDS_BYTES;
+    size_t taken = scanner_take(stream->scanner, stream->bytes, stream->left, &stream->packet);
+    stream->bytes += taken;
+    stream->left -= taken;
+    if (!stream->packet.payload)
+        return STREAM_GOES_ON;
+    if (!read_packet(&stream->packet, stream->now))
+        return STREAM_PACKET;
+    stream->now->sequence = stream->packet.sequence;
+    stream->now->t_host = stream->t_host;
+    stream->now->backlog = stream->backlog;
+    stream->stage = ARRIVED;
+    return STREAM_GOES_ON;
+}
+
+/* Whether the packet at hand continues the stream, as Pace.is_plausible and follows say, with nothing
+ * missing. */
+static bool continues(const struct stream *stream)
+{
+    const struct stream_rules *rules = &stream->rules;
+    const struct arrival *now = stream->now;
+
+    if (!stream->described || !stream->began || stream->holds ||
+        now->first_index != stream->origin + (uint64_t)stream->end ||
+        now->device_us > rules->most_device_us)
+        return false;
+    if (now->quiet &&
+        !(now->is_exact && (double)now->count <= rules->most_quiet &&
+          now->variance * (rules->volts_per_count * rules->volts_per_count) <= rules->most_quiet_v2))
+        return false;
+    double counted_s = (double)stream->last_count / rules->rate_hz;
+    double ahead_s = (double)((int64_t)now->device_us - (int64_t)stream->last_us) * 1e-6 - counted_s;
+    return -rules->behind_s <= ahead_s && ahead_s <= rules->ahead_s + rules->ahead * counted_s;
+}
+
+/* Accepts the packet at hand. */
+static void pass(struct stream *stream)
+{
+    const struct stream_rules *rules = &stream->rules;
+    const struct arrival *now = stream->now;
+
+    stream->passed[stream->passed_count++] = (struct stream_passed){
+        .index = stream->end,
+        .device_time_us = now->device_us,
+        .count = now->count,
+        .sequence = now->sequence,
+        .backlog = now->backlog,
+        .t_host = now->t_host,
+    };
+    stream->began = true;
+    stream->last_us = now->device_us;
+    stream->last_count = now->count;
+    stream->filled = 0;
+    if (!rules->marked) {
+        stream->stage = rules->in_blocks ? FILLING : NEXT;
+        stream->end += rules->in_blocks ? 0 : now->count;
+        return;
+    }
+    stream->is_summed_up =
+        now->quiet && (now->sync ? now->count >= rules->frame.size : stream->start < 0);
+    stream->stage = now->sync ? CLOSING : stream->is_summed_up ? SUMMED : FILLING;
+}
+
+/* ---- frames ------------------------------------------------------------------------------------ */
+
+static void tell(struct stream *stream, enum frame_look look, bool final)
+{
+    stream->subject.look = look;
+    stream->subject.final = final;
+    stream->subject.start = stream->start;
+    stream->subject.marks = stream->marks;
+    stream->subject.uses = stream->uses;
+    stream->subject.ended = stream->ended;
+    stream->subject.summed_up = false;
+}
+
+/* The frame in progress is over; the line is at rest from `over` on. */
+static void settle(struct stream *stream, int64_t over, double level)
+{
+    stream->start = -1;
+    stream->rest.level = level;
+    stream->gap_begin = stream->rules.frame.integrated ? -1 : over; /* then no gap is sent */
+}
+
+static enum stream_event decided(struct stream *stream, enum frame_look look, bool final)
+{
+    struct frame_found *found = &stream->subject.found;
+    int64_t start = stream->start;
+
+    if (look == FRAME_SILENT) {
+        tell(stream, look, final);
+        settle(stream, start + (int64_t)stream->rules.silent_over, found->level);
+        return STREAM_SILENT;
+    }
+    stream->uses += !stream->rules.frame.integrated;
+    if (look == FRAME_NEEDS_MORE) {
+        stream->due += (int64_t)found->more;
+        return STREAM_GOES_ON;
+    }
+    stream->ended += found->ended;
+    tell(stream, look, final);
+    settle(stream, start + (int64_t)stream->timing.over, found->level);
+    return STREAM_HEARD;
+}
+
+/* The frame in progress, by its samples up to an index. */
+static enum stream_event decide(struct stream *stream, int64_t end, bool final)
+{
+    const struct stream_timing *timing = &stream->timing;
+    bool is_carried = timing->has_frame && stream->uses < timing->uses;
+    struct stream_subject *subject = &stream->subject;
+    enum frame_look look = FRAME_SILENT;
+
+    subject->volts = samples_from(stream, stream->start, end, &subject->count);
+    if (!stream->is_asked) {
+        look = frame_read(&stream->rules.frame, &stream->code, is_carried ? &timing->frame : NULL,
+                          &stream->edges, &stream->rest, subject->volts, subject->count, final,
+                          stream->rows, stream->scratch, &subject->found);
+        if (look <= FRAME_NEEDS_MORE &&
+            !(look == FRAME_NEEDS_MORE && !make_room(stream, subject->count + subject->found.more)))
+            return decided(stream, look, final);
+    }
+    tell(stream, look, final);
+    return STREAM_DOUBT;
+}
+
+static enum stream_event begin_frame(struct stream *stream)
+{
+    if (stream->start >= 0)
+        return decide(stream, stream->end, true);
+    if (stream->gap_begin >= 0)
+        learn_gap(stream);
+    forget_before(stream, stream->end);
+    stream->subject.since = stream->mark < 0 ? -1 : stream->end - stream->mark;
+    stream->subject.start = stream->start = stream->mark = stream->end;
+    stream->subject.called = stream->now->called;
+    stream->marks++;
+    stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
+    if (stream->is_asked) {
+        stream->stage = OPENING;
+        return STREAM_MARK;
+    }
+    stream->due = stream->start + (int64_t)stream->timing.due;
+    stream->stage = stream->is_summed_up ? SUMMED : FILLING;
+    return STREAM_GOES_ON;
+}
+
+/* After a packet that is summed up. */
+static void pass_by(struct stream *stream)
+{
+    stream->end += stream->now->count;
+    stream->kept = 0;
+    stream->gap_begin = stream->gap_begin < 0 ? -1 : stream->end;
+    stream->stage = NEXT;
+}
+
+/* Sums of a frame in which no node transmitted, or of a part of the gap; as MarkedTiming.quiet. */
+static enum stream_event sum_up(struct stream *stream)
+{
+    double per_count = stream->rules.volts_per_count;
+    double mean = (stream->now->mean - stream->rules.zero_count) * per_count;
+    double variance = stream->now->variance * (per_count * per_count);
+    struct stream_subject *subject = &stream->subject;
+
+    if (stream->start < 0) {
+        if (stream->gap_begin >= 0)
+            at_rest(stream, mean, variance);
+        pass_by(stream);
+        return STREAM_GOES_ON;
+    }
+    enum frame_look look =
+        frame_summed_up(&stream->rules.frame, &stream->rest, mean, variance, &subject->found);
+    if (look == FRAME_SILENT) {
+        decided(stream, look, true);
+        pass_by(stream);
+        return STREAM_SILENT;
+    }
+    tell(stream, look, true);
+    subject->summed_up = true;
+    subject->variance = variance;
+    stream->store[0] = mean; /* nothing else is kept from the mark on */
+    stream->first = 0;
+    subject->volts = stream->store;
+    subject->count = 1;
+    return STREAM_DOUBT;
+}
+
+static enum stream_event hand_on(struct stream *stream)
+{
+    struct stream_subject *subject = &stream->subject;
+
+    subject->start = stream->end - (int64_t)stream->kept;
+    subject->volts = samples_from(stream, subject->start, stream->end, &subject->count);
+    return STREAM_BLOCK;
+}
+
+static enum stream_event take_in(struct stream *stream)
+{
+    bool is_due = stream->end >= stream->due;
+
+    if (stream->rules.in_blocks &&
+        stream->kept && (is_due || stream->kept + TP_MAX_SAMPLES > stream->room))
+        return hand_on(stream);
+    if (stream->start >= 0 && is_due)
+        return decide(stream, stream->due, false);
+    if (stream->filled < stream->now->count)
+        fill(stream);
+    else
+        stream->stage = NEXT;
+    if (stream->start < 0 && stream->rules.marked)
+        forget_before(stream, stream->end - (int64_t)stream->rules.gap_size);
+    return STREAM_GOES_ON;
+}
+
+static enum stream_event conclude(struct stream *stream)
+{
+    if (stream->start >= 0)
+        return decide(stream, stream->end, true);
+    if (stream->rules.in_blocks && stream->kept)
+        return hand_on(stream);
+    reset(stream);
+    stream->stage = NEXT;
+    return STREAM_GOES_ON;
+}
+
+enum stream_event stream_next(struct stream *stream)
+{
+    enum stream_event event = stream->asked; /* as long as it is not answered */
+
+    while (event == STREAM_GOES_ON)
+        switch (stream->stage) {
+        case NEXT:
+            event = find_packet(stream);
+            break;
+        case ARRIVED:
+            if (continues(stream))
+                pass(stream);
+            else
+                event = STREAM_FOREIGN;
+            break;
+        case CLOSING:
+            event = begin_frame(stream);
+            break;
+        case OPENING:
+            event = STREAM_MARK;
+            break;
+        case SUMMED:
+            event = sum_up(stream);
+            break;
+        case FILLING:
+            event = take_in(stream);
+            break;
+        case ENDING:
+            event = conclude(stream);
+            break;
+        }
+    stream->asked = event >= STREAM_FOREIGN ? event : STREAM_GOES_ON;
+    return event;
+}
+
+/* ---- what is said from outside ------------------------------------------------------------------ */
+
+bool stream_describe(struct stream *stream, const struct stream_rules *rules,
+                     const struct frame_code *code, float *rows)
+{
+    reset(stream);
+    stream->described = rules;
+    if (!rules)
+        return true;
+    float *scratch = malloc(2 * (rules->frame.frame.nodes + 1) * sizeof *scratch);
+    if (!scratch)
+        return false;
+    free(stream->scratch);
+    stream->scratch = scratch;
+    stream->rules = *rules;
+    stream->code = *code;
+    stream->rows = rows;
+    stream->rest = (struct frame_rest){0};
+    stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
+    stream->timing = (struct stream_timing){.asks = true};
+    stream->uses = stream->marks = stream->ended = 0;
+    return make_room(stream, rules->frame.size);
+}
+
+void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
+{
+    stream->bytes = bytes;
+    stream->left = size;
+    stream->t_host = t_host;
+    stream->backlog = backlog;
+}
+
+size_t stream_left(const struct stream *stream)
+{
+    return stream->left;
+}
+
+void stream_conclude(struct stream *stream)
+{
+    if (stream->stage == NEXT)
+        stream->stage = ENDING;
+}
+
+const struct stream_subject *stream_subject(const struct stream *stream)
+{
+    return &stream->subject;
+}
+
+const struct scanner_packet *stream_packet(const struct stream *stream)
+{
+    return &stream->packet;
+}
+
+const struct frame_rest *stream_rest(const struct stream *stream)
+{
+    return &stream->rest;
+}
+
+size_t stream_passed(struct stream *stream, const struct stream_passed **passed)
+{
+    size_t count = stream->passed_count;
+
+    *passed = stream->passed;
+    stream->passed_count = 0;
+    return count;
+}
+
+/* Whether this was asked; it is answered now. */
+static bool answers(struct stream *stream, enum stream_event question)
+{
+    bool asked = stream->asked == question;
+
+    if (asked)
+        stream->asked = STREAM_GOES_ON;
+    return asked;
+}
+
+bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t origin, bool anew,
+                  double mean, double variance, bool *cut_short)
+{
+    bool takes = answer == STREAM_TAKE || answer == STREAM_TAKE_HELD;
+
+    *cut_short = false;
+    if ((takes && !stream->described) || (answer == STREAM_TAKE_HELD && !stream->holds) ||
+        !answers(stream, STREAM_FOREIGN))
+        return false;
+    if (answer == STREAM_TAKE || answer == STREAM_HOLD) {
+        stream->now->mean = mean;
+        stream->now->variance = variance;
+    }
+    stream->stage = NEXT;
+    if (answer == STREAM_IGNORE)
+        return true;
+    stream->holds = answer == STREAM_HOLD;
+    if (answer != STREAM_TAKE)
+        exchange(stream);
+    if (answer == STREAM_HOLD)
+        return true;
+    stream->waits = answer == STREAM_TAKE_HELD;
+    stream->origin = origin;
+    stream->end = (int64_t)(stream->now->first_index - origin);
+    if (anew)
+        *cut_short = reset(stream);
+    pass(stream);
+    return true;
+}
+
+bool stream_open(struct stream *stream, size_t due)
+{
+    if (!answers(stream, STREAM_MARK) || !make_room(stream, due))
+        return false;
+    stream->due = stream->start + (int64_t)due;
+    stream->stage = stream->is_summed_up ? SUMMED : FILLING;
+    return true;
+}
+
+bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level)
+{
+    if (!answers(stream, STREAM_DOUBT))
+        return false;
+    stream->marks = stream->uses = stream->ended = 0;
+    if (due >= 0) {
+        stream->due = due;
+        return stream->stage != SUMMED && due > stream->start &&
+               make_room(stream, (size_t)(due - stream->start));
+    }
+    settle(stream, over, level);
+    if (stream->stage == SUMMED)
+        pass_by(stream);
+    return true;
+}
+
+bool stream_look(struct stream *stream, int64_t due)
+{
+    if (!answers(stream, STREAM_BLOCK))
+        return false;
+    stream->kept = stream->first = 0;
+    stream->due = due;
+    return due <= stream->end || make_room(stream, (size_t)(due - stream->end));
+}
+
+bool stream_carry(struct stream *stream, const struct stream_timing *timing,
+                  const struct frame_edges *edges)
+{
+    stream->timing = *timing;
+    stream->edges = *edges;
+    return make_room(stream, timing->due);
+}

@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "marked_frame.h"
+
+#include <math.h>
+
+#define CLEARLY 0.9 /* share of a limit below which sums in any order are */
+
+static double share_clipped(const struct frame_rules *rules, const double *volts, size_t size)
+{
+    return (double)samples_outside(volts, size, rules->rail_low, rules->rail_high) / (double)size;
+}
+
+/* Without an unknown offset, V²; NaN where a sample is absurd. Finds the offset, if that is the mean. */
+static double power_of(const struct frame_rules *rules, const struct frame_rest *rest,
+                       const double *volts, double *level)
+{
+    struct samples_sums sums = samples_add(volts, rules->size);
+    double mean = sums.sum / (double)rules->size, power = sums.squares / (double)rules->size;
+
+    *level = rules->mean_is_offset && !rest->known ? mean : rest->level;
+    power = rules->frame.first ? power - mean * mean
+                               : power - 2 * mean * *level + *level * *level;
+    return power < 0 ? 0 : power; /* NaN stays */
+}
+
+/* As MarkedLine.silent. power: of the samples, V². */
+static enum frame_look silent(const struct frame_rules *rules, const struct frame_rest *rest,
+                              double power, struct frame_found *found)
+{
+    double gap = sqrt(rest->noise), noise = sqrt(power / rules->chip);
+    double most = rules->silent_rise * (rest->noise * rules->chip) + rules->silent_more;
+
+    found->noise = noise;
+    if (found->clipped > rules->deafened)
+        return FRAME_CLIPPED;
+    if ((noise < gap ? gap : noise) > rules->most_noise || (rules->scrambled && power > most))
+        return FRAME_NOISY;
+    return FRAME_SILENT;
+}
+
+enum frame_look frame_summed_up(const struct frame_rules *rules, const struct frame_rest *rest,
+                                double mean, double variance, struct frame_found *found)
+{
+    *found = (struct frame_found){.level = rest->level, .clipped = share_clipped(rules, &mean, 1)};
+    return silent(rules, rest, variance, found);
+}
+
+/* Whether words leave no more than the noise of the gap, as LineRecogniser._is_explained says; or those
+ * of samples that are chips are believable beyond doubt, as WordFit.believable says. */
+static bool is_explained(const struct frame_rules *rules, const struct frame_rest *rest,
+                         const float *rows, float *scratch)
+{
+    const struct words_frame *frame = &rules->frame;
+    float *amplitude = scratch, *uneven = scratch + frame->nodes, pedestal, power, spread, misfit;
+    double strongest = 0, active = 0;
+
+    words_fit(frame, rows, amplitude, uneven, &pedestal, &power, &spread, &misfit);
+    for (size_t node = 0; node < frame->nodes; node++) {
+        strongest = (double)amplitude[node] > strongest ? (double)amplitude[node] : strongest;
+        active += amplitude[node] > 0;
+    }
+    double left = (double)misfit * (double)power;
+    double least = rules->loud * rules->loud * rest->noise / (double)frame->order;
+    least = least < rules->least_power ? rules->least_power : least;
+    if (!(strongest * strongest > least))
+        return false;
+    if (!rules->integrated)
+        return left < rules->carried_noise * rest->noise + rules->carried_misfit * (double)power;
+    double words = (double)power - (double)pedestal * (double)pedestal;
+    double noise = rules->left * (double)frame->order / active * (double)spread * words;
+    return (double)spread < CLEARLY * rules->spread &&
+           left < CLEARLY * (noise + rules->misfit * (double)power);
+}
+
+/* Whether the line is at rest after the frame beyond doubt, as FrameEnds.observe says. */
+static bool is_at_rest(const struct frame_rules *rules, const struct frame_timing *timing,
+                       const struct frame_rest *rest, const double *volts, size_t count, bool *ended)
+{
+    size_t end = timing->tail_end < count ? timing->tail_end : count;
+    double size = end > timing->tail ? (double)(end - timing->tail) : 0;
+
+    *ended = size >= rules->least_tail * timing->chip;
+    if (!*ended)
+        return true;
+    struct samples_sums sums = samples_add(volts + timing->tail, end - timing->tail);
+    double mean = sums.sum / size - rest->level;
+    double left = sums.squares / size - rest->level * (2 * mean + rest->level);
+    double noise = rest->noise * timing->chip;
+
+    left = left < 0 ? 0 : left;
+    return left < noise * (rules->tail_noise + rules->tail_scatter / sqrt(size)) &&
+           (rules->frame.first || fabs(mean) <= rules->tail_level * sqrt(noise / size));
+}
+
+static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
+                       const struct frame_edges *edges, double level, const double *volts,
+                       size_t count, float *chips)
+{
+    size_t size = rules->frame.bits * rules->frame.order;
+
+    if (rules->integrated)
+        for (size_t i = 0; i < size; i++)
+            chips[i] = (float)volts[i] - (float)level;
+    else if (!samples_chips(volts, count, level, &edges->all, edges->places, size, chips))
+        return false;
+    if (code->flips)
+        for (size_t i = 0; i < size; i++)
+            chips[i] *= code->flips[i];
+    return true;
+}
+
+enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
+                           const struct frame_timing *timing, const struct frame_edges *edges,
+                           const struct frame_rest *rest, const double *volts, size_t count,
+                           bool final, float *rows, float *scratch, struct frame_found *found)
+{
+    const struct words_frame *frame = &rules->frame;
+
+    *found = (struct frame_found){.level = rest->level};
+    if (count < rules->size)
+        return FRAME_CUT_SHORT;
+    double power = power_of(rules, rest, volts, &found->level);
+    if (isnan(power))
+        return FRAME_ABSURD;
+    if (power <= rules->least_power) {
+        found->clipped = share_clipped(rules, volts, rules->size);
+        return silent(rules, rest, power, found);
+    }
+    if (!rules->integrated && !rest->known)
+        return FRAME_UNKNOWN_REST;
+    if (!(rules->integrated || timing))
+        return FRAME_NO_TIMING;
+    /* All edges of chips lie within more samples than the frame has. */
+    size_t heard = rules->integrated ? rules->whole_size : timing->heard;
+    if (rules->integrated ? count < frame->bits * frame->order || count < heard : count <= heard)
+        return FRAME_CUT_SHORT;
+    found->clipped = share_clipped(rules, volts, heard);
+    if (found->clipped > rules->deafened)
+        return FRAME_CLIPPED;
+    if (!find_chips(rules, code, edges, found->level, volts, count, rows))
+        return FRAME_NO_TIMING;
+    transform_multiply(code->transform, rows, rows, frame->bits);
+    if (!is_explained(rules, rest, rows, scratch))
+        return FRAME_UNEXPLAINED;
+    if (!rules->integrated) {
+        double missing = timing->until - (double)count;
+        if (missing > 0.5 && !final) {
+            found->more = (size_t)ceil(missing);
+            return FRAME_NEEDS_MORE;
+        }
+        if (!is_at_rest(rules, timing, rest, volts, count, &found->ended))
+            return FRAME_NOT_AT_REST;
+    }
+    found->noise = words_noise(frame, rows, rules->spare, rules->spare_count);
+    return FRAME_HEARD;
+}

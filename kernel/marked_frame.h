@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Decides marked frames that leave nothing to decide: in which nobody spoke, or which the timing of an
+ * earlier one explains. It is what MarkedLine.gate, and LineRecogniser._by_carried or _integrated in
+ * tactile_cdma/framing, do then; of any other frame it says why it is in doubt.
+ *
+ * In C because nearly all frames are such, and numpy takes ten times as long for small ones: most of it
+ * between its functions. */
+#ifndef TACTILE_MARKED_FRAME_H
+#define TACTILE_MARKED_FRAME_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "samples.h"
+#include "transform.h"
+#include "words.h"
+
+/* Of every frame of a stream; shares and factors as `Limits` in limits.py. */
+struct frame_rules {
+    struct words_frame frame;
+    size_t spare, spare_count; /* rows that show the noise */
+    size_t size;               /* samples of an unstretched frame */
+    size_t whole_size;         /* those in which it is looked for clipping, if samples are chips */
+    double chip;               /* nominal, samples */
+    double least_power;        /* of a frame in which somebody speaks, V² */
+    double most_noise;         /* of a chip, V, in which no word is missed; infinite if unknown */
+    double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
+    double deafened, carried_noise, carried_misfit, loud;
+    double spread, misfit, left;
+    double tail_noise, tail_scatter, tail_level, least_tail;
+    bool integrated;     /* samples are chips; there is no timing, and no gap */
+    bool mean_is_offset; /* of a frame, until a gap has shown it */
+    bool scrambled;
+    double silent_rise, silent_more; /* by which noise may exceed that of the gap, if scrambled; V² */
+};
+
+/* What does it. */
+struct frame_code {
+    const struct transform *transform; /* from chips to rows; NULL: none of this order */
+    const float *flips;                /* (k, N), of a scrambled frame's chips */
+};
+
+/* The timing of an earlier frame. */
+struct frame_timing {
+    double chip, until;    /* samples; until: those that show the line at rest after it */
+    size_t heard;          /* samples of the frame */
+    size_t tail, tail_end; /* where the line is at rest after it */
+};
+
+/* Where its chips are. */
+struct frame_edges {
+    struct samples_edges all;
+    const int32_t *places; /* of the bits·order chips among the edges */
+};
+
+/* What the line was when nobody spoke: its level, V, and the variance of a chip's level, V². */
+struct frame_rest {
+    double level, noise;
+    bool known;
+};
+
+struct frame_found {
+    double level;   /* of the line at rest, V */
+    double noise;   /* V RMS: of a chip in a silent frame, of one correlation in another */
+    double clipped; /* share of its samples */
+    bool ended;     /* the line was seen at rest after it */
+    size_t more;    /* samples that show the line at rest after it */
+};
+
+enum frame_look {
+    FRAME_SILENT,
+    FRAME_HEARD,
+    FRAME_NEEDS_MORE,   /* it is explained, but not all samples are there that show its end */
+    FRAME_CUT_SHORT,    /* in doubt since: fewer samples than a frame has */
+    FRAME_ABSURD,       /* a sample is */
+    FRAME_CLIPPED,      /* many are */
+    FRAME_NOISY,        /* words might not show */
+    FRAME_UNKNOWN_REST, /* the level of the line at rest is not known yet */
+    FRAME_NO_TIMING,    /* there is none to try, or it was used often enough */
+    FRAME_UNEXPLAINED,  /* words leave more than noise */
+    FRAME_NOT_AT_REST,  /* something follows it */
+};
+
+/* volts: (count,) from the mark on; NaN where absurd. timing: NULL where there is none. final: no more
+ * will follow. rows: (k, N), written to. scratch: (2, n). */
+enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
+                           const struct frame_timing *timing, const struct frame_edges *edges,
+                           const struct frame_rest *rest, const double *volts, size_t count,
+                           bool final, float *rows, float *scratch, struct frame_found *found);
+
+/* A frame, or more, in which no node transmitted, of which only mean, V, and variance, V², are known. */
+enum frame_look frame_summed_up(const struct frame_rules *rules, const struct frame_rest *rest,
+                                double mean, double variance, struct frame_found *found);
+
+#endif

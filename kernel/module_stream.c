@@ -1,0 +1,442 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* The class Stream of the Python module; see frame_stream.h and CompiledStream in
+ * tactile_cdma/driver/compiled_stream.py, its only user. */
+#include "binding.h"
+
+#include <errno.h>
+#include <time.h>
+
+#include "reader.h"
+#include "frame_stream.h"
+
+enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
+
+/* A stream, and what it uses of Python's. */
+struct owner {
+    struct stream *stream;
+    struct scanner *scanner;
+    PyObject *scanner_object, *transform, *given; /* given: the bytes that are used up next */
+    Py_buffer rows, flips, edges[EDGE_ARRAYS];
+    size_t chips; /* of a frame */
+    double t_host; /* of the bytes used last */
+    bool backlog;
+    volatile bool busy; /* in a call that has released the GIL */
+    uint8_t bytes[READER_SIZE];
+};
+
+static const struct field rules_fields[] = {
+    FIELD(stream_rules, frame.frame.bits),
+    FIELD(stream_rules, frame.frame.order),
+    FIELD(stream_rules, frame.frame.first),
+    FIELD(stream_rules, frame.frame.nodes),
+    FIELD(stream_rules, frame.frame.unipolar),
+    FIELD(stream_rules, frame.frame.swing),
+    FIELD(stream_rules, frame.frame.loudest_share),
+    FIELD(stream_rules, frame.frame.active_share),
+    FIELD(stream_rules, frame.frame.spoken_over),
+    FIELD(stream_rules, frame.spare),
+    FIELD(stream_rules, frame.spare_count),
+    FIELD(stream_rules, frame.size),
+    FIELD(stream_rules, frame.whole_size),
+    FIELD(stream_rules, frame.chip),
+    FIELD(stream_rules, frame.least_power),
+    FIELD(stream_rules, frame.most_noise),
+    FIELD(stream_rules, frame.rail_low),
+    FIELD(stream_rules, frame.rail_high),
+    FIELD(stream_rules, frame.deafened),
+    FIELD(stream_rules, frame.carried_noise),
+    FIELD(stream_rules, frame.carried_misfit),
+    FIELD(stream_rules, frame.loud),
+    FIELD(stream_rules, frame.spread),
+    FIELD(stream_rules, frame.misfit),
+    FIELD(stream_rules, frame.left),
+    FIELD(stream_rules, frame.tail_noise),
+    FIELD(stream_rules, frame.tail_scatter),
+    FIELD(stream_rules, frame.tail_level),
+    FIELD(stream_rules, frame.least_tail),
+    FIELD(stream_rules, frame.integrated),
+    FIELD(stream_rules, frame.mean_is_offset),
+    FIELD(stream_rules, frame.scrambled),
+    FIELD(stream_rules, frame.silent_rise),
+    FIELD(stream_rules, frame.silent_more),
+    FIELD(stream_rules, marked),
+    FIELD(stream_rules, in_blocks),
+    FIELD(stream_rules, heeds_calls),
+    FIELD(stream_rules, zero_count),
+    FIELD(stream_rules, volts_per_count),
+    FIELD(stream_rules, most_volts),
+    FIELD(stream_rules, gap_size),
+    FIELD(stream_rules, least_rest),
+    FIELD(stream_rules, gap_weight),
+    FIELD(stream_rules, rise),
+    FIELD(stream_rules, rise_v2),
+    FIELD(stream_rules, silent_over),
+    FIELD(stream_rules, rate_hz),
+    FIELD(stream_rules, behind_s),
+    FIELD(stream_rules, ahead_s),
+    FIELD(stream_rules, ahead),
+    FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, most_quiet),
+    FIELD(stream_rules, most_quiet_v2),
+};
+
+static const struct field timing_fields[] = {
+    FIELD(stream_timing, due),        FIELD(stream_timing, over),
+    FIELD(stream_timing, uses),       FIELD(stream_timing, asks),
+    FIELD(stream_timing, has_frame),  FIELD(stream_timing, frame.chip),
+    FIELD(stream_timing, frame.until), FIELD(stream_timing, frame.heard),
+    FIELD(stream_timing, frame.tail), FIELD(stream_timing, frame.tail_end),
+};
+
+const struct layout stream_layouts[STREAM_LAYOUTS] = {
+    LAYOUT(stream_rules, rules_fields),
+    LAYOUT(stream_timing, timing_fields),
+};
+
+static double now_s(void)
+{
+    struct timespec now;
+
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+/* NULL with an exception while another thread is in a call. */
+static struct owner *free_one(const struct call *call)
+{
+    struct owner *owner = held_by(call->self);
+
+    if (!owner->busy)
+        return owner;
+    PyErr_SetString(PyExc_RuntimeError, "another thread follows this stream");
+    return NULL;
+}
+
+static void release(Py_buffer *buffer)
+{
+    if (buffer->obj)
+        PyBuffer_Release(buffer);
+}
+
+/* Takes over an array from a call in place of another one. */
+static void exchange(Py_buffer *kept, struct call *call, size_t argument)
+{
+    release(kept);
+    *kept = keep(call, argument);
+}
+
+static void drop_owner(void *held)
+{
+    struct owner *owner = held;
+
+    for (size_t i = 0; i < EDGE_ARRAYS; i++)
+        release(&owner->edges[i]);
+    release(&owner->rows);
+    release(&owner->flips);
+    Py_XDECREF(owner->scanner_object);
+    Py_XDECREF(owner->transform);
+    Py_XDECREF(owner->given);
+    if (owner->stream)
+        stream_free(owner->stream);
+    PyMem_Free(owner);
+}
+
+CONSTRUCTOR(Stream, OBJECT("scanner", "Scanner"))
+{
+    struct owner *owner = PyMem_Calloc(1, sizeof *owner);
+
+    if (!owner)
+        return PyErr_NoMemory();
+    owner->scanner = call->value[0].data;
+    owner->scanner_object = Py_NewRef(call->given[0]);
+    owner->stream = stream_new(owner->scanner);
+    if (owner->stream)
+        return hold((PyTypeObject *)call->self, owner, drop_owner);
+    drop_owner(owner);
+    return PyErr_NoMemory();
+}
+
+/* ---- settings ---------------------------------------------------------------------------------- */
+
+static bool is_possible(const struct stream_rules *rules, size_t bits, size_t order)
+{
+    const struct frame_rules *frame = &rules->frame;
+    const struct words_frame *words = &frame->frame;
+
+    return words->bits == bits && words->order == order && bits && bits <= WORDS_MOST_BITS &&
+           words->nodes && words->first <= order && words->nodes <= order - words->first &&
+           frame->spare <= order && frame->spare_count <= order - frame->spare && frame->size &&
+           frame->size <= STREAM_MOST_SAMPLES && frame->whole_size && rules->gap_size &&
+           rules->gap_size <= STREAM_MOST_SAMPLES && rules->least_rest > 1 && frame->chip > 0 &&
+           rules->rate_hz > 0;
+}
+
+/* flips: empty where no chips are flipped. */
+FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARRAY("flips", 'f', "*"),
+         OUT("rows", 'f', "kn"))
+{
+    const struct stream_rules *rules = call->value[0].data;
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    struct frame_code code = {call->value[1].data, NULL};
+    size_t bits = axis(call, 'k'), order = axis(call, 'n');
+    if (!(is_possible(rules, bits, order) && transform_order(code.transform) == order))
+        return refuse(call, "rows: those of no frame of this code and these rules");
+    if (length(call, 2)) {
+        if (!(length(call, 2) == bits * order))
+            return refuse(call, "flips: one for every chip expected");
+        code.flips = call->value[2].data;
+    }
+    if (!stream_describe(owner->stream, rules, &code, call->value[3].data))
+        return PyErr_NoMemory();
+    exchange(&owner->flips, call, 2);
+    exchange(&owner->rows, call, 3);
+    owner->chips = bits * order;
+    PyObject *before = owner->transform;
+    owner->transform = Py_NewRef(call->given[1]);
+    Py_XDECREF(before);
+    Py_RETURN_NONE;
+}
+
+FUNCTION(forget)
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    stream_describe(owner->stream, NULL, NULL, NULL);
+    Py_RETURN_NONE;
+}
+
+FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share", 'd', "e"),
+         ARRAY("number", 'd', "g"), ARRAY("places", 'i', "c"))
+{
+    const struct stream_timing *timing = call->value[0].data;
+    const struct frame_edges edges = {
+        {axis(call, 'e'), call->value[1].data, call->value[2].data, call->value[3].data},
+        call->value[4].data};
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    if (!(timing->due && timing->due <= STREAM_MOST_SAMPLES && timing->over <= STREAM_MOST_SAMPLES))
+        return refuse(call, "due, over: beyond what a frame may have");
+    if (timing->has_frame &&
+        !(axis(call, 'g') + 1 == axis(call, 'e') && axis(call, 'c') == owner->chips &&
+          timing->frame.heard && timing->frame.tail >= timing->frame.heard &&
+          timing->frame.until <= STREAM_MOST_SAMPLES))
+        return refuse(call, "edges: those of no frame that was described");
+    if (!stream_carry(owner->stream, timing, &edges))
+        return PyErr_NoMemory();
+    for (size_t i = 0; i < EDGE_ARRAYS; i++)
+        exchange(&owner->edges[i], call, i + 1);
+    Py_RETURN_NONE;
+}
+
+/* ---- bytes ------------------------------------------------------------------------------------- */
+
+FUNCTION(give, ARRAY("data", 'B', "*"), NUMBER("t_host"), FLAG("backlog"))
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    if (stream_left(owner->stream)) {
+        PyErr_SetString(PyExc_RuntimeError, "other bytes are not used up");
+        return NULL;
+    }
+    PyObject *before = owner->given;
+    owner->given = Py_NewRef(call->given[0]);
+    Py_XDECREF(before);
+    owner->t_host = call->value[1].number;
+    owner->backlog = call->value[2].size;
+    stream_give(owner->stream, call->value[0].data, length(call, 0), owner->t_host, owner->backlog);
+    Py_RETURN_NONE;
+}
+
+FUNCTION(end)
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    stream_conclude(owner->stream);
+    Py_RETURN_NONE;
+}
+
+/* (index, device_time_us, count, sequence, t_host, backlog) of every packet that passed. */
+static PyObject *passed_list(struct stream *stream)
+{
+    const struct stream_passed *passed;
+    size_t count = stream_passed(stream, &passed);
+    PyObject *list = PyList_New((Py_ssize_t)count);
+
+    for (size_t i = 0; list && i < count; i++) {
+        const struct stream_passed *one = &passed[i];
+        PyObject *tuple = Py_BuildValue("(LKkHdO)", (long long)one->index,
+                                        (unsigned long long)one->device_time_us,
+                                        (unsigned long)one->count, one->sequence, one->t_host,
+                                        one->backlog ? Py_True : Py_False);
+        if (!tuple || PyList_SetItem(list, (Py_ssize_t)i, tuple))
+            Py_CLEAR(list);
+    }
+    return list;
+}
+
+static PyObject *flag(bool is)
+{
+    return is ? Py_True : Py_False;
+}
+
+/* What an event is about. */
+static PyObject *subject_of(const struct stream *stream, enum stream_event event)
+{
+    const struct stream_subject *about = stream_subject(stream);
+    const struct frame_rest *rest = stream_rest(stream);
+
+    switch (event) {
+    case STREAM_HEARD:
+    case STREAM_SILENT:
+        return Py_BuildValue("(LdddO)", (long long)about->start, about->found.noise,
+                             about->found.level, about->found.clipped, flag(rest->known));
+    case STREAM_PACKET:
+    case STREAM_FOREIGN:
+        return packet_tuple(stream_packet(stream));
+    case STREAM_MARK:
+        return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
+                             (long long)about->since);
+    case STREAM_DOUBT:
+        return Py_BuildValue("(iLy#OnnnOd(ddO))", about->look, (long long)about->start,
+                             (const char *)about->volts,
+                             (Py_ssize_t)(about->count * sizeof *about->volts), flag(about->final),
+                             (Py_ssize_t)about->marks, (Py_ssize_t)about->uses,
+                             (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
+                             rest->level, rest->noise, flag(rest->known));
+    case STREAM_BLOCK:
+        return Py_BuildValue("(Ly#)", (long long)about->start, (const char *)about->volts,
+                             (Py_ssize_t)(about->count * sizeof *about->volts));
+    default:
+        return Py_NewRef(Py_None);
+    }
+}
+
+/* The next event: from the bytes that were given and, if file is not negative, from those that are read
+ * there within timeout_ms. Returns (event, subject, passed, t_host, backlog). */
+FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
+{
+    int file = call->value[0].number >= 0 ? (int)call->value[0].number : -1;
+    struct owner *owner = free_one(call);
+    enum stream_event event;
+    ptrdiff_t size = 1;
+    int failure = 0;
+
+    if (!owner)
+        return NULL;
+    struct stream *stream = owner->stream;
+    double left_ms = call->value[1].size < 3600000 ? (double)call->value[1].size : 3600000;
+    owner->busy = true;
+    Py_BEGIN_ALLOW_THREADS
+    double end_s = now_s() + left_ms * 1e-3;
+    event = stream_next(stream);
+    /* Once at least, and not for ever if bytes come that are no packets. */
+    while (event == STREAM_NEEDS_BYTES && file >= 0 && size > 0 && left_ms >= 0) {
+        size = reader_read(file, owner->bytes, sizeof owner->bytes, (int)left_ms, &owner->backlog);
+        failure = errno;
+        if (size > 0) {
+            owner->t_host = now_s();
+            stream_give(stream, owner->bytes, (size_t)size, owner->t_host, owner->backlog);
+            event = stream_next(stream);
+            left_ms = (end_s - owner->t_host) * 1e3;
+        }
+    }
+    Py_END_ALLOW_THREADS
+    owner->busy = false;
+    scanner_tell(owner->scanner);
+    if (size < 0)
+        return file_error(failure);
+    PyObject *passed = passed_list(stream), *subject = passed ? subject_of(stream, event) : NULL;
+    if (!subject) {
+        Py_XDECREF(passed);
+        return NULL;
+    }
+    return Py_BuildValue("(iNNdO)", event, subject, passed, owner->t_host, flag(owner->backlog));
+}
+
+/* ---- answers ----------------------------------------------------------------------------------- */
+
+static PyObject *answered(const struct call *call, bool is)
+{
+    return is ? Py_NewRef(Py_None) : refuse(call, "nothing of the kind was asked, or no memory");
+}
+
+/* Returns whether a frame was cut short. */
+FUNCTION(place, SIZE("answer"), OBJECT("origin", NULL), FLAG("anew"), NUMBER("mean"), NUMBER("variance"))
+{
+    struct owner *owner = free_one(call);
+    bool cut_short;
+
+    if (!owner)
+        return NULL;
+    unsigned long long origin = PyLong_AsUnsignedLongLong(call->given[1]);
+    if (PyErr_Occurred())
+        return NULL;
+    if (!(call->value[0].size <= STREAM_TAKE_HELD))
+        return refuse(call, "answer: there is none of this number");
+    if (!stream_place(owner->stream, (enum stream_answer)call->value[0].size, origin,
+                      call->value[2].size, call->value[3].number, call->value[4].number, &cut_short))
+        return answered(call, false);
+    return Py_NewRef(flag(cut_short));
+}
+
+FUNCTION(open, SIZE("due"))
+{
+    struct owner *owner = free_one(call);
+
+    return owner ? answered(call, stream_open(owner->stream, call->value[0].size)) : NULL;
+}
+
+/* A stream index of a call; -1 for none, or none that can be. */
+static int64_t index_of(const struct call *call, size_t argument)
+{
+    double index = call->value[argument].number;
+
+    return index >= 0 && index < 1e15 ? (int64_t)index : -1;
+}
+
+FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"))
+{
+    struct owner *owner = free_one(call);
+
+    return owner ? answered(call, stream_decide(owner->stream, index_of(call, 0), index_of(call, 1),
+                                                call->value[2].number))
+                 : NULL;
+}
+
+FUNCTION(look, NUMBER("due"))
+{
+    struct owner *owner = free_one(call);
+
+    return owner ? answered(call, stream_look(owner->stream, index_of(call, 0))) : NULL;
+}
+
+static PyMethodDef methods[] = {
+    ENTRY(describe), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end), ENTRY(next),
+    ENTRY(place),    ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_new, Stream},
+    {Py_tp_dealloc, drop_holder},
+    {Py_tp_methods, methods},
+    {0},
+};
+
+PyType_Spec stream_spec = {
+    .name = "tactile_cdma._kernel.Stream",
+    .basicsize = sizeof(struct holder),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = slots,
+};

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A stream in the compiled kernel (kernel/frame_stream.h): one call per frame.
+
+The kernel decides the frames that leave nothing to decide. Of others it says why they are in doubt,
+and goes on with the verdict that is reached here, by the same recognisers as with numpy.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import kernel
+from ..clocks.node_timing import NodeTiming
+from ..code.separate import NodeLevels, frame_fields
+from ..code.transform import compiled_transform
+from ..framing.fit import Fit, lowest_power
+from ..framing.frame_end import tail_of
+from ..framing.gap_timing import GapTiming
+from ..framing.limits import LIMITS
+from ..framing.marked_timing import GAP_WEIGHT, LEAST_REST, MarkedFrame, MarkedLine, MarkedTiming
+from ..framing.timing import (
+    ABSURD_V,
+    INCOMPLETE,
+    FrameLevels,
+    SampleBlock,
+    blinding_noise_v,
+    within_rails,
+)
+from ..wire._protocol import TAIL_CHIPS
+from ..wire.messages import Quiet, Received, Samples
+from ..wire.packets import PacketParser
+from ..wire.reader import NO_FILE
+from .description import Description
+from .stream import Decisions, Event
+from .timeline import CLOCK_SLACK_S, MAX_DEVICE_TIME_US, Answer, Placement, Step
+
+_log = logging.getLogger(__name__)
+
+
+class _Kind(IntEnum):
+    """Of the kernel's events: enum stream_event in kernel/frame_stream.h."""
+
+    NEEDS_BYTES = 0
+    FULL = 1
+    HEARD = 2
+    SILENT = 3
+    PACKET = 4
+    FOREIGN = 5
+    MARK = 6
+    DOUBT = 7
+    BLOCK = 8
+
+
+DOUBTS = (
+    "roll call or clocks of nodes",
+    "",
+    "its end is not seen",
+    "cut short",
+    "absurd samples",
+    "clipped",
+    "noisy silence",
+    "rest unknown yet",
+    "no timing yet",
+    "unexplained",
+    "line not at rest",
+)
+"""Why a frame is decided in Python: enum frame_look in kernel/marked_frame.h."""
+_NO_TIMING = DOUBTS.index("no timing yet")
+REFINED = "timing refined"
+"""Instead, where an earlier frame's timing was used as often as it may be."""
+GAP_TIMING = "gap timing"
+
+_NO_EDGES = (np.empty(0, np.int32), np.empty(0), np.empty(0), np.empty(0, np.int32))
+
+
+class CompiledStream:
+    """A Stream in the kernel."""
+
+    def __init__(self, parser: PacketParser, decisions: Decisions) -> None:
+        assert kernel.compiled is not None
+        self.parser, self.decisions = parser, decisions
+        self._kernel = kernel.compiled.Stream(parser.scanner)
+        self._description: Description | None = None
+        self._frames: deque[FrameLevels] = deque()  # decided, but not told yet
+        self._asked: Samples | Quiet | None = None
+        self._ending = False
+        self._reason = ""  # why the last frame was decided in Python, if it was
+        self._read = 0.0, False  # t_host and backlog of the last event
+        self._rows = np.empty((0, 0), np.float32)
+        self._fit: Fit | None = None
+        self._timing = kernel.settings(
+            "stream_timing", due=1, over=0, uses=0, asks=True, has_frame=False,
+            chip=0, until=0, heard=0, tail=0, tail_end=0,
+        )  # fmt: skip
+
+    def describe(self, description: Description, frames: bool) -> None:
+        """See Stream."""
+        spec, timing = description.spec, description.timing
+        self._description, self._fit = description, None
+        self._rows = np.empty((spec.line_bits, spec.order), np.float32)
+        transform = compiled_transform(spec.book.plan, spreading=False)
+        flips = np.empty(0, np.float32) if spec.flips is None else np.ascontiguousarray(spec.flips)
+        self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
+        if isinstance(timing, MarkedTiming):
+            self._carry(timing)
+
+    def forget(self) -> None:
+        """See Stream."""
+        self._description = None
+        self._kernel.forget()
+
+    def give(self, data: bytes, t_host: float, backlog: bool) -> None:
+        """See Stream. Raises RuntimeError while other bytes are not used up."""
+        self._kernel.give(data, t_host, backlog)
+
+    def next(self, file: int = NO_FILE, timeout_ms: int = 0) -> Event:
+        """See Stream. Raises RuntimeError while another thread is here."""
+        if self._frames:
+            return Event([], self._frames.popleft(), None, False, *self._read)
+        kind, about, passed, *read = self._kernel.next(file, timeout_ms)
+        self._read = read[0], read[1]
+        frame: FrameLevels | None = None
+        packet: Received | None = None
+        if kind == _Kind.HEARD or kind == _Kind.SILENT:
+            frame = self._found(kind, *about)
+        elif kind == _Kind.PACKET:
+            packet = self.parser.interpret(*about)
+        elif kind == _Kind.FOREIGN:
+            packet = self._ask(self.parser.interpret(*about))
+        elif kind == _Kind.MARK:
+            self._open(*about)
+        elif kind == _Kind.DOUBT:
+            frame = self._decide(*about)
+        elif kind == _Kind.BLOCK:
+            self._look(*about)
+        elif kind == _Kind.NEEDS_BYTES and self._ending:
+            self._conclude()
+        needs_bytes = kind == _Kind.NEEDS_BYTES and not self._frames
+        return Event(passed, frame, packet, needs_bytes, *self._read)
+
+    def place(self, placement: Placement) -> None:
+        """See Stream."""
+        asked, description = self._asked, self._description
+        sums = (asked.mean, asked.variance) if isinstance(asked, Quiet) else (0.0, 0.0)
+        anew = placement.step is not Step.CONTINUES
+        cut_short = self._kernel.place(placement.answer, placement.origin, anew, *sums)
+        if description is None:
+            return
+        if cut_short:
+            description.timing.rejections += INCOMPLETE
+        if anew and isinstance(description.timing, GapTiming):
+            description.timing.reset()
+
+    def end(self) -> None:
+        """See Stream."""
+        self._kernel.end()
+        self._ending = True
+
+    def _found(
+        self, kind: int, start: int, noise_v: float, level_v: float, clipped: float, known: bool
+    ) -> FrameLevels:
+        """A frame that the kernel has decided."""
+        line = self._marked.line
+        line.level_known = known
+        self.decisions.compiled += 1
+        if self._reason:
+            _log.debug("frames are decided in the kernel from sample %d on", start)
+            self._reason = ""
+        fit, levels = line.nominal, None
+        if kind == _Kind.HEARD:
+            fit, rows = self._fit or fit, self._rows.copy()
+            levels = NodeLevels(rows[:, line.spec.node_slice], noise_v, rows=rows)
+            noise_v *= math.sqrt(line.spec.order)
+        begin = float(start) if line.integrated else start + fit.start
+        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)
+
+    def _ask(self, packet: Received | None) -> Samples | Quiet | None:
+        """A packet of samples that is to be asked about; none if no samples can be those."""
+        self._asked = packet if isinstance(packet, (Samples, Quiet)) else None
+        if self._asked is None:
+            self.place(Placement(Answer.IGNORE))
+        return self._asked
+
+    def _open(self, start: int, called: bool, since: int) -> None:
+        """Answer how a frame is to be read that begins."""
+        timing = self._marked
+        due = timing.recogniser.open(start, called, None if since < 0 else since)
+        self._kernel.open(due)
+        self._carry(timing)
+
+    def _decide(
+        self,
+        look: int,
+        start: int,
+        volts: bytes,
+        final: bool,
+        opened: int,
+        carried: int,
+        ended: int,
+        summed_up: bool,
+        variance_v2: float,
+        rest: tuple[float, float, bool],
+    ) -> FrameLevels | None:
+        """Answer whether samples are a frame, which it returns."""
+        timing, samples = self._marked, np.frombuffer(volts)
+        line = timing.line
+        line.level_v, line.noise, line.level_known = rest
+        if summed_up:
+            verdict = timing.summed_up(start, float(samples[0]), variance_v2)
+        else:
+            frame = MarkedFrame(start, samples, final, opened, carried, ended)
+            verdict = timing.recognise(frame)
+        reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
+        due, over = (-1 if at is None else at for at in (verdict.due, verdict.over))
+        self._kernel.decide(due, over, line.level_v)
+        self._carry(timing)
+        if verdict.due is None:
+            self.decisions.in_python[reason] += 1
+            if reason not in (REFINED, self._reason):
+                _log.debug("frames are decided in Python from sample %d on: %s", start, reason)
+                self._reason = reason
+        return verdict.frame
+
+    def _look(self, start: int, volts: bytes) -> None:
+        """Find frames in samples that are not marked."""
+        assert self._description is not None and isinstance(self._description.timing, GapTiming)
+        timing = self._description.timing
+        samples = np.frombuffer(volts).astype(np.float32)
+        self._add(timing.feed(SampleBlock(start, samples)))
+        self._kernel.look(timing.due)
+
+    def _conclude(self) -> None:
+        """All samples are used up, and no more will follow."""
+        self._ending = False
+        if self._description and isinstance(self._description.timing, GapTiming):
+            self._add(self._description.timing.flush())
+
+    def _add(self, frames: list[FrameLevels]) -> None:
+        self._frames.extend(frames)
+        self.decisions.in_python[GAP_TIMING] += len(frames)
+
+    @property
+    def _marked(self) -> MarkedTiming:
+        assert self._description and isinstance(self._description.timing, MarkedTiming)
+        return self._description.timing
+
+    def _carry(self, timing: MarkedTiming) -> None:
+        """Hand on how the next frames are read."""
+        carried, setting, edges = timing.recogniser.carried, self._timing, _NO_EDGES
+        fit = None if carried is None else carried.fit
+        setting["asks"], setting["has_frame"] = carried is None, fit is not None
+        if carried is not None:
+            setting["due"], setting["uses"] = carried.due, carried.uses
+        if carried is not None and fit is not None and carried.edges is not None:
+            edges = carried.edges.within(carried.due)
+            if fit is not self._fit:
+                spec = timing.line.spec
+                end = fit.end(spec)
+                setting["over"], setting["chip"] = timing.line.over(fit), fit.chip
+                setting["until"], setting["heard"] = end + TAIL_CHIPS * fit.chip, round(end + 0.5)
+                setting["tail"], setting["tail_end"] = tail_of(fit, spec)
+        self._fit = fit
+        self._kernel.carry(setting, *edges)
+
+
+def _rules(description: Description, frames: bool) -> NDArray[np.void]:
+    """The kernel's struct stream_rules for a digitizer."""
+    info, pace, timing = description.info, description.pace, description.timing
+    spec = description.spec
+    # Where frames are not marked, any line will do.
+    marked = isinstance(timing, MarkedTiming)
+    line = timing.line if isinstance(timing, MarkedTiming) else MarkedLine(spec, 2 / spec.chip_s)
+    swing_v, spare = spec.node_swing_v, spec.spare_rows
+    rail_low, rail_high = within_rails(line.rails_v)
+    return kernel.settings(
+        "stream_rules",
+        **frame_fields(spec),
+        spare=spare.start,
+        spare_count=spare.stop - spare.start,
+        size=line.size,
+        whole_size=round(line.nominal.end(spec) + 0.5),
+        chip=line.chip,
+        least_power=line.least_power,
+        most_noise=blinding_noise_v(spec),
+        rail_low=rail_low,
+        rail_high=rail_high,
+        deafened=LIMITS.deafened,
+        carried_noise=LIMITS.carried_noise,
+        carried_misfit=LIMITS.carried_misfit,
+        loud=LIMITS.loud,
+        spread=LIMITS.spread,
+        misfit=LIMITS.misfit,
+        left=LIMITS.left,
+        tail_noise=LIMITS.tail_noise,
+        tail_scatter=LIMITS.tail_scatter,
+        tail_level=LIMITS.tail_level,
+        least_tail=LIMITS.least_tail,
+        integrated=line.integrated,
+        mean_is_offset=line.mean_is_offset,
+        scrambled=spec.scramble,
+        silent_rise=LIMITS.rise if swing_v is None else 1.0,
+        silent_more=0.0 if swing_v is None else swing_v**2 / 4,
+        marked=marked and frames,
+        in_blocks=not marked and frames,
+        heeds_calls=isinstance(timing, NodeTiming),
+        zero_count=info.zero_count,
+        volts_per_count=info.volts_per_count,
+        most_volts=ABSURD_V,
+        gap_size=math.ceil(spec.order * line.chip),
+        least_rest=LEAST_REST,
+        gap_weight=GAP_WEIGHT,
+        rise=LIMITS.rise,
+        rise_v2=lowest_power(1e-3),
+        silent_over=line.over(line.nominal),
+        rate_hz=pace.rate_hz,
+        behind_s=CLOCK_SLACK_S,
+        ahead_s=pace.ahead_s,
+        ahead=pace.ahead,
+        most_device_us=MAX_DEVICE_TIME_US,
+        most_quiet=pace.longest_quiet,
+        most_quiet_v2=pace.most_quiet_v2,
+    )

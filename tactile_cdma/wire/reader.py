@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads a stream of packets from a file descriptor."""
+
+from __future__ import annotations
+
+import os
+import select
+
+from ..base import kernel
+
+NO_FILE = -1
+"""In place of a descriptor: of a port that has none."""
+READ_SIZE = 65_536
+"""Bytes that one read takes at most; chosen well above the 4 kB that a Linux tty gives at once."""
+
+
+def numpy_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
+    """What has arrived, after waiting for a byte; none after the time-out.
+
+    Also whether it had been there already, so may have come long before. Raises OSError where
+    nothing can be read any more.
+    """
+    poll = select.poll()
+    poll.register(file, select.POLLIN)
+    had_waited = bool(poll.poll(0))
+    if not had_waited and not poll.poll(timeout_ms):
+        return b"", False
+    data = os.read(file, READ_SIZE)
+    if not data:
+        raise OSError("end of file")
+    return data, had_waited
+
+
+def compiled_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
+    """As numpy_read, but waits for the end of a packet: a tty gives large ones in parts."""
+    assert kernel.compiled is not None
+    both: tuple[bytes, bool] = kernel.compiled.read_packets(file, timeout_ms)
+    return both
+
+
+read_file = numpy_read if kernel.compiled is None else compiled_read
