@@ -656,15 +656,17 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
 {
     if (!answers(stream, STREAM_DOUBT))
         return false;
+    if (stream->stage == SUMMED) { /* which says nothing of the frames before */
+        settle(stream, over, level);
+        pass_by(stream);
+        return due < 0;
+    }
     stream->marks = stream->uses = stream->ended = 0;
     if (due >= 0) {
         stream->due = due;
-        return stream->stage != SUMMED && due > stream->start &&
-               make_room(stream, (size_t)(due - stream->start));
+        return due > stream->start && make_room(stream, (size_t)(due - stream->start));
     }
     settle(stream, over, level);
-    if (stream->stage == SUMMED)
-        pass_by(stream);
     return true;
 }
 
