@@ -35,10 +35,10 @@ from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
 from tactile_cdma.msg import SimObjects, TactileContacts
-from tactile_cdma.places.indenters import Indenter
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.driver.objects import sim_objects
+from tactile_cdma.sim.indenters import Indenter
 from tactile_cdma.sim.mujoco_skin import MujocoSkin
 
 PITCH_M, FRAME_S, STEPS = 7e-3, 12.8e-3, 32  # of physics per frame

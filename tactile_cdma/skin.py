@@ -29,9 +29,10 @@ from .config.skin_config import SkinConfig
 from .driver.digitizer import Source
 from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
-from .places.indenters import Indenter
 from .places.layout import Layout
 from .recording.capture import read_bytes
+from .sim.indenters import Indenter
+from .sim.pressing import press
 from .wire.port import Port
 
 BUFFER_S = 1.0
@@ -205,7 +206,7 @@ class Skin:
         Poses are in the frame of the skin; without objects nothing touches it any more. Raises
         PortError where the port is not sim://?scene=external, or not open.
         """
-        self._running().press(objects)
+        press(self._running(), objects)
 
     def step(self, *objects: Indenter) -> Frame:
         """Let these objects, and no others, touch a simulated skin for one frame; returns it.
@@ -214,7 +215,7 @@ class Skin:
         same frames, however long the program takes in between. Raises PortError as press() and
         read().
         """
-        self._running().press(objects, frames=1)
+        press(self._running(), objects, frames=1)
         return self.read()
 
     def tare(self, force: bool = False) -> Floats32:

@@ -152,7 +152,7 @@ class _Points:
             # Never wider again: an outlier that bends the curve would let in the next one.
             limit_v = np.minimum(limit_v, OUTLIER * self._spread(residual) + slack_v)
             used = self.given & (np.abs(residual) <= limit_v[:, None])
-            knees, used = self._descend(knees, used, limit_v[:, None])
+            knees = self._descend(knees, used)
             residual, slack_v = self.solve(knees, used)[1], np.zeros_like(slack_v)
         return knees, used
 
@@ -175,30 +175,20 @@ class _Points:
         good = np.take_along_axis(size, place[:, None], axis=1)[:, 0]
         return np.asarray(np.maximum(good / _GOOD_SIGMAS, self.noise_v))
 
-    def _descend(self, knees: Floats, used: Bools, limit_v: Floats) -> tuple[Floats, Bools]:
+    def _descend(self, knees: Floats, used: Bools) -> Floats:
         """Gauss–Newton steps in the knees; a step that does not help is halved."""
-        used, cost = self._trim(knees, used, limit_v)
+        cost = self.squares(knees, used)
         low, high = self.places[0][:, None], self.places[-1][:, None]
         damping = np.ones_like(cost)
         for _ in range(_NEWTON_STEPS if knees.size else 0):
-            trial = np.sort(np.clip(knees + damping * self._step(knees, used), low, high), axis=1)
-            trial_used, trial_cost = self._trim(trial, used, limit_v)
+            step = damping[:, None] * self._step(knees, used)
+            trial = np.sort(np.clip(knees + step, low, high), axis=1)
+            trial_cost = self.squares(trial, used)
             better = trial_cost < cost
-            knees, used = np.where(better, trial, knees), np.where(better, trial_used, used)
+            knees = np.where(better[:, None], trial, knees)
             cost = np.minimum(cost, trial_cost)
             damping = np.where(better, 1.0, damping / 2)
-        return knees, used
-
-    def _trim(self, knees: Floats, used: Bools, limit_v: Floats) -> tuple[Bools, Floats]:
-        """Points within limit_v, (n, 1), of the fit to those used; and the sum of squares.
-
-        In this sum, (n, 1) V², points farther off count as limit_v.
-        """
-        for _ in range(2):
-            off_v = np.abs(self.solve(knees, used)[1])
-            used = self.given & (off_v <= limit_v)
-        cut = np.minimum(off_v, limit_v, where=self.given, out=np.zeros_like(off_v))
-        return used, np.square(cut).sum(axis=1, keepdims=True)
+        return knees
 
     def _step(self, knees: Floats, used: Bools) -> Floats:
         """How far the knees are off, to first order: (n, k)."""

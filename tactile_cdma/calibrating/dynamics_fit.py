@@ -12,8 +12,8 @@ from ..base.arrays import Bools
 from ..base.errors import CalibrationError
 from ..readings.calibration import Calibration
 from .identify import Identified, identify
-from .picture import picture
 from .plateaus import Recording, Reference
+from .report import picture
 
 LEAST_COMMON_S = 5.0
 """Overlap of reference and capture, s; chosen: three cycles of one to two seconds."""

@@ -35,8 +35,9 @@ _AROUND = '" \t'
 _EMPTY = _AROUND + ",;"
 
 
+@dataclass(frozen=True, eq=False)
 class LoadFile:
-    """Errors of what was read from a file line by line. path: Path. line: (m,) int64."""
+    """What was read from a file. line: (m,) int64, of its m rows."""
 
     path: Path
     line: NDArray[np.int64]
@@ -49,16 +50,14 @@ class LoadFile:
 
 @dataclass(frozen=True, eq=False)
 class Table(LoadFile):
-    """Columns by quantity in SI units, (m,) float64 each; line: (m,) int64, in the file.
+    """Columns by quantity in SI units, (m,) float64 each.
 
     headings: of each quantity, as the file has it. factors: SI units that one of the file's is.
     """
 
-    path: Path
     columns: dict[str, Floats]
     headings: dict[str, str]
     factors: dict[str, float]
-    line: NDArray[np.int64]
 
     def require(self, hint: str, *headings: str) -> None:
         """Raise CalibrationError unless all quantities are there. headings: an example of each."""
@@ -106,7 +105,8 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
         headings["pressure"], columns["pressure"] = headings["force"], columns["force"]
         factors["pressure"] = 1 / area_m2
     columns = {kind: column * factors[kind] for kind, column in columns.items()}
-    return Table(path, columns, headings, factors, np.array([number for number, _ in used[1:]]))
+    lines = np.array([number for number, _ in used[1:]])
+    return Table(path, lines, columns, headings, factors)
 
 
 def _text(path: Path) -> str:

@@ -45,14 +45,11 @@ class Reference(LoadFile):
     """Readings of a reference sensor: m of them, at rising times.
 
     t_s, pressure_pa: (m,) float64. node: (m,) int64, the node that was loaded; None: all alike.
-    line: (m,) int64, of the file.
     """
 
-    path: Path
     t_s: Floats
     pressure_pa: Floats
-    node: NDArray[np.int64] | None
-    line: NDArray[np.int64]
+    node: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +88,7 @@ def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Refe
     if (np.diff(t_s) < 0).any():
         raise table.refusal("time runs backwards", int(np.argmax(np.diff(t_s) < 0)) + 1)
     node = node_numbers(table, nodes) if "node" in table.columns else None
-    return Reference(path, t_s, pressure_pa, node, table.line)
+    return Reference(path, table.line, t_s, pressure_pa, node)
 
 
 def plateau_points(

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from ..base.arrays import Floats
+from ..base.errors import CalibrationError
 from ..base.listing import listed
+from ..base.named_file import naming
 from ..readings.calibration import PressureCurve
-from .picture import picture
 from .skin_fit import SkinFit
 
 WORST = 5
@@ -181,6 +183,20 @@ def results(fit: SkinFit) -> dict[str, str]:
     if widest := _widest_loop(fit):
         values["loop"] = f"{widest[0]:.4f}"
     return values
+
+
+@contextmanager
+def picture(path: Path, widths: Sequence[float]) -> Iterator[Any]:
+    """Axes side by side, of these relative widths, that become a PNG at the end of the context.
+
+    Raises CalibrationError where it cannot be written.
+    """
+    from matplotlib.figure import Figure  # slow to load, and needed here only
+
+    figure = Figure(figsize=(15, 4.5), layout="constrained")
+    yield figure.subplots(1, len(widths), width_ratios=widths)
+    with naming(path, CalibrationError):
+        figure.savefig(path, format="png", dpi=110)
 
 
 def draw(fit: SkinFit, path: Path) -> None:

@@ -149,13 +149,11 @@ def _path(value: Marked, text: str) -> Path:
 
 def _claims(values: Values) -> list[tuple[str, str]]:
     """Parameters whose value no other patch may have; raises ParameterError for a wrong id."""
-    claims = []
-    if values["port"] and not values["port"].startswith(SHARED_PORTS):
-        claims.append(("port", values["port"]))
-    if values["digitizer_id"]:
-        claims.append(("digitizer_id", shown_id(parse_id(values["digitizer_id"]))))
-    if values["skin"]:
-        claims.append(("skin", values["skin"]))
-    if values["parent_frame"]:
-        claims.append(("frame_id", values["frame_id"]))
-    return claims
+    port, digitizer_id = values["port"], values["digitizer_id"]
+    claims = {
+        "port": "" if port.startswith(SHARED_PORTS) else port,
+        "digitizer_id": digitizer_id and shown_id(parse_id(digitizer_id)),
+        "skin": values["skin"],
+        "frame_id": values["parent_frame"] and values["frame_id"],
+    }
+    return [(name, value) for name, value in claims.items() if value]

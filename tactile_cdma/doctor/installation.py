@@ -161,31 +161,35 @@ def udev_rule(root: Path) -> Iterator[Check]:
     """The udev rule for stable names; nothing without udev, as in a container."""
     if not (root / "run/udev/control").exists():
         return
-    ours = shipped(f"config/{RULES}")
-    for folder in RULES_FOLDERS:
-        path = root / folder / RULES
-        if path.is_file():
-            if ours is not None and path.read_bytes() != ours.read_bytes():
-                yield warning("udev rule", f"{path} is not that of this version: copy {ours} there")
-            else:
-                yield ok("udev rule", str(path))
-            return
-    yield warning(
-        "udev rule",
-        "not installed, boards have no /dev/tactile/… names: "
-        f"sudo cp {ours or RULES} /etc/udev/rules.d/, then sudo udevadm control --reload",
-    )
+    ours, path = shipped(f"config/{RULES}"), _rule(root)
+    if path is None:
+        yield warning(
+            "udev rule",
+            "not installed, boards have no /dev/tactile/… names: "
+            f"sudo cp {ours or RULES} /etc/udev/rules.d/, then sudo udevadm control --reload",
+        )
+    elif ours is not None and path.read_bytes() != ours.read_bytes():
+        yield warning("udev rule", f"{path} is not that of this version: copy {ours} there")
+    else:
+        yield ok("udev rule", str(path))
+
+
+def _rule(root: Path) -> Path | None:
+    """Our udev rule, where it is installed."""
+    paths = (root / folder / RULES for folder in RULES_FOLDERS)
+    return next(filter(Path.is_file, paths), None)
 
 
 def modem_manager(root: Path) -> Iterator[Check]:
     """ModemManager probes new ports for modems unless our udev rule forbids it."""
-    ruled = any((root / folder / RULES).is_file() for folder in RULES_FOLDERS)
+    if _rule(root):
+        return
     for comm in (root / "proc").glob("[0-9]*/comm"):
         try:
             name = comm.read_text(encoding="utf-8", errors="replace").strip()
         except OSError:  # ended meanwhile
             continue
-        if name == "ModemManager" and not ruled:
+        if name == "ModemManager":
             yield warning(
                 "ModemManager",
                 "it keeps boards busy for seconds after they are plugged in: install the udev "

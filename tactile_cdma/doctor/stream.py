@@ -17,7 +17,7 @@ from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..framing.timing import Rejections, silence_hidden
+from ..framing.timing import silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
 from ..words.health import NodeHealth, NodeState
@@ -35,6 +35,9 @@ the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
+_FAULTS = ("samples_lost", "packets_dropped", "commands_refused", "command_errors", "sync_faults")
+"""Counts of a digitizer's STATUS that do not rise on a sound one."""
+
 
 @dataclass(frozen=True, slots=True)
 class RawStream:
@@ -49,25 +52,16 @@ class RawStream:
 
 @dataclass(frozen=True, slots=True)
 class DecodedStream:
-    """m frames of n nodes, and the verdict on the nodes.
+    """m frames of n nodes, and the pipeline that gave them, with its verdict on the nodes.
 
-    arrived_s: (m,) float64, on the host's monotonic clock. active: (m, n) bool, words that stand
-    out of the noise. left_out_v: the digitizer sends no samples that differ by less, V.
-    rejections: of what was no frame.
+    arrived_s: when the first and the last one came, on the host's monotonic clock. active: (m, n)
+    bool, words that stand out of the noise.
     """
 
     frames: list[TactileFrame]
-    arrived_s: NDArray[np.float64]
+    arrived_s: tuple[float, float]
     active: NDArray[np.bool_]
-    health: NodeHealth
-    left_out_v: float
-    rejections: Rejections
-
-    @property
-    def typical_v(self) -> float:
-        """Median amplitude of the words, V."""
-        amplitude_v = np.array([frame.words.amplitude_v for frame in self.frames])
-        return float(np.median(amplitude_v[self.active]))
+    pipeline: Pipeline
 
 
 def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Check]:
@@ -94,7 +88,8 @@ def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Che
         yield problem("nodes", text)
         yield from _left_out(decoded, 0.0)
         return
-    measured_v = decoded.typical_v
+    amplitude_v = np.array([frame.words.amplitude_v for frame in decoded.frames])
+    measured_v = float(np.median(amplitude_v[decoded.active]))
     decoded = _decoded(stream, config, measured_v)
     yield from _left_out(decoded, measured_v)
     yield from _noise(decoded)
@@ -124,18 +119,15 @@ def _decoded(stream: RawStream, config: SkinConfig, swing_v: float | None) -> De
         pipeline.health = NodeHealth(measured)
     frames, arrived_s = [], []
     for data, t_host in stream.chunks:
-        new = pipeline.feed(data, t_host)
-        frames += new
-        arrived_s += [t_host] * len(new)
+        if new := pipeline.feed(data, t_host):
+            frames += new
+            arrived_s.append(t_host)
     pipeline.close()
     if not frames:
         raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LOW_RHO) for frame in frames])
-    info = pipeline.digitizer.info
-    left_out_v = info.quiet_uv * 1e-6 if info else 0.0
-    arrived = np.array(arrived_s)
-    return DecodedStream(frames, arrived, active, pipeline.health, left_out_v, pipeline.rejections)
+    return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, pipeline)
 
 
 def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
@@ -143,11 +135,13 @@ def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
 
     A word turns by twice its amplitude.
     """
-    if decoded.left_out_v > 2 * ACTIVE_SHARE * swing_v:
+    info = decoded.pipeline.digitizer.info
+    left_out_v = info.quiet_uv * 1e-6 if info else 0.0
+    if left_out_v > 2 * ACTIVE_SHARE * swing_v:
         yield warning(
             "quiet",
             "the digitizer leaves out what differs by less than "
-            f"{decoded.left_out_v * 1e3:.0f} mV, in which nodes may speak: name "
+            f"{left_out_v * 1e3:.0f} mV, in which nodes may speak: name "
             "the parameters (--params) to examine all",
         )
 
@@ -164,16 +158,9 @@ def _link(stream: RawStream) -> Iterator[Check]:
     elif seen.packets:
         yield ok("link", text)
     if reports:
-        first, last = reports[0], reports[-1]
-        rises = {
-            "samples lost": last.samples_lost - first.samples_lost,
-            "packets dropped": last.packets_dropped - first.packets_dropped,
-            "commands refused": last.commands_refused - first.commands_refused,
-            "command errors": last.command_errors - first.command_errors,
-            "sync faults": last.sync_faults - first.sync_faults,
-        }
-        rising = ", ".join(f"{what} {rise:+}" for what, rise in rises.items() if rise > 0)
-        if rising:
+        rises = {name: getattr(reports[-1], name) - getattr(reports[0], name) for name in _FAULTS}
+        told = [f"{name.replace('_', ' ')} {rise:+}" for name, rise in rises.items() if rise > 0]
+        if rising := ", ".join(told):
             yield warning(
                 "digitizer's counts", f"{rising}: fewer samples_per_chip, or a better link"
             )
@@ -186,12 +173,12 @@ def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
         yield warning("frames", f"one alone, there should be {expected_hz:.1f} per s")
         return
     # What waited before it was listened to arrives at once.
-    arriving_s = decoded.arrived_s[-1] - decoded.arrived_s[0]
+    arriving_s = decoded.arrived_s[1] - decoded.arrived_s[0]
     span_s = max(arriving_s, frames[-1].t_start - frames[0].t_start)
     rate_hz = (len(frames) - 1) / max(span_s, config.spec.frame_period_s)
     lost = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     text = f"{rate_hz:.1f} of {expected_hz:.1f} per s, {lost} lost"
-    refused = decoded.rejections
+    refused = decoded.pipeline.rejections
     if refused.total > REJECTED_SHARE * (refused.total + len(frames)):
         text = f"{text}; {refused.total} refused, mostly {REJECTED_FOR[refused.leading]}"
         yield warning("frames", text)
@@ -267,6 +254,6 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
             f"only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
         )
     for state, text in UNSOUND.items():
-        if numbers := decoded.health.nodes(state):
+        if numbers := decoded.pipeline.health.nodes(state):
             what = warning if state == NodeState.WEAK else problem
             yield what("nodes", text.format(listed(numbers, "node")))

@@ -8,13 +8,12 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig
-from ..places.indenters import Indenter
 from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.messages import Info
@@ -52,8 +51,9 @@ class Driver:
     reason for not receiving frames changes, and with None when frames flow again; on_info with what
     the digitizer says that it is, where that fits and is new, before a frame of it is decoded.
 
-    url: of the port. connections: how often it was opened. problem: as told by on_problem.
-    vitals: what the thread measures of itself. stuck: finds nodes that do not move.
+    url: of the port. port: while one is open. connections: how often it was opened.
+    problem: as told by on_problem. vitals: what the thread measures of itself.
+    stuck: finds nodes that do not move.
     ended: a recording was replayed to its end, and no more frames will come.
     """
 
@@ -76,18 +76,18 @@ class Driver:
         self.vitals = Vitals()
         self.stuck = StuckNodes(config.layout)
         self._first_port: Port | None = None
-        self._port: Port | None = None  # while one is open
+        self.port: Port | None = None
         self.url, self._baud = url, baud
         self._on_frame, self._on_problem = on_frame, on_problem
         self._stop = threading.Event()
         self._opening = False
-        self._rejected = 0  # before the last press()
+        self._rejected = 0  # before expect_frames()
         self._busy = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
     def start(self, port: Port | None = None) -> None:
         """Begin to stream; port: already open, if there is one (the driver closes it)."""
-        self._first_port = self._port = port
+        self._first_port = self.port = port
         self._thread.start()
 
     def stop(self) -> None:
@@ -102,18 +102,14 @@ class Driver:
             if self._opening:
                 return
 
-    def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
-        """As Port.press, of the port that is open; a newly opened one is untouched."""
-        port = self._port
-        if port is None:
-            raise PortError(f"{self.url}: not pressed, because it is not open")
+    def expect_frames(self) -> None:
+        """Note that a program lets frames pass: what is rejected from now on explains silence."""
         self._rejected = self.pipeline.rejections.total
-        port.press(objects, frames)
 
     @property
     def silence(self) -> str:
         """Why no frame comes, if none does: the problem, or what else may be the cause."""
-        port = self._port
+        port = self.port
         if port is not None and port.stepped and self.problem in (None, WAITING):
             rejections = self.pipeline.rejections
             if rejections.total > self._rejected:
@@ -146,7 +142,7 @@ class Driver:
                     if self._stop.is_set():
                         return
                     self.connections += 1
-                    self._port = port
+                    self.port = port
                     self._stream(port)
             except RecordingEndError as end:
                 self._report(str(end))
@@ -157,7 +153,7 @@ class Driver:
             except Exception:  # a defect must neither go unseen nor end the skin for good
                 self._report(f"internal error, starting again: {traceback.format_exc()}")
             finally:
-                self._port = None
+                self.port = None
             if self.pipeline.counters.frames > frames:
                 attempt = 0
             came_back = self._pause(RETRY_S[min(attempt, len(RETRY_S) - 1)])

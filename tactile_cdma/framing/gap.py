@@ -92,11 +92,13 @@ class GapSearch(BurstSearch):
         self._code = compiled_code(spec)
         self._values, self._scratch = np.empty(0), np.empty(0, np.float32)
 
-    def look(self, volts: Floats, known: Gap, expected: Expected | None) -> Look | None:
+    def look(
+        self, volts: Floats, known: Gap, begin: float, expected: Expected | None
+    ) -> Look | None:
         """What is in a stretch of samples, all in one call of the kernel; None where it cannot.
 
-        volts: (m,) float64, V. expected: the next frame, relative to the stretch. Gives what the
-        other methods would, as far as that is beyond doubt.
+        volts: (m,) float64, V, from stream index `begin` on. expected: the next frame, if that is
+        sure, in stream indices. Gives what the other methods would, as far as it is beyond doubt.
         """
         code, spec = self._code, self.spec
         if code is None:
@@ -110,8 +112,8 @@ class GapSearch(BurstSearch):
             most = (_MOST_CARRIED + 2) * each + spec.chips + beside
             self._scratch = np.empty(most, np.float32)
         place = (0.0, 0.0, 0.0, 0.0)
-        if expected is not None and self.is_sure(expected):
-            place = expected.start, expected.scatter, expected.chip, expected.slips
+        if expected is not None:
+            place = expected.start - begin, expected.scatter, expected.chip, expected.slips
         rows = np.empty((1, spec.line_bits, spec.order), np.float32)
         amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
         four = np.empty((4, 1), np.float32)

@@ -100,7 +100,8 @@ class GapTiming(Timing):
         self._cursor = 0
         self._seen = 0  # end of the samples that were looked at last
         self._due = 0
-        self._sure = False  # whether the raster places frames
+        self._expected: Expected | None = None  # the next frame
+        self._sure = False  # whether the raster places it
         self._next = 0.0  # start of the next slot
         self._failures = 0
 
@@ -171,7 +172,7 @@ class GapTiming(Timing):
             self._due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
             self._due = max(math.ceil(self._next), self._cursor) + self._reach
-            expected = self._raster.expect(self._next)
+            expected = self._expected = self._raster.expect(self._next)
             self._note(self._search.is_sure(expected))
             if expected and self._sure:
                 early = math.ceil(expected.start + self._proof_chips * expected.chip)
@@ -201,8 +202,8 @@ class GapTiming(Timing):
         volts = self._hum.removed(raw, self._cursor)
         look = None
         if self._gap is not None:
-            expected = self._raster.expect(self._next, self._cursor)
-            look = self._search.look(volts, self._gap, expected)
+            expected = self._expected if self._sure else None
+            look = self._search.look(volts, self._gap, self._cursor, expected)
         candidates = [look.gap] if look else self._search.gaps(volts, self._gap)
         if candidates:
             self._learn_hum(raw, candidates[0])

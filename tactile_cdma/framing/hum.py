@@ -43,18 +43,10 @@ class _Tone(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """A piece of gap from stream index `begin` on, in PARTS parts of `size` samples.
-
-    means: of the parts, V. total, square: sum of these and of their squares. noise: variance of
-    each that noise explains, V².
-    """
+    """A piece of gap from stream index `begin` on, in PARTS parts of `size` samples."""
 
     begin: int
     size: int
-    means: Floats
-    total: float
-    square: float
-    noise: float
 
 
 class Hum:
@@ -66,6 +58,9 @@ class Hum:
         self._coarse, self._fine = per_hz * FREQUENCIES_HZ, per_hz * FINE_HZ
         self._memory = MEMORY_S * rate_hz
         self._windows: deque[_Window] = deque()
+        # Of their parts: means, V, and the squares of these. Of each window: variance of a part's
+        # mean that noise explains, V².
+        self._means, self._squares, self._noises = (deque[float]() for _ in range(3))
         self._tone: _Tone | None = None
 
     @property
@@ -103,19 +98,24 @@ class Hum:
         windows, size = self._windows, volts.size // PARTS
         if windows and begin < windows[-1].begin + PARTS * windows[-1].size:
             return
-        means = volts[: PARTS * size].reshape(PARTS, size) @ np.full(size, 1 / size)
-        values = means.tolist()
-        square = sum(value * value for value in values)
-        windows.append(_Window(begin, size, means, sum(values), square, noise / size))
+        means = volts[: PARTS * size].reshape(PARTS, size).sum(axis=1) / size
+        windows.append(_Window(begin, size))
+        self._means.extend(means.tolist())
+        self._squares.extend((means * means).tolist())
+        self._noises.append(noise / size)
         while windows[0].begin < begin - self._memory:
             windows.popleft()
+            self._noises.popleft()
+            for _ in range(PARTS):
+                self._means.popleft()
+                self._squares.popleft()
         self._tone = self._fitted()
 
     def _fitted(self) -> _Tone | None:
         """The hum that explains the windows; None where it is no hum, or within noise."""
         if not (self.decided and self.moving):
             return None
-        level = np.concatenate([window.means for window in self._windows])
+        level = np.array(self._means)
         level -= level.mean()
         power, noise = self._power(), self._noise()
         origin = self._windows[-1].begin
@@ -152,11 +152,9 @@ class Hum:
 
     def _power(self) -> float:
         """Variance of the parts' means, V²."""
-        count = PARTS * len(self._windows)
-        mean = sum(window.total for window in self._windows) / count
-        return sum(window.square for window in self._windows) / count - mean * mean
+        mean = sum(self._means) / len(self._means)
+        return sum(self._squares) / len(self._means) - mean * mean
 
     def _noise(self) -> float:
         """What noise contributes to it, V²: the median over the windows."""
-        noises = sorted(window.noise for window in self._windows)
-        return noises[len(noises) // 2]
+        return sorted(self._noises)[len(self._noises) // 2]

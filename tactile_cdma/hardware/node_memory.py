@@ -57,6 +57,11 @@ MEASURING_S = 1e-3
 """Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 HEARTBEAT_S = 1.0
 """Default time between two words of a node at rest, s; chosen, below stale_after_s."""
+_OF_LAYOUT = (
+    *("nodes", "bits", "parity", "order", "chip_ns", "frame_period_us"),
+    *("resync_chips", "guard_chips"),
+)
+"""Fields of NodeRecord that are those of FrameLayout."""
 CRC_BYTES = 4
 SHOWN_CHIPS = 64
 """Chips of a row that are printed, what fits on a line; chosen."""
@@ -169,16 +174,9 @@ def node_memory(
         )
     record = NodeRecord(
         node=node,
-        nodes=spec.nodes,
         row=int(spec.rows[node - 1]),
         sign=Polarity(int(spec.signs[node - 1])),
-        bits=spec.bits,
-        parity=spec.parity,
-        order=spec.order,
-        chip_ns=layout.chip_ns,
-        frame_period_us=layout.frame_period_us,
-        resync_chips=spec.resync_chips,
-        guard_chips=spec.guard_chips,
+        **{name: getattr(layout, name) for name in _OF_LAYOUT},
         scramble=scrambler_state(spec.sign_seed or 0) if spec.scramble else 0,
         discipline=discipline,
         rest=NODE_LEARN_REST if rest is None else rest,

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where taxels are: layouts, neighbours, surfaces, coordinate frames; and what presses on them."""
+"""Where taxels are: layouts, neighbours, surfaces, coordinate frames."""

@@ -74,12 +74,6 @@ class Pose:
         """Chain poses: self is b in a, other is c in b; returns c in a."""
         return Pose(self.rotation @ other.rotation, self.apply(other.translation_m))
 
-    def same_as(self, other: Pose) -> bool:
-        """Whether both poses are equal to the last bit."""
-        return np.array_equal(self.rotation, other.rotation) and np.array_equal(
-            self.translation_m, other.translation_m
-        )
-
     def apply(self, points_m: Floats) -> Floats:
         """Points (…, 3), m, from this frame to the parent."""
         return self.rotate(points_m) + self.translation_m

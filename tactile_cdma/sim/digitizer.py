@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from ..base.errors import SpecError
-from ..places.indenters import Indenter
 from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
 from ..wire.messages import (
     Command,
@@ -35,6 +34,7 @@ from ..wire.messages import (
     Stop,
 )
 from ..wire.packets import PacketParser, PacketWriter
+from .indenters import Indenter
 from .line import Disturbance, truth
 from .nodes import NodeFrame, RollCalls
 from .options import Setup, SimOptions

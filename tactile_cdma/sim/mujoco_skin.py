@@ -17,9 +17,9 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import ParameterError
-from ..places.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, Foundation, Indenter, Sphere
 from ..places.layout import Layout
 from ..places.poses import Pose
+from .indenters import STIFFNESS_PA_PER_M, Box, Cylinder, Foundation, Indenter, Sphere
 
 ABOVE_M, FIRST_M, GROWTH, DEEPEST_M = 2e-3, 1e-4, 1.5, 0.02
 """The depth that gives a force is searched from ABOVE_M above MuJoCo's place down to DEEPEST_M, m,

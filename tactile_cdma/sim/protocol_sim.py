@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..places.indenters import Indenter
 from ..wire.virtual_port import VirtualPort
 from .digitizer import VirtualDigitizer
+from .indenters import Indenter
 from .options import SimOptions
 from .scene import EXTERNAL
 

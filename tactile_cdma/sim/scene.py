@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from ..base.arrays import Floats, Indices
-from ..places.indenters import Foundation, Indenter
 from ..places.layout import Layout
+from .indenters import Foundation, Indenter
 
 PEAK_PA = 120e3
 """Peak pressure of a firm contact: well inside the second stage of the paper's sensor."""

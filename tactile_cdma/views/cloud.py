@@ -22,7 +22,7 @@ _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype
 
 
 class Cloud:
-    """The points of one skin, alone or as a patch of a body; constant fields are filled in once.
+    """The points of one skin, alone or as a patch of a body.
 
     positions_m: (t, 3) float64, of all taxels in the skin's frame, m.
     """
@@ -34,7 +34,6 @@ class Cloud:
         self._points["taxel"] = np.arange(len(positions_m))
         if patch is not None:
             self._points["patch"] = patch
-        self._pose: Pose | None = None
         self._fill(positions_m, normals)
 
     def __len__(self) -> int:
@@ -48,8 +47,7 @@ class Cloud:
         pressure_pa: (t,) float32, Pa, NaN without a reading. max_pa: end of the colour scale, Pa.
         pose: of the skin's frame in that of the points; None: unchanged.
         """
-        if pose and not (self._pose and pose.same_as(self._pose)):
-            self._pose = pose
+        if pose:
             self._fill(pose.apply(self.positions_m), pose.rotate(self._normals))
         self._points["pressure"] = pressure_pa
         self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa)]

@@ -4,21 +4,22 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import select
 import socket
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 
 import serial
 
-from ..base.errors import CaptureError, PortError, SpecError
-from ..places.indenters import Indenter
+from ..base.errors import CaptureError, PortError
 from .discovery import device_of
 from .port_failures import NETWORK, SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
+
+_log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S = 0.1
 """s that a read waits for its first byte. Chosen: a driver that is told to stop waits this long."""
@@ -48,8 +49,7 @@ class Port:
 
     had_waited: the bytes of the last read() were there already, so may have come long before.
     over_network: the other end is another machine, where any number of bytes may be held back.
-    pressable: a simulated skin that press() acts on. stepped: its frames pass only as press() asks
-    for them, so that silence is no fault.
+    stepped: of a simulated skin whose frames pass as a program asks for them: silence is no fault.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -76,11 +76,16 @@ class Port:
             self._has_file = hasattr(select, "poll") and (
                 "://" not in pyserial_url or pyserial_url.startswith(SOCKET)
             )
-            self.pressable = bool(getattr(self._serial, "pressable", False))
             self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
             raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
+        _log.debug("%s is open, at %d baud", pyserial_url, baud)
+
+    @property
+    def device(self) -> serial.SerialBase:
+        """What pyserial has open."""
+        return self._serial
 
     def read(self) -> tuple[bytes, float]:
         """What has arrived, after waiting up to READ_TIMEOUT_S for a byte, or a whole packet.
@@ -147,20 +152,6 @@ class Port:
             raise PortError(f"{self.url}: takes no bytes; is the digitizer powered?") from None
         except _LOST as error:
             raise lost(self.url, "writing", error) from None
-
-    def press(self, objects: Sequence[Indenter], frames: int = 0) -> None:
-        """Let these objects, and no others, touch a simulated skin from its next frame on.
-
-        frames: number of frames that may pass, of a skin that is stepped.
-        """
-        if not self.pressable:
-            raise PortError(f"{self.url}: only sim://?scene=external can be pressed by a program")
-        try:
-            self._serial.press(objects, frames)
-        except SpecError as error:
-            raise PortError(f"{self.url}: {error}") from None
-        except _LOST as error:
-            raise lost(self.url, "pressing", error) from None
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""

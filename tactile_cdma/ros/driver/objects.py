@@ -17,7 +17,8 @@ from tactile_cdma.msg import SimObject, SimObjects
 from ...base.errors import ParameterError, TactileError
 from ...config.parameters import Values
 from ...driver.driver import Driver
-from ...places.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, HeightMap, Indenter, Sphere
+from ...sim.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, HeightMap, Indenter, Sphere
+from ...sim.pressing import is_pressable, press
 from ...wire.port import Port
 from ..common.qos import RELIABLE
 
@@ -41,7 +42,7 @@ class ObjectsInput:
 
     def configure(self, port: Port | None) -> None:
         """Note what the port is: a skin that nobody can press has no such topic."""
-        self._pressable = port is not None and port.pressable
+        self._pressable = port is not None and is_pressable(port)
         self._frames = int(port is not None and port.stepped)
 
     def start(self, driver: Driver) -> None:
@@ -65,7 +66,7 @@ class ObjectsInput:
                         f"frame_id is {message.header.frame_id!r}; poses must be in the frame of "
                         f"the skin, {frame_id!r}"
                     )
-                driver.press([indenter(each) for each in message.objects], self._frames)
+                press(driver, [indenter(each) for each in message.objects], self._frames)
             except TactileError as error:
                 log = self._node.get_logger()
                 log.error(f"{TOPIC}: not pressed: {error}", throttle_duration_sec=1.0)

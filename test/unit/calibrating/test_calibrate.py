@@ -25,8 +25,8 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
+from test.support.boards import plugged
 from test.support.simulated import record
 from test.support.waiting import PATIENCE_S
 
@@ -242,27 +242,13 @@ class Press:
 
 
 @contextmanager
-def pressed_skin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Path, Press]]:
+def pressed_skin(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, Press]]:
     """A digitizer behind a real tty, and the pressure on its skin, for the test to set."""
-    press, stop, ready = Press(), threading.Event(), threading.Event()
+    press = Press()
     monkeypatch.setitem(SCENES, "all", press)
     options = SimOptions(scene="all", threshold=1, heartbeat=10)
-    server = threading.Thread(
-        target=serve,
-        args=(
-            lambda: VirtualDigitizer(options),
-            tmp_path / "tty",
-            stop,
-            lambda path: ready.set(),
-        ),
-    )
-    server.start()
-    try:
-        assert ready.wait(PATIENCE_S)
-        yield tmp_path / "tty", press
-    finally:
-        stop.set()
-        server.join(PATIENCE_S)
+    with plugged(lambda: VirtualDigitizer(options)) as tty:
+        yield tty, press
 
 
 @contextmanager
@@ -327,7 +313,7 @@ def test_step_by_step_on_a_live_skin(tmp_path: Path, monkeypatch: pytest.MonkeyP
     output, points = tmp_path / "skin.yaml", tmp_path / "points.csv"
     steps = ",".join(map(str, LOADS_KPA))
     with (
-        pressed_skin(tmp_path, monkeypatch) as (tty, press),
+        pressed_skin(monkeypatch) as (tty, press),
         dialogue(points, "--port", tty, "--steps", steps, "--seconds", 0.4, "-o", output) as cal,
     ):
         for number, load in enumerate(LOADS_KPA, 1):
@@ -367,7 +353,7 @@ def test_answers_are_loads_and_none_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output, points = tmp_path / "skin.yaml", tmp_path / "skin.points.csv"
-    with pressed_skin(tmp_path, monkeypatch) as (tty, press):
+    with pressed_skin(monkeypatch) as (tty, press):
         common = ("--port", tty, "--node", 5, "--seconds", 0.2, "-o", output)
         with dialogue(*common) as cal:
             hear(cal, "load 1, in kPa, applied to node 5 (Enter: end) ")

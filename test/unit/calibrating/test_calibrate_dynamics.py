@@ -215,7 +215,7 @@ def test_an_offset_that_is_too_far_off_is_refused(late_s: float, sure: bool) -> 
     lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
     felt_pa = np.array([lag.update(load_pa[[i]], 0.02) for i in range(1500)])
     volts = curve.voltage(felt_pa).astype(np.float32)
-    reference = Reference(Path("cycles.csv"), t_s + late_s, load_pa, None, np.arange(1500) + 2)
+    reference = Reference(Path("cycles.csv"), np.arange(1500) + 2, t_s + late_s, load_pa)
     arguments = Calibration.default(curve, 1), reference, Recording(t_s, volts), 0.0, 0.3
     if sure:
         assert find_dynamics(*arguments).late_s == pytest.approx(late_s, abs=0.005)

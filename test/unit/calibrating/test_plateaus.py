@@ -2,6 +2,7 @@
 
 """A reference beside a recording: plateaus of the load, and the offset of the two clocks."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ END_S = len(LEVELS_PA) * (DWELL_S + RAMP_S) - RAMP_S
 
 def reference(step_s: float = 0.1, begin_s: float = 0.0, end_s: float = END_S) -> Reference:
     t_s = np.arange(begin_s, end_s, step_s)
-    return Reference(Path("ref.csv"), t_s, load_pa(t_s), None, np.arange(2, 2 + len(t_s)))
+    return Reference(Path("ref.csv"), np.arange(2, 2 + len(t_s)), t_s, load_pa(t_s))
 
 
 def recording(offset_s: float, nodes: int = 4, before_s: float = 3.0, lag_s: float = 0.0):
@@ -73,7 +74,7 @@ def test_settling_is_left_out() -> None:
 def test_one_node_at_a_time() -> None:
     levels = reference()
     node = np.where(levels.t_s < END_S / 2, 2, 4)
-    single = Reference(levels.path, levels.t_s, levels.pressure_pa, node, levels.line)
+    single = replace(levels, node=node)
     points = plateau_points(single, recording(0.0), 0.0, 1.0, ADC)
     assert set(points.node[: len(points) // 2 - 1]) == {2}
     assert set(points.node[len(points) // 2 + 1 :]) == {4}
@@ -121,7 +122,7 @@ def staircase_up(begin_s: float, end_s: float) -> tuple[Reference, Recording]:
     t_s = np.arange(1, len(levels_pa) * (DWELL_S + RAMP_S), 0.05)
     frames_s = np.arange(begin_s, end_s, FRAME_S)
     volts = CURVE.voltage(load_pa(frames_s, levels_pa))[:, None].astype(np.float32)
-    known = Reference(Path("ref.csv"), t_s, load_pa(t_s, levels_pa), None, np.arange(len(t_s)))
+    known = Reference(Path("ref.csv"), np.arange(len(t_s)), t_s, load_pa(t_s, levels_pa))
     return known, Recording(frames_s, volts)
 
 
@@ -157,7 +158,7 @@ def test_loads_that_repeat_themselves_are_refused() -> None:
     load = 50e3 * (1 - np.cos(2 * np.pi * once_s / 4))
     volts = CURVE.voltage(load)[:, None].astype(np.float32)
     short = once_s[: len(once_s) // 2 : 8]
-    cycles = Reference(Path("ref.csv"), short, load[: len(once_s) // 2 : 8], None, short)
+    cycles = Reference(Path("ref.csv"), short, short, load[: len(once_s) // 2 : 8])
     with pytest.raises(CalibrationError, match="in several places"):
         find_offset(cycles, Recording(once_s, volts), KNOWN)
 

@@ -132,7 +132,7 @@ def test_what_the_kernel_sees_at_once(
     search = GapSearch(wire.spec, wire.rate_hz)
     known, chip = Gap(0.11, variance, 0), wire.sent[0].chip
     expected = Expected(wire.sent[0].start - cut + 0.1 * off * chip, 0.06 * chip, chip, 0.0, 0.02)
-    look = search.look(volts, known, expected)
+    look = search.look(volts, known, 0.0, expected)
     gaps = search.gaps(volts, known)
     assert (look is None) == (not gaps)
     if look is None:

@@ -35,6 +35,7 @@ LOAD_SERIAL = {
     "driver.driver",
     "rest.rest_keeper",
     "replay.protocol_replay",
+    "sim.pressing",
     "sim.protocol_sim",
     "skin",
     "wire.discovery",

@@ -18,6 +18,7 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.sim import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.pressing import press
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
@@ -151,7 +152,7 @@ def test_what_is_asked_for_ahead_passes_in_turn() -> None:
         waited_pa = [skin.step(ball).pressure_pa for ball in balls]
         driver = skin._running()
         for ball in balls:
-            driver.press([ball], frames=1)
+            press(driver, [ball], frames=1)
         ahead_pa = [skin.read().pressure_pa for _ in balls]
     np.testing.assert_array_equal(ahead_pa, waited_pa)
     assert np.unique(np.max(ahead_pa, axis=1)).size == len(balls)

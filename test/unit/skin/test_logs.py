@@ -76,6 +76,7 @@ def test_a_digitizer_is_logged_and_a_replay_that_begins_again(
     recording: Path, log: pytest.LogCaptureFixture
 ) -> None:
     assert main(["ports", "sim://"]) == 0
+    assert log.messages[0].startswith("sim:// is open")
     assert any(
         message.startswith("sim://: 73696D0000000000, simulated") for message in log.messages
     )

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tactile_cdma.base.errors import ParameterError
-from tactile_cdma.places.indenters import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.places.poses import Pose
+from tactile_cdma.sim.indenters import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
 
 PITCH_M, K = 2e-3, 2e7
 LAYOUT = Layout.grid(32 * 32, 32, 32, PITCH_M, PITCH_M)  # 64 × 64 mm

@@ -19,8 +19,8 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import ParameterError
-from .mesh import tangents
-from .poses import Pose
+from ..places.mesh import tangents
+from ..places.poses import Pose
 
 STIFFNESS_PA_PER_M = 1e7
 """Default stiffness, Pa/m: 10 kPa per mm, a soft cover some millimetres thick. Chosen."""
