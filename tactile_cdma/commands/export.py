@@ -198,7 +198,10 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         raise CaptureError(f"{arguments.files[0]}: no frames of a skin in this bag")
     paths = paths_of(output, names)
     for path in paths.values():
-        _check_new(path, arguments.force)
+        beside = [taxels_path(path), about_path(path)] if path.suffix == ".csv" else []
+        for file in [path, *beside]:
+            if file.exists() and not arguments.force:
+                raise CaptureError(f"{file}: exists already; --force overwrites it")
     episodes = partial(
         find_episodes,
         task="",
@@ -265,14 +268,6 @@ def _bag(arguments: argparse.Namespace) -> int:
     print(f"frames={count} lost_frames={lost} taxels={taxels} folder={output}")
     _tell(f"{path}: {note}" for note in source.notes)
     return 0
-
-
-def _check_new(output: Path, force: bool) -> None:
-    """Raises CaptureError where a file would be overwritten."""
-    beside = [taxels_path(output), about_path(output)] if output.suffix == ".csv" else []
-    for file in [output, *beside]:
-        if file.exists() and not force:
-            raise CaptureError(f"{file}: exists already; --force overwrites it")
 
 
 def _tell(notes: Iterable[str]) -> None:
