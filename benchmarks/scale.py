@@ -55,7 +55,7 @@ FRAME_S, PERIOD_S = 18.4e-3, 20e-3
 """Of skins larger than the paper's: their chips are as long as this allows."""
 WARM_UP_S = 0.7 if QUICK else 2.0
 MEASURED_S = 1.5 if QUICK else 10.0
-FLOOR_S = 0.7 if QUICK else 5.0
+FLOOR_S = 1.0 if QUICK else 5.0
 """Of each half."""
 SIZES = (16, 4096) if QUICK else (16, 64, 256, 1024, 4096, 8192)
 SKINS = [(n, ALL) for n in SIZES] + [(16, SILENT), (4096, SILENT)]
@@ -81,13 +81,16 @@ class Delivered:
 class Run:
     """What the measured process says of itself after the warm-up.
 
-    cpu, floor: shares of a core, of the driver and of reading alone. received: bytes.
+    cpu, floor: shares of a core, of the driver and of reading alone. received: bytes. decided,
+    in_python: frames that were decided, and those of them that the kernel left to Python.
     """
 
     wall_s: float
     cpu: float
     floor: float
     received: int
+    decided: int
+    in_python: int
     frames: list[Delivered]
 
 
@@ -124,7 +127,16 @@ def main() -> None:
         exponent=log(grown[first][16_384] / grown[first][1024]) / log(16),
         wrong_words=sum(row["wrong words"] for row in rows.values()),
         lost_frames=sum(row["lost frames"] for row in rows.values()),
+        in_python_share=in_python_share(
+            [row for (*_, kernel), row in rows.items() if kernel == first]
+        ),
     )
+
+
+def in_python_share(rows: list[dict[str, Any]]) -> float:
+    """Share of the frames of all rows that was decided in Python."""
+    in_python, decided = (sum(row[column] for row in rows) for column in ("in Python", "decided"))
+    return float(in_python / max(1, decided))
 
 
 def growth(kernel: str) -> dict[int, float]:
@@ -199,6 +211,8 @@ def measure(nodes: int, scene: str, kernel: str) -> dict[str, Any]:
         "chip µs": spec.chip_s * 1e6,
         "kB/s": run.received / run.wall_s / 1e3,
         "frames": len(run.frames),
+        "decided": run.decided,
+        "in Python": run.in_python,
         "floor %": 100 * run.floor,
         "CPU %": 100 * run.cpu,
         "CPU / floor": run.cpu / run.floor,
@@ -233,13 +247,22 @@ def drive(nodes: int, path: str, results: Connection) -> None:
     with Driver(config, path, BAUD, on_frame, lambda problem: None) as driver:
         time.sleep(WARM_UP_S)
         first, counts = len(frames), driver.pipeline.packet_counts
+        decided, in_python = decisions(driver.pipeline)
         begin_s, cpu_s = time.monotonic(), time.process_time()
         time.sleep(MEASURED_S)
         cpu_s, wall_s = time.process_time() - cpu_s, time.monotonic() - begin_s
         measured = frames[first:]
         received = int(driver.pipeline.packet_counts.bytes - counts.bytes)
+        all_decided, all_in_python = decisions(driver.pipeline)
     floor = (floor + read_only(config, path)) / 2
-    results.send(Run(wall_s, cpu_s / wall_s, floor, received, measured))
+    decided, in_python = all_decided - decided, all_in_python - in_python
+    results.send(Run(wall_s, cpu_s / wall_s, floor, received, decided, in_python, measured))
+
+
+def decisions(pipeline: Pipeline) -> tuple[int, int]:
+    """Frames decided so far, and those of them that were decided in Python."""
+    in_python = pipeline.decisions.in_python.total()
+    return pipeline.decisions.compiled + in_python, in_python
 
 
 def read_only(config: SkinConfig, path: str) -> float:

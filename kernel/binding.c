@@ -106,10 +106,8 @@ static bool get_object(struct call *call, const struct argument *takes, PyObject
 {
     const char *name = takes->shape;
 
-    value->data = NULL;
-    if (!name || (*name == '?' && object == Py_None))
+    if (!name)
         return true;
-    name += *name == '?';
     PyTypeObject *own = PyType_Check(call->self) ? (PyTypeObject *)call->self : Py_TYPE(call->self);
     PyObject *module = PyModule_Check(call->self) ? call->self : PyType_GetModule(own);
     PyObject *class = module ? PyObject_GetAttrString(module, name) : NULL;

@@ -43,8 +43,7 @@ enum kind { NUMBER_KIND = 1, SIZE_KIND, FLAG_KIND, SETTINGS_KIND, OBJECT_KIND };
 struct argument {
     const char *name;
     char kind;
-    const char *shape; /* a letter or digit per axis; "*": any. Of an object: its class
-                          * here, NULL for any; behind a '?' where None will do */
+    const char *shape; /* a letter or digit per axis; "*": any. Of an object: its class here, or NULL */
     bool written;
     size_t size; /* of settings, bytes */
 };

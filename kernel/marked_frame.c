@@ -129,7 +129,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     }
     if (!rules->integrated && !rest->known)
         return FRAME_UNKNOWN_REST;
-    if (!code->transform || !(rules->integrated || timing))
+    if (!(rules->integrated || timing))
         return FRAME_NO_TIMING;
     /* All edges of chips lie within more samples than the frame has. */
     size_t heard = rules->integrated ? rules->whole_size : timing->heard;

@@ -172,8 +172,8 @@ static bool is_possible(const struct stream_rules *rules, size_t bits, size_t or
            rules->rate_hz > 0;
 }
 
-/* transform: None where there is none of this order. flips: empty where no chips are flipped. */
-FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "?Transform"), ARRAY("flips", 'f', "*"),
+/* flips: empty where no chips are flipped. */
+FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARRAY("flips", 'f', "*"),
          OUT("rows", 'f', "kn"))
 {
     const struct stream_rules *rules = call->value[0].data;
@@ -183,8 +183,7 @@ FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "?Transform"), AR
         return NULL;
     struct frame_code code = {call->value[1].data, NULL};
     size_t bits = axis(call, 'k'), order = axis(call, 'n');
-    if (!(is_possible(rules, bits, order) &&
-          (!code.transform || transform_order(code.transform) == order)))
+    if (!(is_possible(rules, bits, order) && transform_order(code.transform) == order))
         return refuse(call, "rows: those of no frame of this code and these rules");
     if (length(call, 2)) {
         if (!(length(call, 2) == bits * order))

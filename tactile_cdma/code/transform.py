@@ -145,11 +145,6 @@ class _Stages:
                 values, to_scratch = goal, not to_scratch
 
 
-def is_compiled(book: CodeBook) -> bool:
-    """Whether the kernel multiplies with this book."""
-    return kernel.compiled is not None
-
-
 @lru_cache(maxsize=64)
 def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
     """The product with a code book of this plan, scaled by 1/N unless spreading."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,7 @@ from ..base.named_file import naming
 from ..base.optional import needed_for
 from ..config.arguments import add_skin_options, finite, given
 from ..config.parameters import BY_NAME
-from ..datasets.episodes import find_episodes, parse_interval
+from ..datasets.episodes import Episode, find_episodes, parse_interval
 from ..datasets.frames import PatchFrames, paths_of
 from ..datasets.lerobot import INFO
 from ..datasets.lerobot.export import Plan, write_lerobot
@@ -150,15 +150,11 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     if folder.exists() and not (arguments.force and (folder / INFO).is_file()):
         raise CaptureError(f"{folder}: exists already; --force replaces a dataset, nothing else")
     plan = Plan(
+        episodes=_episodes(arguments, arguments.task or "unnamed"),
         fps=arguments.fps,
         clock=arguments.clock,
         mode=arguments.samples or WINDOW,
         policy=arguments.nan or HOLD,
-        task=arguments.task or "",
-        intervals=[parse_interval(text) for text in arguments.episode],
-        marks=arguments.marks,
-        start_s=arguments.start,
-        end_s=arguments.end,
         from_first_complete=arguments.from_first_complete,
     )
     wanted = Wanted(
@@ -184,6 +180,20 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     return 0
 
 
+def _episodes(
+    arguments: argparse.Namespace, task: str
+) -> Callable[[SampleSource], Sequence[Episode]]:
+    """Finds the episodes that are asked for in a file."""
+    return partial(
+        find_episodes,
+        task=task,
+        intervals=[parse_interval(text) for text in arguments.episode],
+        marks=arguments.marks,
+        start_s=arguments.start,
+        end_s=arguments.end,
+    )
+
+
 def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     output: Path = arguments.output
     _refuse(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
@@ -198,15 +208,11 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         raise CaptureError(f"{arguments.files[0]}: no frames of a skin in this bag")
     paths = paths_of(output, names)
     for path in paths.values():
-        _check_new(path, arguments.force)
-    episodes = partial(
-        find_episodes,
-        task="",
-        intervals=[parse_interval(text) for text in arguments.episode],
-        marks=arguments.marks,
-        start_s=arguments.start,
-        end_s=arguments.end,
-    )
+        beside = [taxels_path(path), about_path(path)] if path.suffix == ".csv" else []
+        for file in [path, *beside]:
+            if file.exists() and not arguments.force:
+                raise CaptureError(f"{file}: exists already; --force overwrites it")
+    episodes = _episodes(arguments, "")
     # Nothing tells whether a frame that a bag does not hold was lost or, as idle, not published.
     missing = "missing" if any(map(is_bag, arguments.files)) else "lost"
     notes: list[str] = []
@@ -265,14 +271,6 @@ def _bag(arguments: argparse.Namespace) -> int:
     print(f"frames={count} lost_frames={lost} taxels={taxels} folder={output}")
     _tell(f"{path}: {note}" for note in source.notes)
     return 0
-
-
-def _check_new(output: Path, force: bool) -> None:
-    """Raises CaptureError where a file would be overwritten."""
-    beside = [taxels_path(output), about_path(output)] if output.suffix == ".csv" else []
-    for file in [output, *beside]:
-        if file.exists() and not force:
-            raise CaptureError(f"{file}: exists already; --force overwrites it")
 
 
 def _tell(notes: Iterable[str]) -> None:

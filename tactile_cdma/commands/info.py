@@ -17,7 +17,6 @@ from ..datasets.progress import Progress
 from ..datasets.sources.opening import refuse_parameters
 from ..datasets.sources.recording_source import skin_frame
 from ..datasets.survey import FrameSurvey
-from ..recording.container import Description
 from ..recording.offline import RawCapture
 from ..recording.recording_file import describe, is_recording, survey
 
@@ -41,23 +40,16 @@ def run(arguments: argparse.Namespace) -> int:
                 print(f"{name}: {plain(value)}")
         return 0
     description, found = describe(path), survey(path)
-    for name, value in _about(description).items():
-        print(f"{name}: {plain(value)}")
+    begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
+    asked = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())
+    print(f"begun: {begun.isoformat(timespec='milliseconds')}")
+    print(plain(f"port: {description.port} at {description.baud} baud"))
+    print(plain(f"recorded by: tactile_cdma {description.package_version}"))
+    print(plain(f"asked for: {asked or 'nothing, the digitizer was taken as it was'}"))
     print(f"length: {found.length_s:.3f} s, {found.bytes} bytes in {found.chunks} pieces")
     _say_frames(path, given(arguments))
     print("checksum: " + ("; ".join(found.notes) or "right"))
     return 1 if found.notes else 0
-
-
-def _about(description: Description) -> dict[str, str]:
-    begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
-    parameters = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())
-    return {
-        "begun": begun.isoformat(timespec="milliseconds"),
-        "port": f"{description.port} at {description.baud} baud",
-        "recorded by": f"tactile_cdma {description.package_version}",
-        "asked for": parameters or "nothing, the digitizer was taken as it was",
-    }
 
 
 def _say_frames(path: Path, asked: dict[str, Value]) -> None:

@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.optional import needed_for
 
@@ -21,12 +21,18 @@ def pyarrow() -> ModuleType:
     return library  # type: ignore[no-any-return]
 
 
-def array_type(dtype: str, shape: tuple[int, ...]) -> Any:
-    """The type of a column whose cells are arrays; () and (1,) are plain numbers.
+PNG_OR_JPEG = "image"
+"""In place of numpy's type of a column: its cells are the bytes of image files."""
+
+
+def column_type(dtype: str, shape: tuple[int, ...]) -> Any:
+    """The type of a column whose cells are arrays or images; () and (1,) are plain numbers.
 
     Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
     """
     library = pyarrow()
+    if dtype == PNG_OR_JPEG:
+        return library.struct([("bytes", library.binary()), ("path", library.string())])
     kind = library.from_numpy_dtype(np.dtype(dtype))
     if shape in ((), (1,)):
         return kind
@@ -37,11 +43,14 @@ def array_type(dtype: str, shape: tuple[int, ...]) -> Any:
     return kind
 
 
-def array_column(cells: NDArray[Any]) -> Any:
-    """(rows, *shape) as a column of array_type(cells.dtype, shape)."""
+def column(cells: Sequence[Any], dtype: str, shape: tuple[int, ...]) -> Any:
+    """A column of column_type(dtype, shape)."""
     library = pyarrow()
-    rows, shape = len(cells), cells.shape[1:]
-    column = library.array(np.ascontiguousarray(cells).reshape(-1))
+    if dtype == PNG_OR_JPEG:
+        files = [{"bytes": file, "path": None} for file in cells]
+        return library.array(files, column_type(dtype, shape))
+    rows = len(cells)
+    column = library.array(np.array(cells, dtype).reshape(-1))
     if shape in ((), (1,)):
         return column
     if len(shape) == 1:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..base.whole_file import replacing
-from .arrow import array_column, array_type, pyarrow
+from .arrow import PNG_OR_JPEG, column, column_type, pyarrow
 from .samples import PatchInfo
-from .tables import PER_FRAME, PER_TAXEL, Frames, column_type, columns, known, places
+from .tables import COLUMNS, PER_TAXEL, Frames, columns, known, places
 
 GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
 """The most of a row group, which is held in memory; chosen."""
@@ -24,40 +24,49 @@ METADATA = b"tactile_cdma"
 
 
 class ParquetTable:
-    """A Parquet file that grows by rows of numbers and arrays of a fixed size.
+    """A Parquet file that grows by rows of numbers, arrays of a fixed size, and images.
 
-    columns: name → numpy type and shape of a cell. Use as a context manager: the file appears when
-    that ends; after an exception nothing has changed. Raises MissingPackageError without pyarrow.
+    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. size: bytes written so far.
+    Use as a context manager: the file appears when that ends; after an exception nothing has
+    changed. Raises MissingPackageError without pyarrow.
     """
 
     def __init__(
         self,
         path: Path,
         columns: Mapping[str, tuple[str, tuple[int, ...]]],
-        metadata: Mapping[str, Any],
+        metadata: Mapping[str, Any] | None = None,
     ) -> None:
         self._library, self._columns = pyarrow(), columns
-        schema = [(name, array_type(*kind)) for name, kind in columns.items()]
-        self._schema = self._library.schema(schema).with_metadata(
-            {METADATA: json.dumps(metadata).encode()}
+        schema = self._library.schema([(name, column_type(*it)) for name, it in columns.items()])
+        if metadata is not None:
+            schema = schema.with_metadata({METADATA: json.dumps(metadata).encode()})
+        self._schema = schema
+        self._array_bytes = sum(
+            np.dtype(dtype).itemsize * int(np.prod(shape))
+            for dtype, shape in columns.values()
+            if dtype != PNG_OR_JPEG
         )
-        row_bytes = sum(
-            np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in columns.values()
-        )
-        self._most = max(1, min(GROUP_ROWS, GROUP_BYTES // row_bytes))
         self._rows: list[Mapping[str, Any]] = []
+        self._held_bytes = 0
         self._path = path
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row. Arrays are copied when their group is written: hand over such that stay."""
         self._rows.append(row)
-        if len(self._rows) >= self._most:
+        images = sum(len(cell) for cell in row.values() if isinstance(cell, bytes))
+        self._held_bytes += self._array_bytes + images
+        if len(self._rows) >= GROUP_ROWS or self._held_bytes >= GROUP_BYTES:
             self._flush()
+
+    @property
+    def size(self) -> int:
+        return self._file.tell()
 
     def __enter__(self) -> ParquetTable:
         with ExitStack() as stack:
-            file = stack.enter_context(replacing(self._path))
-            self._writer = self._library.parquet.ParquetWriter(file, self._schema)
+            self._file = stack.enter_context(replacing(self._path))
+            self._writer = self._library.parquet.ParquetWriter(self._file, self._schema)
             stack.push(self._abandon)  # before the file: what is left open writes to it later
             stack.push(self._finish)
             self._stack = stack.pop_all()
@@ -79,19 +88,18 @@ class ParquetTable:
     def _flush(self) -> None:
         if self._rows:
             cells = [
-                array_column(np.array([row[name] for row in self._rows], dtype=dtype))
-                for name, (dtype, _) in self._columns.items()
+                column([row[name] for row in self._rows], *kind)
+                for name, kind in self._columns.items()
             ]
             self._writer.write_table(self._library.Table.from_arrays(cells, schema=self._schema))
-            self._rows = []
+            self._rows, self._held_bytes = [], 0
 
 
 def write_parquet(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
     """All frames, one per row; returns how many. Raises MissingPackageError, OSError."""
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-        name: (column_type(name).str, ()) for name in PER_FRAME
+        name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }
-    kinds |= {name: (column_type(name).str, (len(patch),)) for name in PER_TAXEL}
     constants = {name: known(array) for name, array in places(patch).items()}
     count = 0
     with ParquetTable(path, kinds, {"about": about} | constants) as table:

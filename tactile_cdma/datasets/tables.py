@@ -30,6 +30,8 @@ PER_FRAME = {
     "episode": "<u4",
 }
 PER_TAXEL = {"pressure_pa": "<f4", "voltage_v": "<f4", "status": "|u1"}
+COLUMNS = PER_FRAME | PER_TAXEL
+"""Types of the columns' numbers."""
 
 
 def write_npz(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
@@ -38,19 +40,20 @@ def write_npz(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, 
     about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
     does not grow with the recording.
     """
-    count, taxels = 0, len(patch)
-    shapes = dict.fromkeys(PER_FRAME, ()) | dict.fromkeys(PER_TAXEL, (taxels,))
+    count = 0
     with ExitStack() as stack:
         file = stack.enter_context(replacing(path))  # first, since it may fail
         spools = {
-            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in shapes
+            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in COLUMNS
         }
         for episode, frame in frames:
             count += 1
             for name, value in columns(episode, frame).items():
-                spools[name].write(np.asarray(value, dtype=column_type(name)).tobytes())
+                spools[name].write(np.asarray(value, dtype=COLUMNS[name]).tobytes())
         arrays: dict[str, Any] = {
-            name: np.memmap(spool, column_type(name), "r", shape=(count, *shapes[name]))
+            name: np.memmap(
+                spool, COLUMNS[name], "r", shape=(count, len(patch)) if name in PER_TAXEL else count
+            )
             for name, spool in spools.items()
         }
         arrays |= places(patch) | {"about": np.array(json.dumps(about))}
@@ -96,15 +99,8 @@ def about_path(path: Path) -> Path:
 
 def columns(episode: int, frame: SkinFrame) -> dict[str, Any]:
     """One row of a table."""
-    per_frame = {
-        name: getattr(frame, name) for name in (*PER_FRAME, *PER_TAXEL) if name != "episode"
-    }
-    return {"episode": episode} | per_frame
-
-
-def column_type(name: str) -> np.dtype[Any]:
-    """The type of a column's numbers."""
-    return np.dtype({**PER_FRAME, **PER_TAXEL}[name])
+    cells = {name: getattr(frame, name) for name in COLUMNS if name != "episode"}
+    return {"episode": episode} | cells
 
 
 def places(patch: PatchInfo) -> dict[str, NDArray[Any]]:

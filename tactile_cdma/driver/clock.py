@@ -19,6 +19,8 @@ from ..framing.timing import FrameLevels
 MAX_RATE_ERROR = 1e-3
 """Largest rate difference of two clocks; a steeper fit is jitter of the bus. Chosen: ten times what
 two crystals of 50 ppm can differ by."""
+INTERVAL_S, KEPT_INTERVALS = 0.25, 120
+"""Device time per kept observation, s; observations kept: 30 s of them. Chosen."""
 SURE_INTERVALS = 40
 """Kept observations from which the rate is shown to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
@@ -159,13 +161,11 @@ class DeviceClock:
     Otherwise its frames would be stamped ever farther in the past.
     """
 
-    def __init__(self, interval_s: float = 0.25, intervals: int = 120) -> None:
-        """interval_s: device time per kept observation, s. intervals: observations kept."""
-        self._interval_s = interval_s
+    def __init__(self) -> None:
         self._interval = -1
         # A ring: the newest observation takes the place of the oldest.
-        self._device, self._host = np.zeros(intervals), np.zeros(intervals)
-        self._is_backlog = np.zeros(intervals, dtype=bool)
+        self._device, self._host = np.zeros((2, KEPT_INTERVALS))
+        self._is_backlog = np.zeros(KEPT_INTERVALS, dtype=bool)
         self._count = 0
         self._lead_s = 0.0  # host minus device time of the newest
         self._rate = 1.0
@@ -177,7 +177,7 @@ class DeviceClock:
 
         backlog: it had been waiting to be read, so it may have come long before.
         """
-        interval = int(t_device // self._interval_s)
+        interval = int(t_device // INTERVAL_S)
         is_first = not self._count or interval != self._interval
         if is_first:
             self._interval = interval
@@ -197,18 +197,14 @@ class DeviceClock:
         return (1 / self._rate - 1) * 1e6 if self._count >= SURE_INTERVALS else np.nan
 
     def to_host(self, t_device: float) -> float:
-        """Host time of a device time, s."""
-        return self._expected_s(t_device)
-
-    def lateness_s(self, t_device: float, t_host: float) -> float:
-        """How much later than expected by earlier packets one came that left at t_device, s."""
-        return t_host - self._expected_s(t_device)
-
-    def _expected_s(self, t_device: float) -> float:
         """Host time of a device time by the packets observed so far, s."""
         if not self._fitted:
             self._fit()
         return self._on_line_s(t_device)
+
+    def lateness_s(self, t_device: float, t_host: float) -> float:
+        """How much later than expected by earlier packets one came that left at t_device, s."""
+        return t_host - self.to_host(t_device)
 
     def _on_line_s(self, t_device: float) -> float:
         """The same by the last fit."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..base import kernel
 from ..clocks.node_timing import NodeTiming
 from ..code.separate import NodeLevels, frame_fields
-from ..code.transform import compiled_transform, is_compiled
+from ..code.transform import compiled_transform
 from ..framing.fit import Fit, lowest_power
 from ..framing.frame_end import tail_of
 from ..framing.gap_timing import GapTiming
@@ -105,8 +105,7 @@ class CompiledStream:
         spec, timing = description.spec, description.timing
         self._description, self._fit = description, None
         self._rows = np.empty((spec.line_bits, spec.order), np.float32)
-        plan = spec.book.plan
-        transform = compiled_transform(plan, spreading=False) if is_compiled(spec.book) else None
+        transform = compiled_transform(spec.book.plan, spreading=False)
         flips = np.empty(0, np.float32) if spec.flips is None else np.ascontiguousarray(spec.flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
         if isinstance(timing, MarkedTiming):

@@ -22,7 +22,7 @@ from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, LOUDEST_FLOOR, usual_amp
 from ..code.chips import chips_of, rows_of
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.separate import frame_settings
-from ..code.transform import is_compiled, transform_of
+from ..code.transform import transform_of
 from .limits import LIMITS
 
 UNEVEN = 0.02
@@ -353,7 +353,7 @@ def even_words(line: Line, fit: Fit, spec: FrameSpec, whole: WordFit | None = No
 @lru_cache(maxsize=8)
 def compiled_code(spec: FrameSpec) -> Any:
     """How the kernel spreads and correlates such frames; None where it does not."""
-    if kernel.compiled is None or not is_compiled(spec.book):
+    if kernel.compiled is None:
         return None
     flips = np.zeros(0) if spec.flips is None else spec.flips.ravel()
     return kernel.compiled.Code(

@@ -93,7 +93,7 @@ def sphere(rows: int, columns: int, pitch_m: float, radius_m: float) -> Surface:
             "does not fit farther round"
         )
     angle = np.hypot(flat_m[:, 0], flat_m[:, 1]) / radius_m
-    across = flat_m * (_sinc(angle) / radius_m)[:, None]
+    across = flat_m * (np.sinc(angle / np.pi) / radius_m)[:, None]
     normals = np.column_stack([across, np.cos(angle)])
     positions_m = radius_m * (normals - [0.0, 0.0, 1.0])
     return Surface.of(flat_m, positions_m, normals, _sphere_areas_m2(flat_m, pitch_m, radius_m))
@@ -127,10 +127,5 @@ def _sphere_areas_m2(flat_m: Floats, pitch_m: float, radius_m: float) -> Floats:
     at, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     x, y = flat_m.T[:, :, None] + at * pitch_m / 2  # (t, _QUADRATURE) each
     angle = np.hypot(x[:, :, None], y[:, None, :]) / radius_m
-    areas = np.einsum("txy,x,y->t", _sinc(angle), weight, weight)
+    areas = np.einsum("txy,x,y->t", np.sinc(angle / np.pi), weight, weight)
     return np.asarray(areas * (pitch_m / 2) ** 2)
-
-
-def _sinc(angle: Floats) -> Floats:
-    """sin(c)/c."""
-    return np.asarray(np.sinc(angle / np.pi))

@@ -222,7 +222,8 @@ class RecordingParser:
                 begin = len(held) if at_end else max(place, len(held) - len(_MARK) + 1)
             self._skip(begin - place)
             place = begin
-            size = self._size(place) if self._worth_trying(place) else None
+            worth_trying = self._vain <= _LEAST_VAIN + _VAIN_PER_BYTE * (self._passed + place)
+            size = self._size(place) if worth_trying else None
             if size is not None and place + size > len(held):
                 if not at_end:
                     break
@@ -237,10 +238,6 @@ class RecordingParser:
         self._passed += place
         del held[:place]
         return found
-
-    def _worth_trying(self, place: int) -> bool:
-        """Whether a record that may begin here is still to be examined; see _LEAST_VAIN."""
-        return self._vain <= _LEAST_VAIN + _VAIN_PER_BYTE * (self._passed + place)
 
     def _size(self, place: int) -> int | None:
         """Size of the record that begins here, bytes; None: there is none."""

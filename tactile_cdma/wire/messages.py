@@ -254,16 +254,9 @@ class Samples(Stretch):
     def received(
         cls, device_time_us: int, first_index: int, flags: int, counts: bytes, sequence: int
     ) -> Self:
-        """The packet as the compiled scanner takes it apart. counts: int16, as in memory.
-
-        All are within their limits; to check that again, as the constructor does, takes most of the
-        time of a small packet.
-        """
-        packet = cls.__new__(cls)
-        values = (sequence, device_time_us, first_index, *_MARK_VALUES[flags])
-        for put, value in zip(_PUT, (*values, np.frombuffer(counts, _INT16)), strict=True):
-            put(packet, value)
-        return packet
+        """The packet as the compiled scanner takes it apart. counts: int16, as in memory."""
+        values = np.frombuffer(counts, _INT16)
+        return cls(device_time_us, first_index, values, sequence=sequence, **_MARKS[flags])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -545,13 +538,7 @@ for _type, _kind in PACKETS.items():
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
 """Fields of FrameLayout that are those of FrameSpec."""
 _FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN, "called": FLAG_CALLED}
-_PUT = [
-    getattr(Samples, name).__set__
-    for name in ("sequence", "device_time_us", "first_index", *_FLAGS, "counts")
-]
-"""Setters of the slots of Samples, which is frozen."""
 _MARKS = [{name: bool(flags & bit) for name, bit in _FLAGS.items()} for flags in range(256)]
-_MARK_VALUES = [tuple(marks.values()) for marks in _MARKS]
 """The marks of a stretch by its flags."""
 _SAMPLE_MASK = np.int16(SAMPLE_XOR)
 _MOST_PACKED = 2**PACKED_BITS - 1

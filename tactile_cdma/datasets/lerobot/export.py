@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,12 @@ from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
 from ..alignment import Aligner, Row, stale_s
 from ..arrow import pyarrow
-from ..episodes import Episode, find_episodes, samples_of
+from ..episodes import Episode, samples_of
 from ..progress import Progress
 from ..samples import NANO, Kind, SampleSource, SampleStream, check_taxels, differences, patches_of
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
-from ..touch import HOLD, WINDOW, TouchStream, slots
+from ..touch import TouchStream, slots
 from . import ABOUT
 from .features import Feature, cells, column, features_of, obstacle
 from .writer import DatasetWriter
@@ -38,21 +38,17 @@ RATE_S = 5.0
 class Plan:
     """Choices of an export; see docs/learning.md.
 
-    fps: ticks per s; None with a clock: the topic whose stamps are the ticks. mode, policy: see
-    touch. intervals, marks, start_s, end_s: see episodes. from_first_complete: leave out what is
-    before every taxel in service has had a valid reading.
+    episodes: of a file. fps: ticks per s; None with a clock: the topic whose stamps are the ticks.
+    mode, policy: see touch. from_first_complete: leave out what is before every taxel in service
+    has had a valid reading.
     """
 
+    episodes: Callable[[SampleSource], Sequence[Episode]]
     fps: int | None
-    clock: str | None = None
-    mode: str = WINDOW
-    policy: str = HOLD
-    task: str = ""
-    intervals: Sequence[tuple[float, float]] = ()
-    marks: str | None = None
-    start_s: float | None = None
-    end_s: float | None = None
-    from_first_complete: bool = False
+    clock: str | None
+    mode: str
+    policy: str
+    from_first_complete: bool
 
 
 @dataclass(slots=True)
@@ -88,8 +84,10 @@ def write_lerobot(
         layout.check(source)
     outcome = Outcome(fps=layout.fps)
     outcome.notes += [f"{path}: no {name}, which is left out" for name, path in lacking.items()]
-    with whole_folder(folder) as unfinished:
-        writer = DatasetWriter(unfinished, layout.features, layout.fps)
+    with (
+        whole_folder(folder) as unfinished,
+        DatasetWriter(unfinished, layout.features, layout.fps) as writer,
+    ):
         files: list[str] = []
         about: list[dict[str, Any]] = []
         firsts: dict[str, dict[str, Any]] = {}  # by patch
@@ -157,15 +155,13 @@ class _Layout:
         streams = _streams(source, lacking)
         clock = _clock(source, streams, plan)
         fps = plan.fps or _rate(source, str(clock))
-        patches = {stream.key: stream for stream in patches_of(source)}
         counts = {
-            key: slots(stream.patch, fps, plan.mode)
-            for key, stream in patches.items()
+            stream.feature: slots(stream.patch, fps, plan.mode)
+            for stream in patches_of(source)
             if stream.patch
         }
         features = features_of(streams.values(), counts, plan.mode)
-        by_feature = {patches[key].feature: count for key, count in counts.items()}
-        return cls(streams, lacking, by_feature, features, fps)
+        return cls(streams, lacking, counts, features, fps)
 
     def check(self, source: SampleSource) -> None:
         """Raises CaptureError for a file whose streams differ."""
@@ -203,8 +199,7 @@ def _export(
     progress: Progress,
 ) -> list[dict[str, Any]]:
     """Write the episodes of one file; returns what is to be said of its patches."""
-    task = plan.task or "unnamed"
-    episodes = find_episodes(source, task, plan.intervals, plan.marks, plan.start_s, plan.end_s)
+    episodes = plan.episodes(source)
     touch = {
         stream.key: TouchStream(
             stream.shape[0], layout.slots[stream.feature], plan.mode, plan.policy

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
+from ..arrow import PNG_OR_JPEG
 from ..samples import NANO, Kind, RawImage, SampleSource, SampleStream
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
@@ -19,7 +20,6 @@ from ..touch import DROP, WINDOW, Touch
 TIME = "unix_time_ns"
 """Feature: the tick as Unix time; an integer, as torch makes float32 of the others. Not called
 observation: policies take no notice of it."""
-PNG_OR_JPEG = "image"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +47,15 @@ class Feature:
 def features_of(
     streams: Iterable[SampleStream], slots: Mapping[str, int], mode: str
 ) -> list[Feature]:
-    """The columns for some streams. slots: samples of a tick, by the patches' keys."""
+    """The columns for some streams. slots: samples of a tick, by the patches' features."""
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
     for stream in streams:
         name, size = column(stream), stream.shape
         if stream.kind == Kind.TACTILE:
             taxels = tuple(f"taxel_{i}" for i in range(size[0]))
-            ages = tuple(f"age_{i}" for i in range(slots[stream.key]))
+            ages = tuple(f"age_{i}" for i in range(slots[stream.feature]))
             if mode == WINDOW:
-                size, taxels = (slots[stream.key], *size), ("sample", "taxel")
+                size, taxels = (slots[stream.feature], *size), ("sample", "taxel")
             features += [
                 Feature(name, "float32", size, taxels, "Pa", pooled=True),
                 Feature(f"{name}.valid", "float32", size, taxels, mask=True),

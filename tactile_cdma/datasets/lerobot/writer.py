@@ -12,22 +12,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..arrow import array_column, array_type, pyarrow
+from ..arrow import PNG_OR_JPEG, pyarrow
+from ..parquet_table import ParquetTable
 from ..sources.images import decoded
 from . import INFO
-from .features import PNG_OR_JPEG, Feature
+from .features import Feature
 from .statistics import ImageStatistics, Statistics, mask_content
 
 VERSION = "v3.0"
 FILE_MB, CHUNK_FILES = 100, 1000
 """A new data file begins after so many MB, a new folder after so many files: lerobot's own."""
-GROUP_ROWS, GROUP_BYTES = 512, 32 << 20
-"""Rows, and bytes of their images, that are held in memory; chosen."""
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 COUNTERS = (
@@ -43,26 +43,28 @@ COUNTERS = (
 class DatasetWriter:
     """Writes into an empty folder: begin(), add() rows, begin() the next episode, …, finish().
 
-    episodes, frames: written so far.
+    Use as a context manager. episodes, frames: written so far.
     """
 
     def __init__(self, folder: Path, features: Sequence[Feature], fps: int) -> None:
         self._folder, self._fps = folder, fps
         self._features = (*features, *COUNTERS)
         self._arrow = pyarrow()
-        self._schema = self._arrow.schema(
-            [(feature.name, _type(feature)) for feature in self._features]
-        )
         self._statistics = {
             feature.name: _statistics(feature) for feature in self._features if not feature.mask
         }
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
-        self._rows: list[dict[str, Any]] = []
-        self._held_bytes = 0
-        self._file_index = 0
-        self._parquet: Any = None
+        self._open = ExitStack()
+        self._table: ParquetTable | None = None
+        self._file_index = -1
         self.frames = 0
+
+    def __enter__(self) -> DatasetWriter:
+        return self
+
+    def __exit__(self, *problem: Any) -> None:
+        self._open.__exit__(*problem)
 
     @property
     def episodes(self) -> int:
@@ -79,10 +81,8 @@ class DatasetWriter:
 
     def begin(self, task: str) -> None:
         """Begin an episode; it has to get a row."""
-        self._flush()
-        if self._parquet is not None and self._path().stat().st_size > FILE_MB << 20:
-            self._close()
-            self._file_index += 1
+        if self._table is None or self._table.size > FILE_MB << 20:
+            self._next_file()
         chunk, file = divmod(self._file_index, CHUNK_FILES)
         self._tasks.setdefault(task, len(self._tasks))
         self._episodes.append(
@@ -110,17 +110,14 @@ class DatasetWriter:
             "task_index": self._tasks[episode["tasks"][0]],
         }
         row = {**cells, **{name: np.array([value]) for name, value in counters.items()}}
-        self._rows.append(row)
+        assert self._table is not None
+        self._table.add(row)
         self._observe(row)
         episode["length"] += 1
         episode["dataset_to_index"] = self.frames = self.frames + 1
-        self._held_bytes += sum(len(cell) for cell in cells.values() if isinstance(cell, bytes))
-        if len(self._rows) >= GROUP_ROWS or self._held_bytes >= GROUP_BYTES:
-            self._flush()
 
     def finish(self) -> None:
-        self._flush()
-        self._close()
+        self._open.close()
         (self._folder / "meta").mkdir()
         info = {
             "codebase_version": VERSION,
@@ -161,35 +158,14 @@ class DatasetWriter:
             elif not self.frames % self._fps:  # an image per second is enough
                 statistics.add(decoded(row[name], name))
 
-    def _flush(self) -> None:
-        """Write the rows that are held as a group."""
-        if not self._rows:
-            return
-        columns = [self._column(feature) for feature in self._features]
-        if self._parquet is None:
-            path = self._path()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._parquet = self._arrow.parquet.ParquetWriter(path, self._schema)
-        self._parquet.write_table(self._arrow.Table.from_arrays(columns, schema=self._schema))
-        self._rows, self._held_bytes = [], 0
-
-    def _column(self, feature: Feature) -> Any:
-        found = [row[feature.name] for row in self._rows]
-        if feature.dtype == PNG_OR_JPEG:
-            return self._arrow.array(
-                [{"bytes": file, "path": None} for file in found], _type(feature)
-            )
-        dtype = np.dtype(feature.dtype)
-        return array_column(np.stack([np.asarray(cell, dtype=dtype) for cell in found]))
-
-    def _path(self) -> Path:
+    def _next_file(self) -> None:
+        self._open.close()
+        self._file_index += 1
         chunk, file = divmod(self._file_index, CHUNK_FILES)
-        return self._folder / DATA.format(chunk_index=chunk, file_index=file)
-
-    def _close(self) -> None:
-        if self._parquet is not None:
-            self._parquet.close()
-            self._parquet = None
+        path = self._folder / DATA.format(chunk_index=chunk, file_index=file)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        columns = {feature.name: (feature.dtype, feature.shape) for feature in self._features}
+        self._table = self._open.enter_context(ParquetTable(path, columns))
 
     def _write_tasks(self) -> None:
         """As pandas writes a table whose index is the task."""
@@ -211,14 +187,6 @@ def _statistics(feature: Feature) -> Statistics | ImageStatistics:
     if feature.dtype == PNG_OR_JPEG:
         return ImageStatistics()
     return Statistics(feature.shape, feature.pooled)
-
-
-def _type(feature: Feature) -> Any:
-    """The Parquet type of a column."""
-    if feature.dtype == PNG_OR_JPEG:
-        library = pyarrow()
-        return library.struct([("bytes", library.binary()), ("path", library.string())])
-    return array_type(feature.dtype, feature.shape)
 
 
 def _pandas_column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:

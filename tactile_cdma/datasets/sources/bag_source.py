@@ -93,7 +93,7 @@ class BagSource:
         self._off = {}
         with self._opened() as bag:
             wanted = [c for c in bag.connections if c.topic in self._takes]
-            for topic, seen_ns, message in self._believed(bag, wanted, begin_ns, stop_ns):
+            for topic, seen_ns, message in self._messages(bag, wanted, begin_ns, stop_ns):
                 time_ns = fields.stamp_ns(message) or seen_ns
                 if abs(off_ns := time_ns - seen_ns) > STAMP_OFF_S * NANO:
                     time_ns = seen_ns
@@ -104,7 +104,7 @@ class BagSource:
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
         with self._opened() as bag:
-            found = self._believed(bag, self._connections(bag, topic))
+            found = self._messages(bag, self._connections(bag, topic))
             return [(seen_ns, message) for _, seen_ns, message in found]
 
     def _span(self, bag: AnyReader) -> tuple[int, int]:
@@ -206,28 +206,20 @@ class BagSource:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Messages with their topic and when they were recorded, ns."""
+        """Messages with their topic and when they were recorded, ns.
+
+        Without those that were not recorded when the bag says: these are counted.
+        """
         if not connections:  # to rosbags, none means all
             return
-        with self._intact():
-            for connection, seen_ns, raw in bag.messages(connections, begin_ns, stop_ns):
-                yield connection.topic, seen_ns, bag.deserialize(raw, connection.msgtype)
-
-    def _believed(
-        self,
-        bag: AnyReader,
-        connections: Sequence[Connection],
-        begin_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[tuple[str, int, Any]]:
-        """The same, without those that were not recorded when the bag says: these are counted."""
         for connection in connections:
             self._astray.pop(connection.topic, None)
-        for topic, seen_ns, message in self._messages(bag, connections, begin_ns, stop_ns):
-            if self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
-                yield topic, seen_ns, message
-            else:
-                self._astray[topic] += 1
+        with self._intact():
+            for connection, seen_ns, raw in bag.messages(connections, begin_ns, stop_ns):
+                if self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
+                    yield connection.topic, seen_ns, bag.deserialize(raw, connection.msgtype)
+                else:
+                    self._astray[connection.topic] += 1
 
     @contextmanager
     def _opened(self) -> Iterator[AnyReader]:
