@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from ..code.frame import FrameSpec
 from ..framing.timing import FrameLevels
+
+_log = logging.getLogger(__name__)
 
 MAX_RATE_ERROR = 1e-3
 """Largest rate difference of two clocks; a steeper fit is jitter of the bus. Chosen: ten times what
@@ -171,6 +174,7 @@ class DeviceClock:
         self._rate = 1.0
         self._origin = (0.0, 0.0)
         self._fitted = True
+        self._is_slow = False
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
         """Note that a packet left the device at t_device and was read at t_host, s.
@@ -217,7 +221,13 @@ class DeviceClock:
         x, y = self._device[:kept] - device, self._host[:kept] - host
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
         late_s = y - x
-        if not self._is_backlog[newest].any() and _is_slow(late_s, newest):
+        is_slow = not self._is_backlog[newest].any() and _is_slow(late_s, newest)
+        if is_slow != self._is_slow:
+            _log.debug(
+                "the device is %s", "slow: its own pace is followed" if is_slow else "a clock"
+            )
+        self._is_slow = is_slow
+        if is_slow:
             x, y = x[newest], y[newest]
             rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
             offset_s = float((y - rate * x).min())

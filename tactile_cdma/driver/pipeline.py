@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ from .description import Description
 from .digitizer import DigitizerState, contradiction
 from .stream import Decisions, Event, NumpyStream, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +288,8 @@ class Pipeline:
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
         if self._description is not None:
+            kind = type(self.stream).__name__
+            _log.debug("digitizer %s is decoded by %s", info.digitizer_id, kind)
             self.stream.describe(self._description, self._frames_wanted)
             self.on_info(info)
 

@@ -252,7 +252,7 @@ def test_a_patch_that_is_not_there_is_answered_with_those_that_are() -> None:
     command = [sys.executable, "-m", "tactile_cdma.ros.viewers.view", "palm", "--seconds", "1"]
     with running(port="sim://"):
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE_S
         )
     assert done.returncode == 1
     assert "no frame on /palm/skin/tactile: there is /skin/tactile" in done.stderr
