@@ -90,7 +90,7 @@ def _multiply(
 
 
 class _Scratch(threading.local):
-    """Memory for an intermediate result; each thread has its own."""
+    """Memory for intermediate results; each thread has its own."""
 
     def __init__(self) -> None:
         self.values = np.empty(MAX_ORDER, dtype=np.float32)
@@ -101,29 +101,31 @@ _scratch = _Scratch()
 
 @dataclass(frozen=True)
 class _Blocks:
-    """The product in numpy, vector by vector. matrices: of the blocks, applied from the right."""
+    """The product in numpy. matrices: of the blocks, applied from the right."""
 
     order: int
     matrices: list[Floats32]
 
     def multiply(self, source: Floats32, out: Floats32, /) -> None:
         """As Transform."""
-        spare, last = _scratch.values[: self.order], len(self.matrices) - 1
-        vectors = source.reshape(-1, self.order), out.reshape(-1, self.order)
-        for values, result in zip(*vectors, strict=True):
+        vectors, results = source.reshape(-1, self.order), out.reshape(-1, self.order)
+        most, last = MAX_ORDER // self.order, len(self.matrices) - 1
+        for start in range(0, len(vectors), most):
+            values, result = vectors[start : start + most], results[start : start + most]
+            spare = _scratch.values[: values.size].reshape(values.shape)
             for i, matrix in enumerate(self.matrices):  # by turns, so that the last is in result
                 goal = spare if (last - i) % 2 else result
                 self._apply(matrix, values, goal)
                 values = goal
 
     def _apply(self, matrix: Floats32, values: Floats32, goal: Floats32) -> None:
-        """Multiply the slowest axis of a vector, and leave it as the fastest one of goal."""
-        block = len(matrix)
-        turned, goal = values.reshape(block, -1).T, goal.reshape(-1, block)
-        columns = _BLAS_PRODUCTS // self.order
+        """Multiply the slowest axis of vectors (c, N), and leave it as the fastest one of goal."""
+        count, block = len(values), len(matrix)
+        turned = values.reshape(count, block, -1).transpose(0, 2, 1)
+        goal, columns = goal.reshape(count, -1, block), _BLAS_PRODUCTS // self.order
         for start in range(0, block, columns):
             part = slice(start, start + columns)
-            np.matmul(turned, matrix[:, part], out=goal[:, part])
+            np.matmul(turned, matrix[:, part], out=goal[..., part])
 
 
 @lru_cache(maxsize=64)
