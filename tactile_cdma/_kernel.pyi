@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from .driver.timeline import PassedPacket
+from .driver.clock import PassedPacket
 from .wire.packets import Found
 
 VERSION: int
