@@ -13,7 +13,6 @@ enum stage {
     NEXT,    /* there is none: look for it */
     ARRIVED, /* does it continue the stream? */
     CLOSING, /* it begins a frame: decide the one in progress, learn the gap */
-    OPENING, /* it was asked how that frame is to be read */
     SUMMED,  /* its samples are summed up */
     FILLING, /* take its samples in */
     ENDING,  /* none will come any more */
@@ -35,7 +34,6 @@ struct stream {
     struct frame_code code;
     float *rows, *scratch;
     struct scanner *scanner;
-    struct scanner_packet packet;
     struct stream_subject subject;
 
     /* packets: the one at hand, and the one that is held back or, if that was taken, waits behind it */
@@ -82,6 +80,7 @@ struct stream *stream_new(struct scanner *scanner)
     if (!stream)
         return NULL;
     stream->scanner = scanner;
+    stream->subject.rest = &stream->rest;
     stream->now = &stream->arrivals[0];
     stream->other = &stream->arrivals[1];
     stream->asked = STREAM_GOES_ON;
@@ -293,14 +292,14 @@ static enum stream_event find_packet(struct stream *stream)
     }
     if (!stream->left)
         return STREAM_NEEDS_BYTES;
-    size_t taken = scanner_take(stream->scanner, stream->bytes, stream->left, &stream->packet);
+    size_t taken = scanner_take(stream->scanner, stream->bytes, stream->left, &stream->subject.packet);
     stream->bytes += taken;
     stream->left -= taken;
-    if (!stream->packet.payload)
+    if (!stream->subject.packet.payload)
         return STREAM_GOES_ON;
-    if (!read_packet(&stream->packet, stream->now))
+    if (!read_packet(&stream->subject.packet, stream->now))
         return STREAM_PACKET;
-    stream->now->sequence = stream->packet.sequence;
+    stream->now->sequence = stream->subject.packet.sequence;
     stream->now->t_host = stream->t_host;
     stream->now->backlog = stream->backlog;
     stream->stage = ARRIVED;
@@ -430,10 +429,8 @@ static enum stream_event begin_frame(struct stream *stream)
     stream->subject.called = stream->now->called;
     stream->marks++;
     stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
-    if (stream->is_asked) {
-        stream->stage = OPENING;
+    if (stream->is_asked)
         return STREAM_MARK;
-    }
     stream->due = stream->start + (int64_t)stream->timing.due;
     stream->stage = stream->is_summed_up ? SUMMED : FILLING;
     return STREAM_GOES_ON;
@@ -535,9 +532,6 @@ enum stream_event stream_next(struct stream *stream)
         case CLOSING:
             event = begin_frame(stream);
             break;
-        case OPENING:
-            event = STREAM_MARK;
-            break;
         case SUMMED:
             event = sum_up(stream);
             break;
@@ -598,16 +592,6 @@ void stream_conclude(struct stream *stream)
 const struct stream_subject *stream_subject(const struct stream *stream)
 {
     return &stream->subject;
-}
-
-const struct scanner_packet *stream_packet(const struct stream *stream)
-{
-    return &stream->packet;
-}
-
-const struct frame_rest *stream_rest(const struct stream *stream)
-{
-    return &stream->rest;
 }
 
 size_t stream_passed(struct stream *stream, const struct stream_passed **passed)
@@ -672,15 +656,17 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
 {
     if (!answers(stream, STREAM_DOUBT))
         return false;
+    if (stream->stage == SUMMED) { /* which says nothing of the frames before */
+        settle(stream, over, level);
+        pass_by(stream);
+        return due < 0;
+    }
     stream->marks = stream->uses = stream->ended = 0;
     if (due >= 0) {
         stream->due = due;
-        return stream->stage != SUMMED && due > stream->start &&
-               make_room(stream, (size_t)(due - stream->start));
+        return due > stream->start && make_room(stream, (size_t)(due - stream->start));
     }
     settle(stream, over, level);
-    if (stream->stage == SUMMED)
-        pass_by(stream);
     return true;
 }
 

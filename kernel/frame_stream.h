@@ -78,6 +78,8 @@ enum stream_answer { STREAM_IGNORE, STREAM_HOLD, STREAM_TAKE, STREAM_TAKE_HELD }
 
 /* What the last event is about. */
 struct stream_subject {
+    struct scanner_packet packet;
+    const struct frame_rest *rest; /* of the line, now */
     int64_t start;             /* of the frame or block */
     int64_t since;             /* samples since the mark before; -1 after a hole */
     bool called, final;        /* of a roll call; no more samples will follow */
@@ -110,10 +112,8 @@ void stream_conclude(struct stream *stream);
 
 /* Goes on up to the next event. */
 enum stream_event stream_next(struct stream *stream);
-/* Of the last event, until the stream goes on. */
+/* Until the stream goes on. */
 const struct stream_subject *stream_subject(const struct stream *stream);
-const struct scanner_packet *stream_packet(const struct stream *stream);
-const struct frame_rest *stream_rest(const struct stream *stream);
 /* The packets that passed since the last call. */
 size_t stream_passed(struct stream *stream, const struct stream_passed **passed);
 

@@ -26,67 +26,41 @@ struct owner {
 };
 
 static const struct field rules_fields[] = {
-    FIELD(stream_rules, frame.frame.bits),
-    FIELD(stream_rules, frame.frame.order),
-    FIELD(stream_rules, frame.frame.first),
-    FIELD(stream_rules, frame.frame.nodes),
-    FIELD(stream_rules, frame.frame.unipolar),
-    FIELD(stream_rules, frame.frame.swing),
-    FIELD(stream_rules, frame.frame.loudest_share),
-    FIELD(stream_rules, frame.frame.active_share),
-    FIELD(stream_rules, frame.frame.spoken_over),
-    FIELD(stream_rules, frame.spare),
-    FIELD(stream_rules, frame.spare_count),
-    FIELD(stream_rules, frame.size),
-    FIELD(stream_rules, frame.whole_size),
-    FIELD(stream_rules, frame.chip),
-    FIELD(stream_rules, frame.least_power),
-    FIELD(stream_rules, frame.most_noise),
-    FIELD(stream_rules, frame.rail_low),
-    FIELD(stream_rules, frame.rail_high),
-    FIELD(stream_rules, frame.deafened),
-    FIELD(stream_rules, frame.carried_noise),
-    FIELD(stream_rules, frame.carried_misfit),
-    FIELD(stream_rules, frame.loud),
-    FIELD(stream_rules, frame.spread),
-    FIELD(stream_rules, frame.misfit),
-    FIELD(stream_rules, frame.left),
-    FIELD(stream_rules, frame.tail_noise),
-    FIELD(stream_rules, frame.tail_scatter),
-    FIELD(stream_rules, frame.tail_level),
-    FIELD(stream_rules, frame.least_tail),
-    FIELD(stream_rules, frame.integrated),
-    FIELD(stream_rules, frame.mean_is_offset),
-    FIELD(stream_rules, frame.scrambled),
-    FIELD(stream_rules, frame.silent_rise),
-    FIELD(stream_rules, frame.silent_more),
-    FIELD(stream_rules, marked),
-    FIELD(stream_rules, in_blocks),
-    FIELD(stream_rules, heeds_calls),
-    FIELD(stream_rules, zero_count),
-    FIELD(stream_rules, volts_per_count),
-    FIELD(stream_rules, most_volts),
-    FIELD(stream_rules, gap_size),
-    FIELD(stream_rules, least_rest),
-    FIELD(stream_rules, gap_weight),
-    FIELD(stream_rules, rise),
-    FIELD(stream_rules, rise_v2),
-    FIELD(stream_rules, silent_over),
-    FIELD(stream_rules, rate_hz),
-    FIELD(stream_rules, behind_s),
-    FIELD(stream_rules, ahead_s),
-    FIELD(stream_rules, ahead),
-    FIELD(stream_rules, most_device_us),
-    FIELD(stream_rules, most_quiet),
+    FIELD(stream_rules, frame.frame.bits),          FIELD(stream_rules, frame.frame.order),
+    FIELD(stream_rules, frame.frame.first),         FIELD(stream_rules, frame.frame.nodes),
+    FIELD(stream_rules, frame.frame.unipolar),      FIELD(stream_rules, frame.frame.swing),
+    FIELD(stream_rules, frame.frame.loudest_share), FIELD(stream_rules, frame.frame.active_share),
+    FIELD(stream_rules, frame.frame.spoken_over),   FIELD(stream_rules, frame.spare),
+    FIELD(stream_rules, frame.spare_count),         FIELD(stream_rules, frame.size),
+    FIELD(stream_rules, frame.whole_size),          FIELD(stream_rules, frame.chip),
+    FIELD(stream_rules, frame.least_power),         FIELD(stream_rules, frame.most_noise),
+    FIELD(stream_rules, frame.rail_low),            FIELD(stream_rules, frame.rail_high),
+    FIELD(stream_rules, frame.deafened),            FIELD(stream_rules, frame.carried_noise),
+    FIELD(stream_rules, frame.carried_misfit),      FIELD(stream_rules, frame.loud),
+    FIELD(stream_rules, frame.spread),              FIELD(stream_rules, frame.misfit),
+    FIELD(stream_rules, frame.left),                FIELD(stream_rules, frame.tail_noise),
+    FIELD(stream_rules, frame.tail_scatter),        FIELD(stream_rules, frame.tail_level),
+    FIELD(stream_rules, frame.least_tail),          FIELD(stream_rules, frame.integrated),
+    FIELD(stream_rules, frame.mean_is_offset),      FIELD(stream_rules, frame.scrambled),
+    FIELD(stream_rules, frame.silent_rise),         FIELD(stream_rules, frame.silent_more),
+    FIELD(stream_rules, marked),                    FIELD(stream_rules, in_blocks),
+    FIELD(stream_rules, heeds_calls),               FIELD(stream_rules, zero_count),
+    FIELD(stream_rules, volts_per_count),           FIELD(stream_rules, most_volts),
+    FIELD(stream_rules, gap_size),                  FIELD(stream_rules, least_rest),
+    FIELD(stream_rules, gap_weight),                FIELD(stream_rules, rise),
+    FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
+    FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, behind_s),
+    FIELD(stream_rules, ahead_s),                   FIELD(stream_rules, ahead),
+    FIELD(stream_rules, most_device_us),            FIELD(stream_rules, most_quiet),
     FIELD(stream_rules, most_quiet_v2),
 };
 
 static const struct field timing_fields[] = {
-    FIELD(stream_timing, due),        FIELD(stream_timing, over),
-    FIELD(stream_timing, uses),       FIELD(stream_timing, asks),
-    FIELD(stream_timing, has_frame),  FIELD(stream_timing, frame.chip),
+    FIELD(stream_timing, due),         FIELD(stream_timing, over),
+    FIELD(stream_timing, uses),        FIELD(stream_timing, asks),
+    FIELD(stream_timing, has_frame),   FIELD(stream_timing, frame.chip),
     FIELD(stream_timing, frame.until), FIELD(stream_timing, frame.heard),
-    FIELD(stream_timing, frame.tail), FIELD(stream_timing, frame.tail_end),
+    FIELD(stream_timing, frame.tail),  FIELD(stream_timing, frame.tail_end),
 };
 
 const struct layout stream_layouts[STREAM_LAYOUTS] = {
@@ -295,7 +269,7 @@ static PyObject *flag(bool is)
 static PyObject *subject_of(const struct stream *stream, enum stream_event event)
 {
     const struct stream_subject *about = stream_subject(stream);
-    const struct frame_rest *rest = stream_rest(stream);
+    const struct frame_rest *rest = about->rest;
 
     switch (event) {
     case STREAM_HEARD:
@@ -304,7 +278,7 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
                              about->found.level, about->found.clipped, flag(rest->known));
     case STREAM_PACKET:
     case STREAM_FOREIGN:
-        return packet_tuple(stream_packet(stream));
+        return packet_tuple(&about->packet);
     case STREAM_MARK:
         return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
                              (long long)about->since);

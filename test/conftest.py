@@ -54,9 +54,3 @@ class Left(pytest.Dir):
 
     def collect(self) -> Never:
         pytest.skip("ROS 2 (rclpy) is not installed", allow_module_level=True)
-
-
-@pytest.fixture(scope="session")
-def ros_domain() -> int:
-    """The ROS domain of this worker."""
-    return int(os.environ["ROS_DOMAIN_ID"])

@@ -159,7 +159,7 @@ static void carry(struct stream *stream)
 
 static void place(struct stream *stream)
 {
-    const struct scanner_packet *found = stream_packet(stream);
+    const struct scanner_packet *found = &stream_subject(stream)->packet;
     const struct sent *packet = &sent[found->sequence];
     enum stream_answer answer = draw(4) ? STREAM_TAKE : draw(3);
     uint64_t origin = run.origin;
@@ -215,7 +215,7 @@ static void answer_doubt(struct stream *stream)
     } else {
         bool is_known = draw(3);
         bool final = about->final;
-        double level = stream_rest(stream)->level;
+        double level = about->rest->level;
         MUST(stream_decide(stream, -1, is_known ? stop : -1, level), WRONG_VALUE);
         carry(stream);
         decide(start, final);
@@ -227,14 +227,13 @@ static void answer_doubt(struct stream *stream)
 static void take(struct stream *stream, enum stream_event event)
 {
     const struct stream_subject *about = stream_subject(stream);
-    const struct frame_rest *rest = stream_rest(stream);
     const struct stream_passed *passed;
     size_t count = stream_passed(stream, &passed);
 
     MUST(count <= STREAM_MOST_PASSED, WRONG_VALUE);
     for (size_t i = 0; i < count; i++)
         accept(&passed[i]);
-    MUST(rest->noise >= 0 && !isnan(rest->level), WRONG_VALUE);
+    MUST(about->rest->noise >= 0 && !isnan(about->rest->level), WRONG_VALUE);
     if (event > STREAM_FULL)
         add(event);
     switch (event) {

@@ -203,7 +203,7 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
             "no other program reads the port"
         )
         yield Finding(text, level, event=True, key=key)
-    if abs(drift_ppm := pipeline.timeline.clock.drift_ppm) > DRIFT_PPM:
+    if abs(drift_ppm := pipeline.timeline.times.clock.drift_ppm) > DRIFT_PPM:
         text = (
             f"the digitizer's clock is {drift_ppm:+.0f} ppm off this computer's: check its crystal"
         )

@@ -1,11 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Maps the digitizer's clock to the host's."""
+"""Times of samples and frames: index ──▶ the digitizer's clock ──▶ the host's."""
 
 from __future__ import annotations
 
+import logging
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
+
+from ..code.frame import FrameSpec
+from ..framing.timing import FrameLevels
+
+_log = logging.getLogger(__name__)
 
 MAX_RATE_ERROR = 1e-3
 """Largest rate difference of two clocks; a steeper fit is jitter of the bus. Chosen: ten times what
@@ -22,8 +34,122 @@ SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 later than earlier ones by SLOW_S, though nothing had been waiting to be read (crystals come to
 0.03 s in 30 s), and each pair of them is later than the one before by FALLS_BEHIND_S. What a
 stalled bus or a busy host held back is late, too, but ever less so, or by what buffers hold."""
+MAX_ANCHORS = 4096
+"""Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
+as a packet holds hundreds of samples."""
+TICK_S = 1e-6
+"""s; stamps rise by at least one unit of device time."""
 _TOUCH_S = 1e-9
 """s; a point that is less below a line is on it, but for rounding."""
+
+
+class AcceptedPacket(NamedTuple):
+    """What is kept of a packet of samples that was accepted; samples: their number."""
+
+    first_index: int
+    device_time_us: int
+    samples: int
+    sequence: int
+
+
+PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
+"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
+an Arrival t_host (s) and backlog."""
+
+
+class Stamp(NamedTuple):
+    """Number and times of one frame; see TactileFrame."""
+
+    sequence: int
+    t_start: float
+    t_middle: float
+    t_host: float
+    chip_s: float
+
+
+@dataclass(slots=True)
+class StreamCounters:
+    """What happened to the stream so far; every number only grows."""
+
+    frames: int = 0
+    lost_frames: int = 0
+    samples: int = 0
+    lost_samples: int = 0
+    unannounced_samples: int = 0
+    restarts: int = 0
+    implausible_packets: int = 0
+    skipped_bytes: int = 0
+
+
+class FrameTimes:
+    """Follows the count of samples and the digitizer's clock, and gives frames number and time.
+
+    clock: maps device time to host time. last: the packet of samples that was accepted last.
+    origin: the digitizer's index of the stream's index 0.
+    """
+
+    def __init__(self, counters: StreamCounters, clocks: Callable[[], DeviceClock]) -> None:
+        """counters: where samples and frames are counted.
+
+        clocks: makes the clock, and another one where the device's begins anew.
+        """
+        self.clock, self.origin = clocks(), 0
+        self.last: AcceptedPacket | None = None
+        self._clocks, self._counters = clocks, counters
+        self._anchors: deque[tuple[int, float]] = deque(maxlen=MAX_ANCHORS)  # index, device time
+        self._sequence = -1
+        self._last_start_s: float | None = None  # of the last frame, if on the present clock
+        self._last_t_host = -math.inf
+
+    def begin_clock(self) -> None:
+        """Forget the device's clock: the next packet is of another one."""
+        self.clock, self._last_start_s = self._clocks(), None
+        self.begin_count()
+
+    def begin_count(self) -> None:
+        """Forget the count of samples: the next packet's begins anew."""
+        self._anchors.clear()
+
+    def count_from(self, first_index: int) -> None:
+        """Where the count begins anew, it does so at this index of the digitizer's."""
+        if not self._anchors:
+            self.origin = first_index
+
+    def passed(self, packets: list[PassedPacket], rate_hz: float) -> None:
+        """Enter packets that the stream has accepted."""
+        for index, device_time_us, count, sequence, t_host, backlog in packets:
+            t_device = device_time_us * 1e-6
+            self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
+            self._anchors.append((index, t_device))
+            self._counters.samples += count
+            self.clock.observe(t_device + count / rate_hz, t_host, backlog)
+
+    def stamp(self, heard: FrameLevels, rate_hz: float, spec: FrameSpec) -> Stamp:
+        """Number and times of the next frame."""
+        counters = self._counters
+        chip_s = heard.chip_samples / rate_hz
+        t_start = self._device_time(heard.start, rate_hz)
+        t_middle = t_start + chip_s * spec.span_chips / 2
+        t_host = self.clock.to_host(t_middle)
+        passed_s = 0.0
+        if self._last_start_s is not None:
+            passed_s = t_start - self._last_start_s
+        elif self._sequence >= 0:  # after a reset only the host knows how long that took
+            passed_s = t_host - self._last_t_host
+        periods = max(1, round(passed_s / spec.frame_period_s))
+        self._sequence += periods
+        self._last_start_s = t_start
+        # A better estimate of the clock may move time back: stamps still rise.
+        self._last_t_host = max(t_host, self._last_t_host + TICK_S)
+        counters.frames += 1
+        counters.lost_frames += periods - 1
+        return Stamp(self._sequence, t_start, t_middle, self._last_t_host, chip_s)
+
+    def _device_time(self, index: float, rate_hz: float) -> float:
+        """Device time, s, of a place in the stream of samples, by the last packet before it."""
+        at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
+        first_index, t_device = next(at_or_before, self._anchors[0])
+        return t_device + (index - first_index) / rate_hz
 
 
 class DeviceClock:
@@ -48,6 +174,7 @@ class DeviceClock:
         self._rate = 1.0
         self._origin = (0.0, 0.0)
         self._fitted = True
+        self._is_slow = False
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
         """Note that a packet left the device at t_device and was read at t_host, s.
@@ -94,7 +221,13 @@ class DeviceClock:
         x, y = self._device[:kept] - device, self._host[:kept] - host
         newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
         late_s = y - x
-        if not self._is_backlog[newest].any() and _is_slow(late_s, newest):
+        is_slow = not self._is_backlog[newest].any() and _is_slow(late_s, newest)
+        if is_slow != self._is_slow:
+            _log.debug(
+                "the device is %s", "slow: its own pace is followed" if is_slow else "a clock"
+            )
+        self._is_slow = is_slow
+        if is_slow:
             x, y = x[newest], y[newest]
             rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
             offset_s = float((y - rate * x).min())

@@ -78,6 +78,11 @@ REFINED = "timing refined"
 """Instead, where an earlier frame's timing was used as often as it may be."""
 GAP_TIMING = "gap timing"
 
+_SHARED_LIMITS = (
+    "deafened", "carried_noise", "carried_misfit", "loud", "spread", "misfit", "left",
+    "tail_noise", "tail_scatter", "tail_level", "least_tail", "rise",
+)  # fmt: skip
+"""Of `Limits`, and members of the kernel's rules by the same names."""
 _NO_EDGES = (np.empty(0, np.int32), np.empty(0), np.empty(0), np.empty(0, np.int32))
 
 
@@ -283,6 +288,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
     return kernel.settings(
         "stream_rules",
         **frame_fields(spec),
+        **{name: getattr(LIMITS, name) for name in _SHARED_LIMITS},
         spare=spare.start,
         spare_count=spare.stop - spare.start,
         size=line.size,
@@ -292,17 +298,6 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         most_noise=blinding_noise_v(spec),
         rail_low=rail_low,
         rail_high=rail_high,
-        deafened=LIMITS.deafened,
-        carried_noise=LIMITS.carried_noise,
-        carried_misfit=LIMITS.carried_misfit,
-        loud=LIMITS.loud,
-        spread=LIMITS.spread,
-        misfit=LIMITS.misfit,
-        left=LIMITS.left,
-        tail_noise=LIMITS.tail_noise,
-        tail_scatter=LIMITS.tail_scatter,
-        tail_level=LIMITS.tail_level,
-        least_tail=LIMITS.least_tail,
         integrated=line.integrated,
         mean_is_offset=line.mean_is_offset,
         scrambled=spec.scramble,
@@ -317,7 +312,6 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         gap_size=math.ceil(spec.order * line.chip),
         least_rest=LEAST_REST,
         gap_weight=GAP_WEIGHT,
-        rise=LIMITS.rise,
         rise_v2=lowest_power(1e-3),
         silent_over=line.over(line.nominal),
         rate_hz=pace.rate_hz,

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig
+from ..readings.stuck import LOOK_S as STUCK_LOOK_S
 from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
 from ..wire.messages import Info
@@ -25,7 +26,7 @@ from .backlog import Backlog
 from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
-from .vitals import Vitals
+from .vitals import HandedOn, Vitals
 
 CONNECT_S = 0.5
 """s that stopping waits for a port that is just being opened. Chosen: a sound port takes less."""
@@ -192,10 +193,10 @@ class Driver:
             self._report(WAITING)
         port.write(session.open())
         backlog = Backlog(pipeline.config.spec.frame_period_s)
-        look_s, age_s = -math.inf, 0.0
+        look_s, age_s, file = -math.inf, 0.0, port.file
         try:
             while not self._stop.is_set():
-                last, t_host = self._next(port)
+                last, t_host = self._next(port, file)
                 age_s = t_host - last.t_host if last else age_s
                 if last and self.problem:
                     self._report(None)
@@ -219,11 +220,14 @@ class Driver:
             if self._stop.is_set():
                 port.write(session.close())
 
-    def _next(self, port: Port) -> tuple[TactileFrame | None, float]:
-        """Go on to what comes next: a frame that was handed on, if it is one; when it was read."""
+    def _next(self, port: Port, file: int) -> tuple[TactileFrame | None, float]:
+        """Go on to what comes next: a frame that was handed on, if it is one; when it was read.
+
+        file: see Port.file.
+        """
         pipeline = self.pipeline
         try:
-            event = pipeline.stream.next(port.file, READ_TIMEOUT_MS)
+            event = pipeline.stream.next(file, READ_TIMEOUT_MS)
         except OSError as error:
             raise port.lost(error) from None
         with self._busy:
@@ -232,7 +236,7 @@ class Driver:
                 self._hand_on(frame, event.t_host)
         if not event.needs_bytes:
             return frame, event.t_host
-        if port.file == NO_FILE:
+        if file == NO_FILE:
             data, t_host = port.read()
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
@@ -241,8 +245,11 @@ class Driver:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
         t_decoded = time.monotonic()
         self._on_frame(frame)
-        self.vitals.note_frame(frame, t_host, t_decoded)
-        self.stuck.look(frame.readings, frame.t_middle, self.pipeline.config.rest.contact_pa)
+        times = frame.t_host, t_host, t_decoded, time.monotonic()
+        self.vitals.handed_on.append(HandedOn(*times, frame.clipped, frame.words.noise_rms_v))
+        if not 0 <= frame.t_middle - self.stuck.looked_s < STUCK_LOOK_S:
+            contact_pa = self.pipeline.config.rest.contact_pa
+            self.stuck.look(frame.readings, frame.t_middle, contact_pa)
 
     def _report(self, problem: str | None) -> None:
         if problem != self.problem and not self._stop.is_set():

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,12 +23,14 @@ from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, S
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.decode import Words, decode, silent
 from ..words.health import NodeHealth
-from .clock import DeviceClock
+from .clock import DeviceClock, StreamCounters
 from .compiled_stream import CompiledStream
 from .description import Description
 from .digitizer import DigitizerState, contradiction
 from .stream import Decisions, Event, NumpyStream, Stream
-from .timeline import Answer, Arrival, Placement, Step, StreamCounters, Timeline, sample_count
+from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,7 @@ class Pipeline:
         """Take in what the stream has come to; returns the frame, if it is one."""
         description, packet = self._description, event.packet
         if event.passed and description is not None:
-            self.timeline.passed(event.passed, description.pace)
+            self.timeline.times.passed(event.passed, description.pace.rate_hz)
         if event.frame is not None:
             return self._frame(event.frame)
         if isinstance(packet, (Samples, Quiet)):
@@ -213,7 +216,8 @@ class Pipeline:
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:
         assert self._description is not None
-        stamp = self.timeline.stamp(heard, self._description.pace)
+        rate_hz, spec = self._description.pace.rate_hz, self.config.spec
+        stamp = self.timeline.times.stamp(heard, rate_hz, spec)
         words, readings = self._read(heard, stamp.t_middle)
         return TactileFrame(*stamp, heard.clipped, words, readings)
 
@@ -284,6 +288,8 @@ class Pipeline:
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
         if self._description is not None:
+            kind = type(self.stream).__name__
+            _log.debug("digitizer %s is decoded by %s", info.digitizer_id, kind)
             self.stream.describe(self._description, self._frames_wanted)
             self.on_info(info)
 

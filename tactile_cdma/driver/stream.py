@@ -23,8 +23,9 @@ from ..framing.timing import FrameLevels, SampleBlock
 from ..wire.messages import Quiet, Received, Samples
 from ..wire.packets import PacketParser
 from ..wire.reader import NO_FILE, read_file
+from .clock import PassedPacket
 from .description import Description
-from .timeline import Answer, Arrival, PassedPacket, Placement, Step, end_index, sample_count
+from .timeline import Answer, Arrival, Placement, Step, end_index, sample_count
 
 NUMPY = "numpy"
 """Why frames are decided in Python where there is no kernel, or it is not to be used."""

@@ -1,41 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Places samples and frames in index, device time and host time; tells losses and restarts."""
+"""Tells losses, restarts and resets: where packets belong that do not continue the stream."""
 
 from __future__ import annotations
 
 import logging
-import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
 from typing import NamedTuple, TypeAlias
 
 from ..code.frame import FrameSpec
-from ..framing.timing import FrameLevels
 from ..wire._protocol import MAX_GAP
 from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import SEQUENCES
-from .clock import DeviceClock
+from .clock import AcceptedPacket, DeviceClock, FrameTimes, StreamCounters
 
 _log = logging.getLogger(__name__)
 
 
-class AcceptedPacket(NamedTuple):
-    """What is kept of a packet of samples that was accepted; samples: their number."""
-
-    first_index: int
-    device_time_us: int
-    samples: int
-    sequence: int
-
-
 AnySamples: TypeAlias = Samples | Quiet | AcceptedPacket
-
-PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
-"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
-an Arrival t_host (s) and backlog."""
 
 CLOCK_SLACK_S = 0.05
 """s; device time and sample count that differ by more are not those of one stream. Chosen: far
@@ -50,11 +34,6 @@ long usually closes the port, and impossible indices are mostly farther off."""
 MAX_LATE_S = 2.0
 """s; a packet that seems to be read later than this counts as one of another clock. Chosen: a busy
 host is seldom held up for longer."""
-MAX_ANCHORS = 4096
-"""Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
-as a packet holds hundreds of samples."""
-TICK_S = 1e-6
-"""s; stamps rise by at least one unit of device time."""
 
 
 class Step(Enum):
@@ -107,30 +86,6 @@ class Placement(NamedTuple):
     step: Step = Step.CONTINUES
 
 
-class Stamp(NamedTuple):
-    """Number and times of one frame; see TactileFrame."""
-
-    sequence: int
-    t_start: float
-    t_middle: float
-    t_host: float
-    chip_s: float
-
-
-@dataclass(slots=True)
-class StreamCounters:
-    """What happened to the stream so far; every number only grows."""
-
-    frames: int = 0
-    lost_frames: int = 0
-    samples: int = 0
-    lost_samples: int = 0
-    unannounced_samples: int = 0
-    restarts: int = 0
-    implausible_packets: int = 0
-    skipped_bytes: int = 0
-
-
 class Pace:
     """What packets of samples may claim, by the digitizer's description of itself.
 
@@ -139,7 +94,7 @@ class Pace:
     """
 
     def __init__(self, info: Info, spec: FrameSpec) -> None:
-        self.spec, self.rate_hz = spec, info.sample_rate_hz
+        self.rate_hz = info.sample_rate_hz
         # Gaps between integrated frames have no samples: there, time runs ahead of their count.
         gaps = spec.frame_period_s / spec.frame_s - 1 if info.integrated else 0.0
         self.ahead, self.ahead_s = gaps + CLOCK_TOLERANCE, CLOCK_SLACK_S
@@ -172,48 +127,45 @@ class Pace:
 
 
 class Timeline:
-    """Follows the digitizer's count of samples and its clock, and gives frames number and time.
+    """Decides where a packet belongs that does not simply continue the stream.
 
     Whether samples were lost, and whether the digitizer was restarted or reset, is decided here and
     nowhere else, when the stream asks where a packet belongs. That packet is held back. If the next
     one continues it, the digitizer was restarted or much was lost; otherwise its contents were
     impossible.
 
-    clock: maps device time to host time.
+    times: of the packets that the stream has accepted, and of frames.
     """
 
     def __init__(
         self, counters: StreamCounters, clocks: Callable[[], DeviceClock] = DeviceClock
     ) -> None:
-        """counters: where packets, samples and frames are counted.
-
-        clocks: makes the clock, and another one where the device's begins anew.
-        """
-        self.clock = clocks()
-        self._clocks = clocks
+        """counters: where packets, samples and frames are counted. clocks: see FrameTimes."""
+        self.times = FrameTimes(counters, clocks)
         self._counters = counters
-        self._last: AcceptedPacket | None = None
         self._held: Arrival | None = None
-        self._told_reset = False  # by a STATUS since: its clock is younger than the last samples
-        self._anchors: deque[tuple[int, float]] = deque(maxlen=MAX_ANCHORS)  # index, device time
-        self._origin = 0  # the digitizer's index of index 0
-        self._sequence = -1
-        self._last_start_s: float | None = None  # of the last frame, if on the present clock
-        self._last_t_host = -math.inf
+        # The last packet before a STATUS of a younger clock, until another one is accepted.
+        self._told_reset_after: AcceptedPacket | None = None
 
     def reconnected(self) -> None:
         """Start anew on another connection; the frames' sequence goes on."""
-        self._last = self._held = None
-        self._begin_clock()
+        self.times.last = self._held = None
+        self.times.begin_clock()
 
     def hear_status(self, status: Status) -> None:
         """Compare a STATUS with the samples before: a digitizer that was reset is younger."""
-        if self._last is not None and status.uptime_us < self._last.device_time_us:
-            self._told_reset = True
+        last = self.times.last
+        if last is not None and status.uptime_us < last.device_time_us:
+            self._told_reset_after = last
+
+    @property
+    def _told_reset(self) -> bool:
+        """Whether the device's clock is younger than the last samples, by a STATUS since."""
+        return self._told_reset_after is not None and self._told_reset_after is self.times.last
 
     def place(self, arrival: Arrival, pace: Pace) -> Placement:
         """Where a packet belongs that does not simply continue the stream; see Answer."""
-        packet, held, last = arrival.packet, self._held, self._last
+        packet, held, last = arrival.packet, self._held, self.times.last
         if not pace.is_plausible(packet):
             self._counters.implausible_packets += 1
             return Placement(Answer.IGNORE)
@@ -232,37 +184,6 @@ class Timeline:
         self._drop_held()
         return self._begin(Answer.TAKE, packet, self._step(arrival, pace))
 
-    def passed(self, packets: list[PassedPacket], pace: Pace) -> None:
-        """Enter packets that the stream has accepted."""
-        for index, device_time_us, count, sequence, t_host, backlog in packets:
-            t_device = device_time_us * 1e-6
-            self._last = AcceptedPacket(self._origin + index, device_time_us, count, sequence)
-            self._told_reset = False
-            self._anchors.append((index, t_device))
-            self._counters.samples += count
-            self.clock.observe(t_device + count / pace.rate_hz, t_host, backlog)
-
-    def stamp(self, heard: FrameLevels, pace: Pace) -> Stamp:
-        """Number and times of the next frame."""
-        spec, counters = pace.spec, self._counters
-        chip_s = heard.chip_samples / pace.rate_hz
-        t_start = self._device_time(heard.start, pace)
-        t_middle = t_start + chip_s * spec.span_chips / 2
-        t_host = self.clock.to_host(t_middle)
-        passed_s = 0.0
-        if self._last_start_s is not None:
-            passed_s = t_start - self._last_start_s
-        elif self._sequence >= 0:  # after a reset only the host knows how long that took
-            passed_s = t_host - self._last_t_host
-        periods = max(1, round(passed_s / spec.frame_period_s))
-        self._sequence += periods
-        self._last_start_s = t_start
-        # A better estimate of the clock may move time back: stamps still rise.
-        self._last_t_host = max(t_host, self._last_t_host + TICK_S)
-        counters.frames += 1
-        counters.lost_frames += periods - 1
-        return Stamp(self._sequence, t_start, t_middle, self._last_t_host, chip_s)
-
     def _drop_held(self) -> None:
         """Forget the packet that is held back: nothing has continued it."""
         self._counters.implausible_packets += self._held is not None
@@ -271,18 +192,17 @@ class Timeline:
     def _begin(self, answer: Answer, packet: Samples | Quiet, step: Step) -> Placement:
         """Let a packet be accepted, as the first of another stream after a restart or reset."""
         if step is Step.RESET:
-            self._begin_clock()
+            self.times.begin_clock()
         elif step is Step.RESTART:
-            self._anchors.clear()
-        if not self._anchors:
-            self._origin = packet.first_index
+            self.times.begin_count()
+        self.times.count_from(packet.first_index)
         if step is not Step.CONTINUES:
             _log.debug("%s before sample %d", step.name.lower(), packet.first_index)
-        return Placement(answer, self._origin, step)
+        return Placement(answer, self.times.origin, step)
 
     def _step(self, arrival: Arrival, pace: Pace) -> Step:
         """How an accepted packet relates to the one before; counts what was lost."""
-        packet, last = arrival.packet, self._last
+        packet, last = arrival.packet, self.times.last
         if last is None:
             return Step.CONTINUES
         missing = packet.first_index - end_index(last)
@@ -294,20 +214,8 @@ class Timeline:
         renumbered = (packet.sequence - last.sequence) % SEQUENCES > MAX_GAP
         if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
             return Step.RESET
-        late_s = self.clock.lateness_s(packet.device_time_us * 1e-6, arrival.t_host)
+        late_s = self.times.clock.lateness_s(packet.device_time_us * 1e-6, arrival.t_host)
         return Step.RESTART if -CLOCK_SLACK_S < late_s < MAX_LATE_S else Step.RESET
-
-    def _begin_clock(self) -> None:
-        """Forget the device's clock: the next packet is of another one."""
-        self.clock = self._clocks()
-        self._anchors.clear()
-        self._last_start_s = None
-
-    def _device_time(self, index: float, pace: Pace) -> float:
-        """Device time, s, of a place in the stream of samples, by the last packet before it."""
-        at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
-        first_index, t_device = next(at_or_before, self._anchors[0])
-        return t_device + (index - first_index) / pace.rate_hz
 
 
 def sample_count(packet: AnySamples) -> int:

@@ -1,24 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a running driver measures of itself: summed up frame by frame, taken with every report."""
+"""What a running driver measures of itself: noted frame by frame, evaluated for every report."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..framing.timing import Rejections
 from ..wire.messages import Status
 from ..wire.packets import Counters
-from .pipeline import Pipeline, TactileFrame
-from .timeline import StreamCounters
+from .clock import StreamCounters
+from .pipeline import Pipeline
 
+MOST_HANDED_ON = 1 << 14
+"""Frames that are kept for a report. Chosen: three minutes at 78 Hz, for whoever never asks."""
 _NO_COUNTS = ("text_bytes", "sequence", "streaming")
 """Fields that count nothing that happens."""
+
+
+class HandedOn(NamedTuple):
+    """A frame that was handed on.
+
+    t_frame, t_read, t_decoded, t_done: host's monotonic clock, s: its middle, when its last byte
+    was read, when it was decoded and handed on. clipped, noise_rms_v: see TactileFrame and Words.
+    """
+
+    t_frame: float
+    t_read: float
+    t_decoded: float
+    t_done: float
+    clipped: float
+    noise_rms_v: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,54 +111,50 @@ class Window:
 
 
 class Vitals:
-    """Filled by the driver's thread, taken by another one.
+    """Filled by the driver's thread, taken by another one, which waits for nobody.
 
-    Taking waits for nobody: a frame that is noted at that very moment may be left out.
+    handed_on: the driver adds every frame.
     """
 
     def __init__(self) -> None:
-        self._sums = _Sums()
+        self.handed_on: deque[HandedOn] = deque(maxlen=MOST_HANDED_ON)
+        self._backlog_bytes = 0
         self._thread_s = 0.0  # CPU time of the driver's thread so far
         self._clocks = self._read_clocks()
         self._totals: Counts | None = None  # at the end of the last window
 
-    def note_frame(self, frame: TactileFrame, t_read: float, t_decoded: float) -> None:
-        """A frame, read and decoded at these times (host's monotonic, s), was just handed on."""
-        sums, now = self._sums, time.monotonic()
-        sums.frames += 1
-        sums.line_s += t_read - frame.t_host
-        sums.decode_s += t_decoded - t_read
-        sums.publish_s += now - t_decoded
-        sums.slowest_s = max(sums.slowest_s, now - frame.t_host)
-        sums.clipped += frame.clipped
-        noise_v = frame.words.noise_rms_v
-        if not math.isnan(noise_v):
-            sums.noise_v2 += noise_v * noise_v
-            sums.noisy += 1
-
     def note_read(self, waiting_bytes: int) -> None:
         """What was read has been handed on; this much more waits in the port."""
-        self._sums.backlog_bytes = max(self._sums.backlog_bytes, waiting_bytes)
+        self._backlog_bytes = max(self._backlog_bytes, waiting_bytes)
         self._thread_s = time.thread_time()
 
     def take(self, pipeline: Pipeline) -> Window:
         """What happened since the last call."""
-        sums, self._sums = self._sums, _Sums()
+        backlog_bytes, self._backlog_bytes = self._backlog_bytes, 0
+        frames = [self.handed_on.popleft() for _ in range(len(self.handed_on))]
         before, self._clocks = self._clocks, self._read_clocks()
         passed_s, process_s, thread_s = np.subtract(self._clocks, before).tolist()
         totals, seconds = Counts.of(pipeline), max(passed_s, 1e-3)
         rises, self._totals = totals.since(self._totals or totals), totals
-        frames = sums.frames or math.nan
+        line_s = decode_s = publish_s = slowest_s = noise_rms_v = math.nan
+        clipped = 0.0
+        if frames:
+            table = np.array(frames)
+            line_s, decode_s, publish_s = np.diff(table[:, :4]).mean(axis=0).tolist()
+            slowest_s = float((table[:, 3] - table[:, 0]).max())
+            clipped = float(table[:, 4].mean())
+            noise_v = table[~np.isnan(table[:, 5]), 5]
+            noise_rms_v = math.sqrt(np.square(noise_v).mean()) if noise_v.size else math.nan
         return Window(
             seconds=seconds,
-            frames=sums.frames,
-            line_s=sums.line_s / frames,
-            decode_s=sums.decode_s / frames,
-            publish_s=sums.publish_s / frames,
-            slowest_s=sums.slowest_s if sums.frames else math.nan,
-            noise_rms_v=math.sqrt(sums.noise_v2 / (sums.noisy or math.nan)),
-            clipped=sums.clipped / frames if sums.frames else 0.0,
-            backlog_bytes=sums.backlog_bytes,
+            frames=len(frames),
+            line_s=line_s,
+            decode_s=decode_s,
+            publish_s=publish_s,
+            slowest_s=slowest_s,
+            noise_rms_v=noise_rms_v,
+            clipped=clipped,
+            backlog_bytes=backlog_bytes,
             process_share=process_s / seconds,
             thread_share=thread_s / seconds,
             totals=totals,
@@ -150,19 +164,6 @@ class Vitals:
     def _read_clocks(self) -> tuple[float, float, float]:
         """Host's time, CPU time of the process and of the driver's thread, s."""
         return time.monotonic(), time.process_time(), self._thread_s
-
-
-@dataclass(slots=True)
-class _Sums:
-    frames: int = 0
-    line_s: float = 0.0
-    decode_s: float = 0.0
-    publish_s: float = 0.0
-    slowest_s: float = 0.0
-    clipped: float = 0.0
-    noise_v2: float = 0.0
-    noisy: int = 0
-    backlog_bytes: int = 0
 
 
 def _named(part: StreamCounters | Counters | Status | Rejections) -> dict[str, int]:

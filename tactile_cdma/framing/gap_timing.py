@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import SpecError
+from ..base.sums import sums
 from ..code.frame import FrameSpec
 from ..code.separate import node_levels
 from .burst import Beside, Burst, Gap
@@ -193,10 +194,9 @@ class GapTiming(Timing):
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
         raw = self._samples.take(self._cursor, end)
         self._seen = end
-        bad = np.flatnonzero(np.isnan(raw))
-        if bad.size:
+        if math.isnan(sums(raw)[0]):
             self.rejections += ABSURD
-            self._skip_to(self._cursor + int(bad[-1]) + 1)
+            self._skip_to(self._cursor + int(np.flatnonzero(np.isnan(raw))[-1]) + 1)
             return []
         heard = self._hum.heard
         volts = self._hum.removed(raw, self._cursor)

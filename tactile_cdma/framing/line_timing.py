@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
@@ -29,6 +30,8 @@ from .judge import Judge
 from .limits import LIMITS
 from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
+
+_log = logging.getLogger(__name__)
 
 CARRIED_FRAMES = 63
 """Frames for which refined timing is reused while it explains them. Chosen: 0.8 s at 78 Hz, so that
@@ -230,6 +233,8 @@ class LineRecogniser:
         if ended is None:
             return Verdict(rejected=NOT_AT_REST)
         carried = self._carried
+        if ended.frame and carried is None:
+            _log.debug("frame at %d has chips of %.6g samples", frame.start, found.fit.chip)
         if ended.frame and not (carried and carried.fresh and carried.fit == found.fit):
             self._carried = _Carried(found.fit, ChipEdges(found.fit, self._spec))
         return ended

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
@@ -17,6 +19,8 @@ class PressureChain:
     voltage + drift → curve → compensation of lag and hysteresis → pressure − tare. Every LOOK_S the
     readings are passed on to the baseline and to the drift tracker; a drift that changes by this
     takes effect in the next update.
+
+    looked_s: device time of the last look, s; -inf: the next frame must be updated.
     """
 
     def __init__(
@@ -31,7 +35,7 @@ class PressureChain:
         self.baseline = baseline
         self.tracker = tracker
         self.compensator = compensator
-        self._looked_s: float | None = None
+        self.looked_s = -math.inf
         self._moved = False
         # Of the last update: voltages, pressures before the tare, and whether they count.
         self._last: tuple[Floats32, Floats32, Bools] | None = None
@@ -46,19 +50,18 @@ class PressureChain:
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - self.baseline.tare_pa
-        self._last = voltage_v, pressure_pa, valid
-        self.look(*self._last, t_s)
+        self._last, self._moved = (voltage_v, pressure_pa, valid), False
+        if not 0 <= t_s - self.looked_s < LOOK_S:
+            self.look(*self._last, t_s)
         return reading_pa, saturated
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
-        """Pass a frame's readings on to tare and drift, if that is due.
+        """Pass a frame's readings on to tare and drift; to be called once every LOOK_S.
 
         As in `update`; pressure_pa: (n,) float32, Pa, before the tare.
         """
         self._moved = False
-        if not self._due(t_s):
-            return
-        self._looked_s, baseline, tracker = t_s, self.baseline, self.tracker
+        self.looked_s, baseline, tracker = t_s, self.baseline, self.tracker
         baseline.look(voltage_v, pressure_pa, valid)
         if tracker is not None and tracker.rules.drift_pa_per_min:
             before_v, reading_pa = baseline.drift_v, pressure_pa - baseline.tare_pa
@@ -71,11 +74,13 @@ class PressureChain:
 
         Returns whether they stand; if so, this counts as an update.
         """
-        if self._moved or self._looked_s is None or self._last is None:
+        if self._moved or self._last is None or self.looked_s == -math.inf:
             return False
+        is_due = not 0 <= t_s - self.looked_s < LOOK_S
         if self.compensator is not None:
-            return not self._due(t_s) and self.compensator.try_hold(t_s)
-        self.look(*self._last, t_s)
+            return not is_due and self.compensator.try_hold(t_s)
+        if is_due:
+            self.look(*self._last, t_s)
         return True
 
     def forget(self) -> None:
@@ -87,8 +92,4 @@ class PressureChain:
 
     def unsettle(self) -> None:
         """Have the next frame updated: something other than the voltages has changed."""
-        self._looked_s = None
-
-    def _due(self, t_s: float) -> bool:
-        """Whether LOOK_S have passed since the last look."""
-        return self._looked_s is None or not 0 <= t_s - self._looked_s < LOOK_S
+        self.looked_s = -math.inf

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Words and readings of a frame in which nothing is odd, in one call of the compiled kernel."""
+"""What the kernel needs to read a frame in which nothing is odd: words and readings in one call."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,17 +13,16 @@ from ..base import kernel
 from ..base.arrays import Bools, Floats32
 from ..code.amplitude import FAINT_SHARE
 from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels, frame_fields
+from ..code.separate import frame_fields
 from ..words import lateness, limits
-from ..words.decode import AUTO_FLOOR, Words, nobody
+from ..words.decode import nobody
 from ..words.health import WEAK_RHO, NodeHealth
 from ..words.stages import most_square
-from .baseline import Baseline
 from .calibration import Calibration
 from .stages import Kept, Trust
 from .status import Status
 
-_ODD, _LEFT, _DOUBTFUL = 0, 1, 2
+ODD, LEFT, DOUBTFUL = 0, 1, 2
 """As enum readout_look of the kernel."""
 
 
@@ -40,22 +38,15 @@ class Conditions(NamedTuple):
     threshold: float
 
 
-class Read(NamedTuple):
-    """One frame; pressure_pa, voltage_v, status: taxel by taxel, see Readings."""
-
-    words: Words
-    pressure_pa: Floats32
-    voltage_v: Floats32
-    status: NDArray[np.uint8]
-
-
 class Readout:
-    """Reads such frames: to the bit as `decode`, NodeHealth.update and Taxels.update do.
+    """The kernel's Readout for a skin, and the arrays that it shares with the stages.
 
-    Both keep the same arrays, so that any frame may be read either way.
+    So any frame may be read either way: by it, or by `decode`, NodeHealth and Taxels.update.
 
-    conditions: what this one is made for. voltage_v, pressure_pa, valid: (n,), of the last frame
-    that was read, for tare and drift (see Baseline.look); the next one ends them.
+    kernel: reads frames; see Taxels.read. conditions: what this one is made for. nobody: (n,) bool,
+    no node. expected_v: (n,) float32, amplitude of each node's words, V; rest: (2, n) float32, V
+    and Pa, and valid: (n,) bool, of the last frame, for tare and drift (see Baseline.look); the
+    next one ends them.
     """
 
     def __init__(
@@ -71,16 +62,15 @@ class Readout:
     ) -> None:
         """table_v: (codes,) V. masked: (n,) bool. source: (t,) node of every taxel, or empty."""
         assert kernel.compiled is not None
-        self.conditions, self._spec = conditions, spec
+        self.conditions = conditions
         curves, nodes = conditions.calibration.curves, spec.nodes
-        self._taxels = len(source) or nodes
+        self.taxels, self.nobody = len(source) or nodes, nobody(nodes)
         swing_v = conditions.swing_v
         # Written to where the amplitude is learnt from every frame.
-        self._expected_v = np.empty(nodes, np.float32) if swing_v is None else swing_v
-        self._rest = np.empty((2, nodes), np.float32)
-        self.voltage_v, self.pressure_pa = self._rest
+        self.expected_v = np.empty(nodes, np.float32) if swing_v is None else swing_v
+        self.rest = np.empty((2, nodes), np.float32)
         self.valid = np.empty(nodes, np.bool_)
-        self._kernel = kernel.compiled.Readout(
+        self.kernel = kernel.compiled.Readout(
             kernel.settings(
                 "readout_settings",
                 **frame_fields(spec),
@@ -95,10 +85,10 @@ class Readout:
                 weak_rho=WEAK_RHO,
                 codes=len(table_v),
                 pieces=len(curves.pieces),
-                taxels=self._taxels,
+                taxels=self.taxels,
             ),
             spec.sign_mask,
-            self._expected_v,
+            self.expected_v,
             lateness.edge_rows(spec.book),
             table_v,
             trust.state,
@@ -112,42 +102,6 @@ class Readout:
             *kept,
             health.sums,
         )
-
-    def read(
-        self, levels: NodeLevels, baseline: Baseline, t_device: float, stale_after_s: float
-    ) -> Read | None:
-        """The words and readings of a frame; None, and nothing is kept, if anything is odd.
-
-        levels: with all rows. t_device: of the frame, s.
-        """
-        spec, nodes, noise_v = self._spec, self._spec.nodes, levels.noise_v
-        active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)
-        floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
-        readings = np.empty((2, self._taxels), np.float32)
-        status = np.empty(self._taxels, np.uint8)
-        learnt, in_place = self.conditions.swing_v is None, False
-        floor_v = AUTO_FLOOR * noise_v / self.conditions.threshold if learnt else math.nan
-        while True:
-            look = self._kernel.read(
-                levels.rows, 1 / max(noise_v, limits.LEAST_NOISE), floor_v, in_place,
-                t_device, stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
-                doubts, readings, status, self._rest, self.valid,
-            )  # fmt: skip
-            if look != _LEFT:
-                break
-            least_v = float(self._expected_v.min())
-            if lateness.displaced(levels, floats[0], active, least_v, spec) is not None:
-                return None
-            in_place = True
-        if look == _ODD:
-            return None
-        no = nobody(nodes)
-        doubtful, doubled, odd = doubts if look == _DOUBTFUL else (no, no, no)
-        sigma = noise_v * math.sqrt(spec.order)
-        amplitude_v, rho, margin = floats
-        words = Words(active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, sigma)
-        pressure_pa, voltage_v = readings
-        return Read(words, pressure_pa, voltage_v, status)
 
 
 def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:

@@ -45,7 +45,10 @@ _RIDGE = 1e-3
 
 
 class StuckNodes:
-    """Compares every taxel with its neighbours, every LOOK_S."""
+    """Compares every taxel with its neighbours, every LOOK_S.
+
+    looked_s: device time of the last look, s.
+    """
 
     def __init__(self, layout: Layout) -> None:
         taxels = len(layout)
@@ -61,7 +64,7 @@ class StuckNodes:
         self._weights = np.zeros(self._beside.shape, dtype=np.float32)
         self._enough, self._inner = np.zeros((2, taxels), dtype=bool)
         self._may_rest = np.zeros(taxels, dtype=np.int64)
-        self._looked_s = -np.inf
+        self.looked_s = -np.inf
         self._seen: Readings | None = None
         self._voltage_v = np.full(taxels, np.nan, dtype=np.float32)
         self._since_s = np.full(taxels, -np.inf)  # when the present word came, device time
@@ -79,13 +82,14 @@ class StuckNodes:
         return numbers
 
     def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
-        """Compare a frame's readings at t_s (device time, s), once every LOOK_S.
+        """Compare a frame's readings at t_s (device time, s); to be called once every LOOK_S.
 
         contact_pa: pressure at which a contact begins, Pa.
         """
-        if 0 <= t_s - self._looked_s < LOOK_S or readings is self._seen:
+        self.looked_s = t_s
+        if readings is self._seen:
             return
-        self._looked_s, self._seen = t_s, readings
+        self._seen = readings
         self._move(readings, t_s)
         expected_pa = self._expected(readings, contact_pa)
         self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from operator import is_not
 
@@ -14,13 +15,15 @@ from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..places.layout import Layout
-from ..words.decode import Words
+from ..words.decode import AUTO_FLOOR, Words
 from ..words.health import NodeHealth, NodeState
-from .baseline import Baseline
+from ..words.lateness import displaced
+from ..words.limits import LEAST_NOISE
+from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .dynamics import Compensator
 from .pressure import PressureChain
-from .readout import Conditions, Readout
+from .readout import DOUBTFUL, LEFT, ODD, Conditions, Readout
 from .stages import Kept, Trust, finish, hear
 from .status import Status, is_in_service
 from .tare import take_tare
@@ -212,23 +215,48 @@ class Taxels:
         Needs the compiled kernel, and levels with all rows. None, and nothing is updated, where
         anything about the frame is odd. threshold: see decode.
         """
-        if self.chain.compensator is not None or not health.only_counts:
+        chain = self.chain
+        if chain.compensator is not None or health.any_suspect or health.frames_to_verdict == 1:
             return None
-        conditions = Conditions(health.swing_v, health.state, self.chain.calibration, threshold)
+        conditions = Conditions(health.swing_v, health.state, chain.calibration, threshold)
         readout = self._readout
         if readout is None or any(map(is_not, conditions, readout.conditions)):
             readout = self._readout = Readout(
                 spec, conditions, health, self._kept, self._trusted(health), self._voltage_of,
                 self._masked, self._source,
             )  # fmt: skip
-        found = readout.read(levels, self.baseline, t_device, self.stale_after_s)
-        if found is None:
+        nodes, taxels, noise_v = spec.nodes, readout.taxels, levels.noise_v
+        active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)
+        floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
+        readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
+        floor_v = AUTO_FLOOR * noise_v / threshold if health.swing_v is None else math.nan
+        in_place, baseline = False, chain.baseline
+        while True:
+            look = readout.kernel.read(
+                levels.rows, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
+                self.stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
+                doubts, readings, status, readout.rest, readout.valid,
+            )  # fmt: skip
+            if look != LEFT:
+                break
+            least_v = float(readout.expected_v.min())
+            if displaced(levels, floats[0], active, least_v, spec) is not None:
+                return None
+            in_place = True
+        if look == ODD:
             return None
-        words, pressure_pa, voltage_v, status = found
-        health.counted()
+        no = readout.nobody
+        doubtful, doubled, odd = doubts if look == DOUBTFUL else (no, no, no)
+        amplitude_v, rho, margin = floats
+        sigma = noise_v * math.sqrt(spec.order)
+        words = Words(active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, sigma)
+        health.frames_to_verdict -= 1
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
-        self.chain.look(readout.voltage_v, readout.pressure_pa, readout.valid, t_device)
+        if not 0 <= t_device - chain.looked_s < LOOK_S:
+            rest_v, rest_pa = readout.rest
+            chain.look(rest_v, rest_pa, readout.valid, t_device)
         self._silence = None
+        pressure_pa, voltage_v = readings
         return words, Readings(pressure_pa, voltage_v, status)
 
     def update(self, words: Words, t_device: float, health: NodeHealth) -> Readings:

@@ -28,7 +28,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from ..base.errors import ParameterError, TactileError
 from ..config.arguments import positive
 from ..messages.types import message_types
-from .common.process import viewing
+from .common.process import running
 
 DATA = ("tactile", "info", "contacts", "wrench")
 """Topics of a skin's node that are recorded by default."""
@@ -147,7 +147,7 @@ def main() -> int:
         topics = _topics(arguments)
         with (
             Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
-            viewing(lambda: BagRecorder(writer, topics), arguments.seconds) as program,
+            running(lambda: BagRecorder(writer, topics), arguments.seconds) as program,
         ):
             print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)
             while not full and program.spin(LOOK_S):

@@ -49,6 +49,8 @@ class NodeHealth:
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
     any_suspect: whether there are suspect nodes.
+    frames_to_verdict: frames with words until the next verdict. One that is neither the last of
+        them, nor has suspect nodes, may be counted elsewhere: in `sums`, and here.
     sums: (5, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
         doubled and odd ones.
     weak_v: least amplitude of a word that is too weak to count as spoken, V; NaN where unknown.
@@ -64,7 +66,7 @@ class NodeHealth:
         self.sums = np.zeros((5, spec.nodes), dtype=np.float32)
         self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self.sums
         self.weak_v = FAINT_SHARE * (self._nominal_v or math.nan)
-        self._frames = 0
+        self.frames_to_verdict = JUDGE_FRAMES
         self.any_suspect = False
         self._suspected = np.zeros(spec.nodes, dtype=np.int32)  # for so many frames with words
 
@@ -76,18 +78,10 @@ class NodeHealth:
     def update(self, words: Words) -> None:
         """Count one frame's words."""
         self.any_suspect = count(words, self.weak_v, self.sums, self._suspected)
-        self._frames += 1
-        if self._frames % JUDGE_FRAMES == 0:
+        self.frames_to_verdict -= 1
+        if self.frames_to_verdict == 0:
+            self.frames_to_verdict = JUDGE_FRAMES
             self.judge()
-
-    @property
-    def only_counts(self) -> bool:
-        """Whether the next frame's words are to be added to `sums`, and nothing else."""
-        return not self.any_suspect and (self._frames + 1) % JUDGE_FRAMES != 0
-
-    def counted(self) -> None:
-        """Note that a frame's words were added to `sums`."""
-        self._frames += 1
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""

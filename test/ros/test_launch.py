@@ -294,7 +294,7 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
     try:
         topic = f"/{namespace}/skin/tactile".replace("//", "/")
         listener.create_subscription(TactileArray, topic, received.append, qos_profile_sensor_data)
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE_S
         while len(received) < 10 and time.monotonic() < deadline and launch.poll() is None:
             rclpy.spin_once(listener, timeout_sec=0.1)
     finally:

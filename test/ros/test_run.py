@@ -73,7 +73,7 @@ def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
     pid, terminal = pty.fork()
     if pid == 0:
         os.execvpe(RUN[0], RUN, {**os.environ, "TERM": "xterm-256color"})
-    shown, deadline = b"", time.monotonic() + 30
+    shown, deadline = b"", time.monotonic() + PATIENCE_S
     while b"kPa" not in shown or shown.count(b"frames/s") < 5:
         assert time.monotonic() < deadline, shown[-2000:]
         if select.select([terminal], [], [], 0.1)[0]:
@@ -128,7 +128,10 @@ def test_what_make_run_does_not_know_is_refused(arguments: list[str], said: str)
 def test_a_missing_parameter_file_is_one_clear_error() -> None:
     command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
     done = subprocess.run(
-        [*command, "--params-file", "/nowhere.yaml"], capture_output=True, text=True, timeout=60
+        [*command, "--params-file", "/nowhere.yaml"],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 1
     assert done.stderr == "skin_driver: no parameter file /nowhere.yaml\n"
@@ -219,9 +222,8 @@ def test_a_parameter_file_that_is_none_is_one_error(tmp_path: Path, text: str, s
     path = tmp_path / "broken.yaml"
     path.write_text(text)
     command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
-    done = subprocess.run(
-        [*command, "--params-file", str(path)], capture_output=True, text=True, timeout=60
-    )
+    command += ["--params-file", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert str(path) in done.stderr and said in done.stderr

@@ -25,7 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
-from tactile_cdma.ros.common.process import Viewing
+from tactile_cdma.ros.common.process import Running
 from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
@@ -51,7 +51,7 @@ def test_a_patch_is_called_by_its_namespace_or_its_whole_name(patch: str, name: 
 
 def test_two_drivers_of_one_name_are_told_of() -> None:
     node, viewer = rclpy.create_node("drivers"), Viewer("/twice/skin/tactile")
-    program = Viewing(viewer, lambda: False)
+    program = Running(viewer, lambda: False)
 
     def complaint() -> str:
         program.spin(0.1)
@@ -214,7 +214,7 @@ def test_the_force_of_a_skin_with_dead_nodes_is_at_least_or_unknown(
 ) -> None:
     with running(port=f"sim://?scene=press&dead={dead}"):
         viewer = Viewer("/skin/tactile")
-        program = Viewing(viewer, lambda: False)
+        program = Running(viewer, lambda: False)
 
         def screen() -> str:
             program.spin(0.1)
@@ -252,7 +252,7 @@ def test_a_patch_that_is_not_there_is_answered_with_those_that_are() -> None:
     command = [sys.executable, "-m", "tactile_cdma.ros.viewers.view", "palm", "--seconds", "1"]
     with running(port="sim://"):
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE_S
         )
     assert done.returncode == 1
     assert "no frame on /palm/skin/tactile: there is /skin/tactile" in done.stderr

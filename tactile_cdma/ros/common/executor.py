@@ -23,7 +23,6 @@ from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.utilities import timeout_sec_to_nsec
-from rclpy.waitable import NumberOfEntities
 
 EVENTS_S = 0.2
 """Interval of looks at event handlers, s. Chosen: they report rare things, such as incompatible QoS
@@ -62,7 +61,7 @@ class LeanExecutor(Executor):
         self._held = ExitStack()  # keeps what is waited for from being destroyed
         self._add: list[tuple[Callable[[Any], None], Any]] = []
         self._gated: list[tuple[Gate, Callable[[Any], None], Any]] = []
-        self._waitables: list[Any] = []
+        self._event_handlers: list[Any] = []
         self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
         self._has_changed, self._events_due_s = True, 0.0
 
@@ -92,22 +91,23 @@ class LeanExecutor(Executor):
         for gate, add, handle in self._gated:
             if gate.is_open:
                 add(handle)
-        waitables = []
+        handlers = []
         if time.monotonic() >= self._events_due_s:
-            self._events_due_s, waitables = time.monotonic() + EVENTS_S, self._waitables
-        for waitable in waitables:
-            waitable.add_to_wait_set(wait_set)
+            self._events_due_s, handlers = time.monotonic() + EVENTS_S, self._event_handlers
+        for handler in handlers:
+            handler.add_to_wait_set(wait_set)
         wait_set.wait(timeout_sec_to_nsec(timeout_sec))
         if self._is_shutdown or not self._context.ok():
             return
-        happened = [waitable for waitable in waitables if waitable.is_ready(wait_set)]
+        happened = [handler for handler in handlers if handler.is_ready(wait_set)]
         ready = [
             pointer
             for kind in ("timer", "subscription", "service")
             for pointer in wait_set.get_ready_entities(kind)
         ]
-        for waitable in happened:
-            _finish(self._take_waitable(waitable))
+        for handler in happened:
+            if event := handler.take_data():
+                handler.callback(event)
         for pointer in ready:
             if self._has_changed:  # perhaps destroyed by the last callback; others stay ready
                 break
@@ -119,7 +119,7 @@ class LeanExecutor(Executor):
         self._has_changed = False
         self._held.close()
         nodes, context = self.get_nodes(), self._context.handle
-        timers, subscriptions, services, self._waitables = (
+        timers, subscriptions, services, self._event_handlers = (
             [
                 entity
                 for node in nodes
@@ -129,26 +129,14 @@ class LeanExecutor(Executor):
             for kind in ("timers", "subscriptions", "services", "waitables")
         )
         guards = [self._guard, self._sigint_gc]
-        count = NumberOfEntities(
-            len(subscriptions), len(guards), len(timers), num_services=len(services)
-        )
-        for waitable in self._waitables:
-            count += waitable.get_num_entities()
-        self._wait_set = _rclpy.WaitSet(
-            count.num_subscriptions,
-            count.num_guard_conditions,
-            count.num_timers,
-            count.num_clients,
-            count.num_services,
-            count.num_events,
-            context,
-        )
+        kinds = subscriptions, guards, timers, (), services, self._event_handlers  # no clients
+        self._wait_set = _rclpy.WaitSet(*map(len, kinds), context)
         self._add, self._gated, self._call = [], [], {}
         for kind, entities, call in (
             ("guard_condition", guards, None),
             ("timer", timers, _call_timer),
             ("subscription", subscriptions, take_message),
-            ("service", services, self._call_service),
+            ("service", services, _call_service),
         ):
             add = getattr(self._wait_set, f"add_{kind}")
             for entity in entities:
@@ -159,11 +147,8 @@ class LeanExecutor(Executor):
                     self._add.append((add, entity.handle))
                 if call:
                     self._call[entity.handle.pointer] = call, entity
-        for held in (*self._waitables, context):
+        for held in (*self._event_handlers, context):
             self._held.enter_context(held)
-
-    def _call_service(self, service: Any) -> None:
-        _finish(self._take_service(service))
 
 
 def take_message(subscription: Any) -> bool:
@@ -185,14 +170,8 @@ def _call_timer(timer: Any) -> None:
         timer.callback()
 
 
-def _finish(taken: Callable[[], Any] | None) -> None:
-    """Run what rclpy took, in a coroutine that never waits."""
-    if taken is None:
-        return
-    coroutine = taken()
-    try:
-        coroutine.send(None)
-    except StopIteration:
-        return
-    coroutine.close()
-    raise TypeError("a callback is asynchronous; LeanExecutor runs plain functions only")
+def _call_service(service: Any) -> None:
+    request, header = service.handle.service_take_request(service.srv_type.Request)
+    if header is not None:  # else rcl reports one that somebody else took
+        response = service.callback(request, service.srv_type.Response())
+        service.send_response(response, header)

@@ -206,7 +206,7 @@ def _link_values(driver: Driver, window: Window) -> Values:
         "bytes (per s)": f"{packets.bytes / window.seconds:.0f}",
         **{f"{name} (per s)": f"{rise / window.seconds:.2f}" for name, rise in rises.items()},
         "backlog (bytes)": window.backlog_bytes,
-        "digitizer clock drift (ppm)": _number(driver.pipeline.timeline.clock.drift_ppm, 1),
+        "digitizer clock drift (ppm)": _number(driver.pipeline.timeline.times.clock.drift_ppm, 1),
         **_counts(window, of_stream=False),
     }
 

@@ -18,7 +18,7 @@ from rclpy.utilities import remove_ros_args
 from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ...base.listing import listed
-from ..common.process import PATIENCE_S, Viewing, viewing
+from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import RELIABLE
 from .complaints import Complaints
 from .patches import NODE_NAME
@@ -95,7 +95,7 @@ def _length(vector: Vector3) -> float:
     return math.hypot(vector.x, vector.y, vector.z)
 
 
-def _report(program: Viewing[BodyViewer], seconds: float) -> None:
+def _report(program: Running[BodyViewer], seconds: float) -> None:
     """Print a line per second for some seconds, counted from the first message."""
     viewer = program.node
     patience_s = time.monotonic() + PATIENCE_S
@@ -121,7 +121,7 @@ def main() -> int:
     parser.add_argument("--body", default="/body", help="the body's node")
     parser.add_argument("--seconds", type=float, default=math.inf, help="default: until Ctrl-C")
     arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    with viewing(lambda: BodyViewer(arguments.body)) as program:
+    with running(lambda: BodyViewer(arguments.body)) as program:
         _report(program, arguments.seconds)
     viewer = program.node
     latest = viewer.latest

@@ -20,7 +20,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.errors import TransformError
 from ...config.arguments import positive
-from ..common.process import viewing
+from ..common.process import running
 from ..common.qos import LATCHED, QUEUE
 from ..common.transforms import COMPLAINT_S, TransformListener
 from .patches import ARRAY_TOPIC, full_name
@@ -120,7 +120,7 @@ def main() -> int:
     except (OSError, RuntimeError, ValueError) as error:
         print(f"the viewer cannot be started: {error}", file=sys.stderr)
         return 1
-    with viewing(lambda: RerunView(recording, patches, arguments.max_kpa * 1e3)) as program:
+    with running(lambda: RerunView(recording, patches, arguments.max_kpa * 1e3)) as program:
         program.spin()
         program.node.flush()
     recording.flush(timeout_sec=5.0)

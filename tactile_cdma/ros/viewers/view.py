@@ -31,7 +31,7 @@ from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds
-from ..common.process import PATIENCE_S, Viewing, viewing
+from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
 from .keys import typed_keys
@@ -177,7 +177,7 @@ def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode
     return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
 
 
-def live(program: Viewing[Viewer], look: Look) -> None:
+def live(program: Running[Viewer], look: Look) -> None:
     """Draw until interrupted, or ended by a key."""
     viewer, of_force = program.node, True
     sys.stdout.write(_ENTER)
@@ -209,7 +209,7 @@ def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
     return look, of_force != (key == "h")
 
 
-def report(program: Viewing[Viewer], seconds: float) -> None:
+def report(program: Running[Viewer], seconds: float) -> None:
     """Print a line per second for some seconds, counted from the first frame.
 
     A complaint of the driver that lasts longer than a line goes to stderr, once.
@@ -259,7 +259,7 @@ def main() -> int:
     topic = arguments.topic or f"{full_name(arguments.patch)}/tactile"
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
     drawable = terminal and os.environ.get("TERM", "dumb") != "dumb"
-    with viewing(lambda: Viewer(topic)) as program:
+    with running(lambda: Viewer(topic)) as program:
         viewer = program.node
         if drawable and arguments.seconds is None:
             live(program, look_for(sys.stdout.encoding, arguments.max_kpa * 1e3))

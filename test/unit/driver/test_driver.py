@@ -23,6 +23,8 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import CONNECTING, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
+from tactile_cdma.readings.stuck import LOOK_S, StuckNodes
+from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Samples, Start
@@ -308,6 +310,29 @@ def test_a_driver_that_is_left_behind_skips_what_waits_and_counts_it() -> None:
     broken = packets.crc_errors, packets.framing_errors, packets.resyncs
     unexpected = packets.jumps, packets.malformed
     assert {*broken, *unexpected} == {0}, "a packet that was cut is not a broken one"
+
+
+class Looks(StuckNodes):
+    """Notes when it is called, device time, s."""
+
+    def __init__(self) -> None:
+        super().__init__(CONFIG.layout)
+        self.times_s: list[float] = []
+
+    def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
+        self.times_s.append(t_s)
+        super().look(readings, t_s, contact_pa)
+
+
+def test_stuck_nodes_are_looked_for_ten_times_a_second_of_the_skins_time() -> None:
+    watch, looks = Watch(), Looks()
+    driver = watch.driver("sim://?seed=1&speed=0")
+    driver.stuck = looks
+    with driver:
+        wait_for(lambda: len(looks.times_s) >= 40)
+    apart_s = np.diff(looks.times_s)
+    assert apart_s.min() >= LOOK_S - 1e-9
+    assert np.median(apart_s) < LOOK_S + 1.5 * CONFIG.spec.frame_period_s
 
 
 def test_what_the_wire_cannot_say_is_refused() -> None:

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.driver.clock import TICK_S, StreamCounters
 from tactile_cdma.driver.timeline import (
     MAX_LEAP_S,
-    TICK_S,
     Answer,
     Arrival,
     Pace,
     Step,
-    StreamCounters,
     Timeline,
     sample_count,
 )
@@ -86,7 +85,7 @@ class Line:
         packet = taken.packet
         index = packet.first_index - origin
         entry = (index, packet.device_time_us, sample_count(packet), packet.sequence)
-        self.timeline.passed([(*entry, taken.t_host, taken.backlog)], PACE)
+        self.timeline.times.passed([(*entry, taken.t_host, taken.backlog)], RATE_HZ)
         again = self.hears_at(arrival) if answer is Answer.TAKE_HELD else []
         return [Accepted(index, step), *again]
 
@@ -100,7 +99,7 @@ def test_packets_in_a_row_continue_from_index_zero() -> None:
     [place] = line.hears(samples(10))
     assert (place.index, place.step) == (10 * COUNT, Step.CONTINUES)
     assert line.counters == StreamCounters(samples=11 * COUNT)
-    stamp = line.timeline.stamp(heard_at(10 * COUNT + 8.0), PACE)
+    stamp = line.timeline.times.stamp(heard_at(10 * COUNT + 8.0), RATE_HZ, SPEC)
     assert stamp.t_start == pytest.approx(5.0 + 10 * COUNT_US * 1e-6 + 8 / RATE_HZ)
     assert stamp.chip_s == pytest.approx(SPEC.chip_s)
     assert stamp.t_middle - stamp.t_start == pytest.approx(SPEC.frame_s / 2)
@@ -195,15 +194,15 @@ def test_silence_lasts_and_varies_no_more_than_the_digitizer_says(
 
 def test_stamps_rise_and_the_sequence_goes_on_over_a_reset() -> None:
     line = Line()
-    before = line.timeline.stamp(heard_at(0.0), PACE)
-    again = line.timeline.stamp(heard_at(0.0), PACE)
+    before = line.timeline.times.stamp(heard_at(0.0), RATE_HZ, SPEC)
+    again = line.timeline.times.stamp(heard_at(0.0), RATE_HZ, SPEC)
     assert (again.sequence, again.t_host) == (1, pytest.approx(before.t_host + TICK_S, abs=1e-9))
     line.timeline.hear_status(Status(uptime_us=100))
     reset = Samples(1000, 0, np.zeros(COUNT, np.int16))
     periods = 100
     t_host = again.t_host + periods * SPEC.frame_period_s
     line.hears_at(Arrival(reset, t_host))
-    after = line.timeline.stamp(heard_at(0.0), PACE)
+    after = line.timeline.times.stamp(heard_at(0.0), RATE_HZ, SPEC)
     assert after.sequence - again.sequence == pytest.approx(periods, abs=1)
     assert line.counters.lost_frames == after.sequence - 2
     assert line.counters.frames == 3

@@ -12,10 +12,10 @@ import pytest
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
+from tactile_cdma.driver.clock import StreamCounters
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.findings import Finding, Level
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.timeline import StreamCounters
 from tactile_cdma.driver.vitals import Counts, Vitals, Window
 from tactile_cdma.wire.messages import Status
 from tactile_cdma.wire.packets import Counters, PacketWriter

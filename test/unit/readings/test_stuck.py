@@ -142,17 +142,6 @@ def test_what_neighbours_tell_does_not_depend_on_who_was_unreadable_before(
     assert unreadable[-1] or np.isfinite(told_pa[0]).any()
 
 
-def test_readings_are_looked_at_ten_times_a_second_only() -> None:
-    stuck = StuckNodes(GRID)
-    for frame in range(400):  # 0.5 s of frames
-        pressure_pa = np.full(len(GRID), SWING[frame % 2], dtype=np.float32)
-        counts = pressure_pa / np.float32(COUNT_PA)
-        counts[INNER] = 5.0
-        status = np.zeros(len(GRID), dtype=np.uint8)
-        stuck.look(Readings(pressure_pa, counts, status), frame * 1.25e-3, CONTACT_PA)
-    assert stuck.nodes == []  # of which an even number, always alike, is seen
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(
