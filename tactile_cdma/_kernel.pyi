@@ -115,10 +115,10 @@ def gather_contacts(
 def to_volts(
     zero: float, per_count: float, counts: NDArray[np.int16], volts: NDArray[np.float32], /
 ) -> None:
-    """As numpy_volts in wire/counts.py, into volts."""
+    """As numpy_volts in base/sums.py."""
 
 def copy_samples(most_v: float, volts: NDArray[np.float32], copy: NDArray[np.float64], /) -> None:
-    """As numpy_copy in base/sums.py."""
+    """As numpy_copy there."""
 
 def add_samples(volts: NDArray[np.float64], /) -> tuple[float, float]:
     """As numpy_sums there."""

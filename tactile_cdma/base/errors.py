@@ -1,22 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The exceptions that misuse raises. Line noise is never an exception: it is counted.
-
-TactileError
-├── SpecError
-│   ├── LayoutError
-│   └── BodyError
-├── ParameterError
-├── PortError
-│   └── RecordingEndError
-├── ProtocolError
-├── CaptureError
-├── CalibrationError
-├── NodeMemoryError
-├── MissingPackageError
-├── RestError
-└── TransformError
-"""
+"""The exceptions that misuse raises. Line noise is never an exception: it is counted."""
 
 from .plain_text import plain
 

@@ -11,13 +11,17 @@ from __future__ import annotations
 import os
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .errors import ParameterError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
+
+Function = TypeVar("Function", bound="Callable[..., Any]")
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
@@ -51,6 +55,12 @@ def _choose(wanted: str) -> tuple[ModuleType | None, str]:
 
 compiled, why_numpy = _choose(os.environ.get(VARIABLE, ""))
 """The kernel's module, None where numpy is used; and why, "" where it is not."""
+
+
+def either(name: str, reference: Function) -> Function:
+    """The kernel's function of this name; where there is no kernel, the same in numpy."""
+    chosen: Function = reference if compiled is None else getattr(compiled, name)
+    return chosen
 
 
 def settings(struct: str, **fields: float) -> NDArray[np.void]:

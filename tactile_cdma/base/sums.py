@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sums over the samples of a frame, compiled or in numpy."""
+"""What is done to every sample, and sums over those of a frame, compiled or in numpy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernel
-from .arrays import Floats, Floats32
+from .arrays import Counts, Floats, Floats32
 
 F = TypeVar("F", np.float32, np.float64)
 
@@ -25,38 +25,25 @@ def numpy_sums(volts: Floats) -> tuple[float, float]:
     return float(volts.sum()), dot(volts, volts)
 
 
-def numpy_outside(volts: Floats, low_v: float, high_v: float) -> int:
+def numpy_outside(low_v: float, high_v: float, volts: Floats) -> int:
     """How many of the samples (m,) are not between two levels: at either, or beyond."""
     return int(np.count_nonzero((volts <= low_v) | (volts >= high_v)))
 
 
-def numpy_copy(volts: Floats32, most_v: float, copy: Floats) -> None:
+def numpy_copy(most_v: float, volts: Floats32, copy: Floats) -> None:
     """Copy samples (m,), V; those that are not within ±most_v become NaN."""
     copy[:] = volts
     copy[~(np.abs(copy) < most_v)] = np.nan
 
 
-def compiled_outside(volts: Floats, low_v: float, high_v: float) -> int:
-    """As numpy_outside."""
-    assert kernel.compiled is not None
-    number: int = kernel.compiled.count_outside(low_v, high_v, volts)
-    return number
+def numpy_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> None:
+    """The line in V of a converter's counts (m,). zero: count at 0 V. per_count_v: V per count."""
+    volts[:] = counts
+    volts -= np.float32(zero)
+    volts *= np.float32(per_count_v)
 
 
-def compiled_sums(volts: Floats) -> tuple[float, float]:
-    """As numpy_sums."""
-    assert kernel.compiled is not None
-    both: tuple[float, float] = kernel.compiled.add_samples(volts)
-    return both
-
-
-def compiled_copy(volts: Floats32, most_v: float, copy: Floats) -> None:
-    """As numpy_copy."""
-    assert kernel.compiled is not None
-    kernel.compiled.copy_samples(most_v, volts, copy)
-
-
-if kernel.compiled is None:
-    sums, outside, copy_samples = numpy_sums, numpy_outside, numpy_copy
-else:
-    sums, outside, copy_samples = compiled_sums, compiled_outside, compiled_copy
+sums = kernel.either("add_samples", numpy_sums)
+outside = kernel.either("count_outside", numpy_outside)
+copy_samples = kernel.either("copy_samples", numpy_copy)
+to_volts = kernel.either("to_volts", numpy_volts)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Indices
-from ..base.errors import SpecError
+from ..base.errors import SpecError, check_limits
 from .codes import (
     CodeBook,
     chip_flips,
@@ -86,9 +86,8 @@ class FrameSpec:
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:  # nor NaN
-                raise SpecError(f"{name} is {value}; it must lie within {low:g}…{high:g}")
+            if (value := getattr(self, name)) is not None:
+                check_limits(name, value, low, high)
         if self.drive not in (BIPOLAR, UNIPOLAR):
             raise SpecError(f"drive is {self.drive!r}; it must be {BIPOLAR!r} or {UNIPOLAR!r}")
         if self.polarity not in (1, -1):

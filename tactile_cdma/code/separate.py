@@ -54,22 +54,29 @@ def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:
     return NodeLevels(rows[:, spec.node_slice], noise_of(rows, spec), rows=rows)
 
 
-def numpy_noise_of(rows: Floats32, spec: FrameSpec) -> float:
+def noise_of(rows: Floats32, spec: FrameSpec) -> float:
     """RMS noise of one correlation, V. rows: (k, N) V, correlations of all rows."""
-    spare = rows[:, spec.spare_rows]
+    spare = spec.spare_rows
+    if kernel.compiled is None:
+        return numpy_noise_of(rows[:, spare], rows[:, spec.node_slice])
+    frame, count = frame_settings(spec), spare.stop - spare.start
+    return float(kernel.compiled.word_noise(frame, spare.start, count, np.ascontiguousarray(rows)))
+
+
+def numpy_noise_of(spare: Floats32, values: Floats32) -> float:
+    """As noise_of, from the correlations of spare rows, (k, r), and of the nodes', (k, n).
+
+    Where no row is spare: a spoken word's k levels scatter about their mean with the noise; the
+    levels of a silent node are the noise itself.
+    """
     if spare.shape[1] >= 2:
         return math.sqrt(float(np.einsum("kr,kr->", spare, spare)) / spare.size)
-    return _noise_of_words(rows[:, spec.node_slice])
-
-
-def compiled_noise_of(rows: Floats32, spec: FrameSpec) -> float:
-    """As numpy_noise_of."""
-    assert kernel.compiled is not None
-    spare, rows = spec.spare_rows, np.ascontiguousarray(rows)
-    noise_v: float = kernel.compiled.word_noise(
-        frame_settings(spec), spare.start, spare.stop - spare.start, rows
-    )
-    return noise_v
+    level = np.abs(values)
+    amplitude = level.mean(axis=0)
+    scatter = np.sum(np.square(level - amplitude), axis=0) / (len(values) - 1)
+    spoken = amplitude > SPOKEN_OVER * np.sqrt(scatter)
+    power = np.where(spoken, scatter, np.mean(np.square(level), axis=0))
+    return float(np.sqrt(power.mean()))
 
 
 def frame_fields(spec: FrameSpec) -> dict[str, float]:
@@ -91,20 +98,3 @@ def frame_fields(spec: FrameSpec) -> dict[str, float]:
 def frame_settings(spec: FrameSpec) -> NDArray[np.void]:
     """The same for its functions."""
     return kernel.settings("words_frame", **frame_fields(spec))
-
-
-noise_of = numpy_noise_of if kernel.compiled is None else compiled_noise_of
-
-
-def _noise_of_words(values: Floats32) -> float:
-    """RMS noise of one correlation, V, where no row is spare.
-
-    A spoken word's k levels scatter about their mean with the noise; the levels of a silent node
-    are the noise itself.
-    """
-    level = np.abs(values)
-    amplitude = level.mean(axis=0)
-    scatter = np.sum(np.square(level - amplitude), axis=0) / (len(values) - 1)
-    spoken = amplitude > SPOKEN_OVER * np.sqrt(scatter)
-    power = np.where(spoken, scatter, np.mean(np.square(level), axis=0))
-    return float(np.sqrt(power.mean()))

@@ -26,8 +26,8 @@ from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from .codes import MAX_ORDER, CodeBook
 
-_LARGEST_BLOCK = 512
-"""Order to which factors are merged."""
+_LARGEST_BLOCK = 128
+"""Order to which factors are merged: few stages, none much larger than it needs. Chosen."""
 _BLAS_PRODUCTS = 1 << 18
 """Multiplications in one BLAS call. OpenBLAS spreads longer ones over its threads, which then wait
 for each other: milliseconds, on a machine that has anything else to do."""
@@ -37,9 +37,6 @@ when it was introduced."""
 _CHUNK = MAX_ORDER
 """Values that pass through all stages together: one scratch buffer of 256 kB serves any batch, and
 intermediate results stay in the cache."""
-_STAGE_COST, _CALL_COST = 20, 16_000
-"""Costs of a stage per value and per call, in multiplications, beside the order of its block
-(measured for words of 10 bits when they were introduced)."""
 
 
 def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
@@ -173,7 +170,7 @@ def numpy_transform(plan: tuple[int, ...], spreading: bool) -> Transform:
     """That of numpy; the first stage of those that correlate scales."""
     order = math.prod(plan)
     stages: list[_Dense] = []
-    for group in _groups(plan):
+    for group in _blocks(plan):
         block = math.prod(group)
         scale = 1.0 if spreading or stages else 1.0 / order
         matrix = CodeBook(group).matrix if spreading else CodeBook(group).matrix.T
@@ -187,17 +184,12 @@ def _most_rows(order: int) -> int:
     return max(_BLAS_PRODUCTS // order**2, _LEAST_ROWS)
 
 
-def _groups(plan: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """The plan's factors merged to the blocks that cost least, merged up to _LARGEST_BLOCK."""
-    per_stage = _STAGE_COST + _CALL_COST / math.prod(plan)
-    best: list[tuple[float, tuple[tuple[int, ...], ...]]] = [(0.0, ())]  # for plan[:i]
-    for end in range(1, len(plan) + 1):
-        ways = []
-        for start in range(end):
-            group = plan[start:end]
-            order = math.prod(group)
-            if order <= _LARGEST_BLOCK or len(group) == 1:
-                cost, groups = best[start]
-                ways.append((cost + order + per_stage, (*groups, group)))
-        best.append(min(ways))
-    return best[-1][1]
+def _blocks(plan: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The plan's factors, merged with their neighbours to blocks of up to _LARGEST_BLOCK."""
+    blocks: list[tuple[int, ...]] = []
+    for factor in plan:
+        if blocks and math.prod(blocks[-1]) * factor <= _LARGEST_BLOCK:
+            blocks[-1] += (factor,)
+        else:
+            blocks.append((factor,))
+    return blocks

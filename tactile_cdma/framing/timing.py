@@ -119,7 +119,7 @@ class SampleBuffer:
         if self._at + kept + volts.size > self._store.size:
             self._make_room(kept + volts.size)
         place = self._at + kept
-        copy_samples(volts, ABSURD_V, self._store[place : place + volts.size])
+        copy_samples(ABSURD_V, volts, self._store[place : place + volts.size])
         self.end += volts.size
 
     def take(self, begin: int, end: int) -> Floats:
@@ -234,7 +234,7 @@ def share_clipped(volts: Floats, rails_v: Rails) -> float:
     rails_v: lowest and highest level that the amplifier or the converter can give, V; None where
     unknown (nothing counts as clipped then).
     """
-    return outside(volts, *within_rails(rails_v)) / volts.size if volts.size else 0.0
+    return outside(*within_rails(rails_v), volts) / volts.size if volts.size else 0.0
 
 
 def within_rails(rails_v: Rails) -> tuple[float, float]:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..base.arrays import Bools, Floats, Floats32
-from ..base.errors import SpecError
+from ..base.errors import SpecError, check_limits
 
 LEAST_SHARE = 0.1
 """Smallest share of the pressure, on the logarithmic axis, that may follow every turn at once;
@@ -65,11 +65,7 @@ class Dynamics:
 
     def __post_init__(self) -> None:
         for name, (low, high) in LIMITS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise SpecError(
-                    f"dynamics: {name} is {value:g}; it must lie within {low:g}…{high:g}"
-                )
+            check_limits(f"dynamics: {name}", getattr(self, name), low, high)
         if len(self.widths) != len(self.weights):
             raise SpecError(
                 f"dynamics: {len(self.widths)} widths but {len(self.weights)} weights; every play "

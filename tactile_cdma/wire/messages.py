@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
+from ..base.sums import to_volts
 from ..code.frame import FrameSpec
 from ._protocol import (
     FIELDS,
@@ -38,7 +39,6 @@ from ._protocol import (
     Signs,
     SyncMode,
 )
-from .counts import to_volts
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,9 @@ class Info(Packet):
 
     def volts(self, counts: Counts) -> Floats32:
         """The line in V, (m,) float32, of counts (m,)."""
-        return to_volts(counts, self.zero_count, self.volts_per_count)
+        volts = np.empty(counts.size, np.float32)
+        to_volts(self.zero_count, self.volts_per_count, counts, volts)
+        return volts
 
 
 @dataclass(frozen=True, slots=True)

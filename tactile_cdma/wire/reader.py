@@ -32,11 +32,5 @@ def numpy_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
     return data, had_waited
 
 
-def compiled_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
-    """As numpy_read, but waits for the end of a packet: a tty gives large ones in parts."""
-    assert kernel.compiled is not None
-    both: tuple[bytes, bool] = kernel.compiled.read_packets(file, timeout_ms)
-    return both
-
-
-read_file = numpy_read if kernel.compiled is None else compiled_read
+# The kernel's waits for the end of a packet: a tty gives large ones in parts.
+read_file = kernel.either("read_packets", numpy_read)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel, sums
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.fit import ChipEdges, Fit, Line, integrate, numpy_mean_chips
-from tactile_cdma.wire import counts
 
 compiled_only = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
@@ -34,22 +33,20 @@ def samples(size: int, seed: int) -> np.ndarray:
 def test_sums_are_those_of_numpy(size: int, seed: int) -> None:
     volts = samples(size, seed)
     copies = np.empty((2, size))
-    sums.compiled_copy(volts, 1e6, copies[0])
-    sums.numpy_copy(volts, 1e6, copies[1])
+    sums.copy_samples(1e6, volts, copies[0])
+    sums.numpy_copy(1e6, volts, copies[1])
     np.testing.assert_array_equal(copies[0], copies[1])
-    assert sums.compiled_outside(copies[0], 0.0, 3.3) == sums.numpy_outside(copies[0], 0.0, 3.3)
-    np.testing.assert_allclose(
-        sums.compiled_sums(copies[0]), sums.numpy_sums(copies[0]), rtol=1e-12
-    )
+    assert sums.outside(0.0, 3.3, copies[0]) == sums.numpy_outside(0.0, 3.3, copies[0])
+    np.testing.assert_allclose(sums.sums(copies[0]), sums.numpy_sums(copies[0]), rtol=1e-12)
 
 
 @compiled_only
 @given(SIZES, SEEDS, st.integers(-(2**15), 2**15 - 1), st.floats(1e-6, 1.0))
 def test_volts_are_those_of_numpy(size: int, seed: int, zero: int, per_count_v: float) -> None:
     some = np.random.default_rng(seed).integers(-(2**15), 2**15, size).astype(np.int16)
-    found, expected = (
-        way(some, zero, per_count_v) for way in (counts.compiled_volts, counts.numpy_volts)
-    )
+    found, expected = np.empty((2, size), np.float32)
+    sums.to_volts(zero, per_count_v, some, found)
+    sums.numpy_volts(zero, per_count_v, some, expected)
     np.testing.assert_array_equal(found, expected)
 
 
@@ -86,4 +83,4 @@ def test_edges_beyond_the_samples_are_refused() -> None:
                 0.0, line.received, np.array(whole, np.int32), share, one, places, chips
             )
     with pytest.raises(TypeError, match="'f'"):
-        sums.compiled_sums(np.ones(4, np.float32))
+        sums.sums(np.ones(4, np.float32))  # type: ignore[arg-type]

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
+from tactile_cdma.base.sums import numpy_volts
 from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire import messages as message_types
@@ -39,7 +40,6 @@ from tactile_cdma.wire._protocol import (
     SyncMode,
 )
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
-from tactile_cdma.wire.counts import numpy_volts
 from tactile_cdma.wire.messages import (
     Ack,
     Configure,
