@@ -360,6 +360,7 @@ FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
         return NULL;
     struct stream *stream = owner->stream;
     double left_ms = call->value[1].size < 3600000 ? (double)call->value[1].size : 3600000;
+    scanner_tell(owner->scanner); /* others see a packet counted once what it gave was taken in */
     owner->busy = true;
     Py_BEGIN_ALLOW_THREADS
     double end_s = now_s() + left_ms * 1e-3;
@@ -377,7 +378,8 @@ FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
     }
     Py_END_ALLOW_THREADS
     owner->busy = false;
-    scanner_tell(owner->scanner);
+    if (event == STREAM_NEEDS_BYTES)
+        scanner_tell(owner->scanner);
     if (size < 0)
         return file_error(failure);
     PyObject *passed = passed_list(stream), *subject = passed ? subject_of(stream, event) : NULL;
