@@ -103,7 +103,7 @@ def _noted(profile: QoSProfile) -> Qos:
 
 
 def _topics(arguments: argparse.Namespace) -> list[str]:
-    """Full names of what to record; raises ParameterError for one that no topic can have."""
+    """Full names of what to record; raises ParameterError for an invalid one."""
     names = DATA + (PICTURES if arguments.all else ())
     nodes = ["/" + node.strip("/") for node in arguments.node or ["skin"]]
     topics = [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
@@ -113,7 +113,7 @@ def _topics(arguments: argparse.Namespace) -> list[str]:
         try:
             validate_full_topic_name(topic)
         except InvalidTopicNameException:
-            raise ParameterError(f"{topic!r} is no name that a topic can have") from None
+            raise ParameterError(f"{topic!r} is not a valid topic name") from None
     return topics
 
 
