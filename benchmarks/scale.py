@@ -39,6 +39,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.quiet_limit import quiet_uv
+from tactile_cdma.driver.stream import Decisions
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
@@ -247,22 +248,16 @@ def drive(nodes: int, path: str, results: Connection) -> None:
     with Driver(config, path, BAUD, on_frame, lambda problem: None) as driver:
         time.sleep(WARM_UP_S)
         first, counts = len(frames), driver.pipeline.packet_counts
-        decided, in_python = decisions(driver.pipeline)
+        before = driver.pipeline.decisions.since(Decisions())
         begin_s, cpu_s = time.monotonic(), time.process_time()
         time.sleep(MEASURED_S)
         cpu_s, wall_s = time.process_time() - cpu_s, time.monotonic() - begin_s
         measured = frames[first:]
         received = int(driver.pipeline.packet_counts.bytes - counts.bytes)
-        all_decided, all_in_python = decisions(driver.pipeline)
+        made = driver.pipeline.decisions.since(before)
     floor = (floor + read_only(config, path)) / 2
-    decided, in_python = all_decided - decided, all_in_python - in_python
+    decided, in_python = made.total, made.in_python.total()
     results.send(Run(wall_s, cpu_s / wall_s, floor, received, decided, in_python, measured))
-
-
-def decisions(pipeline: Pipeline) -> tuple[int, int]:
-    """Frames decided so far, and those of them that were decided in Python."""
-    in_python = pipeline.decisions.in_python.total()
-    return pipeline.decisions.compiled + in_python, in_python
 
 
 def read_only(config: SkinConfig, path: str) -> float:

@@ -296,3 +296,15 @@ PyObject *file_error(int failure)
     PyErr_SetString(PyExc_OSError, "end of file");
     return NULL;
 }
+
+bool are_of(const struct call *call, const struct words_frame *frame)
+{
+    size_t bits = axis(call, 'k'), order = axis(call, 'N');
+    bool fit = bits == frame->bits && order == frame->order && bits >= 2 && bits <= WORDS_MOST_BITS &&
+               frame->first <= order && frame->nodes <= order - frame->first;
+
+    if (!fit)
+        refuse(call, "rows: (%zu, %zu) with %zu nodes from row %zu on expected, not (%zu, %zu)",
+               frame->bits, frame->order, frame->nodes, frame->first, bits, order);
+    return fit;
+}

@@ -30,8 +30,10 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <stdint.h>
 
 #include "scanner.h"
+#include "words.h"
 
 #define BINDING_MOST 24 /* arguments of a function */
 
@@ -163,11 +165,21 @@ void drop_holder(PyObject *self);
 PyObject *packet_tuple(const struct scanner_packet *packet);
 /* Counts of a scanner by name. */
 PyObject *counts_dict(const struct scanner_counts *seen);
+#define READER_SIZE 32768 /* bytes; a packet has at most half of that */
+
+/* Reads until a delimiter (0) has come, `size` bytes are there, or `timeout_ms` have passed: so a reader
+ * wakes once for a packet, however few bytes a tty gives at once. Returns the bytes that were read; -1
+ * with errno where it cannot be read and nothing was; errno is 0 at the end of the file. had_waited:
+ * whether the last bytes were there before they were waited for. */
+ptrdiff_t reader_read(int file, uint8_t *bytes, size_t size, int timeout_ms, bool *had_waited);
 /* What went wrong with a file: errno, or 0 at its end. Returns NULL. */
 PyObject *file_error(int failure);
 
+/* Whether correlations (k, N) are those of such frames; if not, with an exception. */
+bool are_of(const struct call *call, const struct words_frame *frame);
+
 /* The types of the module, each in a file of its own or in module.c. */
-extern PyType_Spec stream_spec, code_spec;
+extern PyType_Spec stream_spec, readout_spec, code_spec;
 #define STREAM_LAYOUTS 2
 extern const struct layout stream_layouts[STREAM_LAYOUTS];
 

@@ -8,9 +8,8 @@
 
 #include "contacts.h"
 #include "gap.h"
-#include "reader.h"
+#include "marked_frame.h"
 #include "readout.h"
-#include "samples.h"
 #include "scanner.h"
 #include "transform.h"
 #include "words.h"
@@ -277,19 +276,6 @@ FUNCTION(read_packets, SIZE("file"), SIZE("timeout_ms"))
 
 /* ---- words ------------------------------------------------------------------------------------- */
 
-/* Whether correlations (k, N) are those of such frames; if not, with an exception. */
-static bool are_of(const struct call *call, const struct words_frame *frame)
-{
-    size_t bits = axis(call, 'k'), order = axis(call, 'N');
-    bool fit = bits == frame->bits && order == frame->order && bits >= 2 && bits <= WORDS_MOST_BITS &&
-               frame->first <= order && frame->nodes <= order - frame->first;
-
-    if (!fit)
-        refuse(call, "rows: (%zu, %zu) with %zu nodes from row %zu on expected, not (%zu, %zu)",
-               frame->bits, frame->order, frame->nodes, frame->first, bits, order);
-    return fit;
-}
-
 FUNCTION(fit_words, SETTINGS(words_frame), ARRAY("rows", 'f', "ckN"), OUT("amplitude", 'f', "cn"),
          OUT("uneven", 'f', "cn"), OUT("pedestal", 'f', "c"), OUT("power", 'f', "c"),
          OUT("spread", 'f', "c"), OUT("misfit", 'f', "c"))
@@ -323,122 +309,6 @@ FUNCTION(word_noise, SETTINGS(words_frame), SIZE("spare"), SIZE("spare_count"),
                       count, spare, frame->order);
     return PyFloat_FromDouble(words_noise(frame, call->value[3].data, spare, count));
 }
-
-/* ---- Readout ----------------------------------------------------------------------------------- */
-
-enum { SKIN_ARRAYS = 16 };
-
-struct reader_of_skin {
-    struct readout *readout;
-    Py_buffer arrays[SKIN_ARRAYS];
-};
-
-static void drop_readout(void *held)
-{
-    struct reader_of_skin *reader = held;
-
-    if (reader->readout)
-        readout_free(reader->readout);
-    for (size_t i = 0; i < SKIN_ARRAYS; i++)
-        if (reader->arrays[i].obj)
-            PyBuffer_Release(&reader->arrays[i]);
-    PyMem_Free(reader);
-}
-
-CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
-            OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
-            ARRAY("state", 'B', "n"), ARRAY("invalid", '?', "n"), ARRAY("uncalibrated", '?', "n"),
-            ARRAY("masked", '?', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("pieces", 'f', "p3n"),
-            ARRAY("end_v", 'f', "n"), ARRAY("source", 'i', "t"), OUT("kept_codes", 'i', "n"),
-            OUT("kept_flags", 'B', "n"), OUT("heard_s", 'd', "n"), OUT("sums", 'f', "5n"))
-{
-    const struct readout_settings *settings = call->value[0].data;
-    const struct words_frame *frame = &settings->frame;
-    const union value *v = call->value;
-    struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data, v[6].data,
-                                v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data,
-                                v[12].data, v[13].data, v[14].data, v[15].data, v[16].data};
-    const int32_t *source = skin.source;
-    bool in_range = true;
-
-    for (size_t i = 0; i < axis(call, 't'); i++)
-        in_range = in_range && source[i] < (int64_t)frame->nodes;
-    for (size_t i = 0; i < axis(call, 'n'); i++)
-        in_range = in_range && skin.kept_codes[i] >= 0 && (size_t)skin.kept_codes[i] < axis(call, 'c');
-    if (!axis(call, 't'))
-        skin.source = NULL;
-    if (!(in_range && frame->nodes == axis(call, 'n') && frame->order == axis(call, 'N') &&
-          frame->bits > settings->reading.parity && frame->bits <= WORDS_MOST_BITS &&
-          settings->codes == axis(call, 'c') && settings->pieces == axis(call, 'p') &&
-          settings->codes == (size_t)1 << (frame->bits - settings->reading.parity) &&
-          settings->taxels == (skin.source ? axis(call, 't') : frame->nodes) &&
-          frame->first <= frame->order && frame->nodes <= frame->order - frame->first &&
-          settings->spare <= frame->order && settings->spare_count <= frame->order - settings->spare))
-        return refuse(call, "the settings do not fit each other, or the arrays");
-    struct reader_of_skin *reader = PyMem_Calloc(1, sizeof *reader);
-    if (!reader)
-        return PyErr_NoMemory();
-    for (size_t i = 0; i < SKIN_ARRAYS; i++)
-        reader->arrays[i] = keep(call, i + 1);
-    reader->readout = readout_new(settings, &skin);
-    if (reader->readout)
-        return hold((PyTypeObject *)call->self, reader, drop_readout);
-    drop_readout(reader);
-    return PyErr_NoMemory();
-}
-
-FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
-         NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
-         ARRAY("tare_pa", 'f', "n"), OUT("active", '?', "n"), OUT("codes", 'i', "n"),
-         OUT("floats", 'f', "3n"), OUT("doubts", '?', "3n"), OUT("readings", 'f', "2t"),
-         OUT("status", 'B', "t"), OUT("rest", 'f', "2n"), OUT("valid", '?', "n"))
-{
-    struct reader_of_skin *reader = held_by(call->self);
-    const struct readout_settings *settings = readout_settings(reader->readout);
-    const union value *v = call->value;
-    size_t nodes = axis(call, 'n');
-    uint8_t *doubts = v[11].data;
-    float *words = v[10].data, *readings = v[12].data, *rest = v[14].data;
-    struct readout_frame frame = {v[8].data,
-                                  doubts,
-                                  doubts + nodes,
-                                  doubts + 2 * nodes,
-                                  v[9].data,
-                                  words,
-                                  words + nodes,
-                                  words + 2 * nodes,
-                                  readings,
-                                  readings + settings->taxels,
-                                  v[13].data,
-                                  rest,
-                                  rest + nodes,
-                                  v[15].data};
-
-    if (!are_of(call, &settings->frame))
-        return NULL;
-    if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
-        return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,
-                      settings->taxels, nodes, axis(call, 't'));
-    return PyLong_FromLong(readout_read(reader->readout, v[0].data, (float)v[1].number,
-                                        (float)v[2].number, v[3].size, v[4].number, v[5].number,
-                                        v[6].data, v[7].data, &frame));
-}
-
-static PyMethodDef readout_methods[] = {ENTRY(read), {0}};
-
-static PyType_Slot readout_slots[] = {
-    {Py_tp_new, Readout},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, readout_methods},
-    {0},
-};
-
-static PyType_Spec readout_spec = {
-    .name = "tactile_cdma._kernel.Readout",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = readout_slots,
-};
 
 /* ---- contacts ---------------------------------------------------------------------------------- */
 

@@ -1,14 +1,71 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The class Stream of the Python module; see frame_stream.h and CompiledStream in
- * tactile_cdma/driver/compiled_stream.py, its only user. */
+/* The classes Stream and Readout of the Python module: the two calls that every frame takes. See
+ * frame_stream.h and readout.h; used by tactile_cdma/driver/compiled_stream.py and readings/taxels.py. */
 #include "binding.h"
 
 #include <errno.h>
+#include <poll.h>
+#include <string.h>
 #include <time.h>
+#include <unistd.h>
 
-#include "reader.h"
 #include "frame_stream.h"
+#include "readout.h"
+
+/* ---- reading a port ----------------------------------------------------------------------------- */
+
+static double now_s(void)
+{
+    struct timespec now;
+
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+static long now_ms(void)
+{
+    return (long)(now_s() * 1e3);
+}
+
+ptrdiff_t reader_read(int file, uint8_t *bytes, size_t size, int timeout_ms, bool *had_waited)
+{
+    struct pollfd port = {.fd = file, .events = POLLIN};
+    long end_ms = now_ms() + timeout_ms;
+    size_t filled = 0;
+
+    *had_waited = false;
+    while (filled < size) {
+        int ready = poll(&port, 1, 0);
+        bool waited = ready > 0;
+        long left_ms = end_ms - now_ms();
+        if (left_ms < 0)
+            break;
+        if (!ready)
+            ready = poll(&port, 1, (int)left_ms);
+        if (!ready)
+            break;
+        ssize_t got = ready < 0 ? -1 : read(file, bytes + filled, size - filled);
+        if (got < 0 && errno == EAGAIN)
+            continue;
+        if (got < 0 && errno == EINTR)
+            break;
+        if (got <= 0) {
+            if (filled) /* the next call will tell */
+                break;
+            if (!got)
+                errno = 0;
+            return -1;
+        }
+        *had_waited = waited;
+        filled += (size_t)got;
+        if (memchr(bytes + filled - got, 0, (size_t)got))
+            break;
+    }
+    return (ptrdiff_t)filled;
+}
+
+/* ---- Stream ------------------------------------------------------------------------------------ */
 
 enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 
@@ -67,14 +124,6 @@ const struct layout stream_layouts[STREAM_LAYOUTS] = {
     LAYOUT(stream_rules, rules_fields),
     LAYOUT(stream_timing, timing_fields),
 };
-
-static double now_s(void)
-{
-    struct timespec now;
-
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
-}
 
 /* NULL with an exception while another thread is in a call. */
 static struct owner *free_one(const struct call *call)
@@ -311,6 +360,7 @@ FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
         return NULL;
     struct stream *stream = owner->stream;
     double left_ms = call->value[1].size < 3600000 ? (double)call->value[1].size : 3600000;
+    scanner_tell(owner->scanner); /* others see a packet counted once what it gave was taken in */
     owner->busy = true;
     Py_BEGIN_ALLOW_THREADS
     double end_s = now_s() + left_ms * 1e-3;
@@ -328,7 +378,8 @@ FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
     }
     Py_END_ALLOW_THREADS
     owner->busy = false;
-    scanner_tell(owner->scanner);
+    if (event == STREAM_NEEDS_BYTES)
+        scanner_tell(owner->scanner);
     if (size < 0)
         return file_error(failure);
     PyObject *passed = passed_list(stream), *subject = passed ? subject_of(stream, event) : NULL;
@@ -413,4 +464,120 @@ PyType_Spec stream_spec = {
     .basicsize = sizeof(struct holder),
     .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
     .slots = slots,
+};
+
+/* ---- Readout ----------------------------------------------------------------------------------- */
+
+enum { SKIN_ARRAYS = 16 };
+
+struct reader_of_skin {
+    struct readout *readout;
+    Py_buffer arrays[SKIN_ARRAYS];
+};
+
+static void drop_readout(void *held)
+{
+    struct reader_of_skin *reader = held;
+
+    if (reader->readout)
+        readout_free(reader->readout);
+    for (size_t i = 0; i < SKIN_ARRAYS; i++)
+        if (reader->arrays[i].obj)
+            PyBuffer_Release(&reader->arrays[i]);
+    PyMem_Free(reader);
+}
+
+CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
+            OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
+            ARRAY("state", 'B', "n"), ARRAY("invalid", '?', "n"), ARRAY("uncalibrated", '?', "n"),
+            ARRAY("masked", '?', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("pieces", 'f', "p3n"),
+            ARRAY("end_v", 'f', "n"), ARRAY("source", 'i', "t"), OUT("kept_codes", 'i', "n"),
+            OUT("kept_flags", 'B', "n"), OUT("heard_s", 'd', "n"), OUT("sums", 'f', "5n"))
+{
+    const struct readout_settings *settings = call->value[0].data;
+    const struct words_frame *frame = &settings->frame;
+    const union value *v = call->value;
+    struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data, v[6].data,
+                                v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data,
+                                v[12].data, v[13].data, v[14].data, v[15].data, v[16].data};
+    const int32_t *source = skin.source;
+    bool in_range = true;
+
+    for (size_t i = 0; i < axis(call, 't'); i++)
+        in_range = in_range && source[i] < (int64_t)frame->nodes;
+    for (size_t i = 0; i < axis(call, 'n'); i++)
+        in_range = in_range && skin.kept_codes[i] >= 0 && (size_t)skin.kept_codes[i] < axis(call, 'c');
+    if (!axis(call, 't'))
+        skin.source = NULL;
+    if (!(in_range && frame->nodes == axis(call, 'n') && frame->order == axis(call, 'N') &&
+          frame->bits > settings->reading.parity && frame->bits <= WORDS_MOST_BITS &&
+          settings->codes == axis(call, 'c') && settings->pieces == axis(call, 'p') &&
+          settings->codes == (size_t)1 << (frame->bits - settings->reading.parity) &&
+          settings->taxels == (skin.source ? axis(call, 't') : frame->nodes) &&
+          frame->first <= frame->order && frame->nodes <= frame->order - frame->first &&
+          settings->spare <= frame->order && settings->spare_count <= frame->order - settings->spare))
+        return refuse(call, "the settings do not fit each other, or the arrays");
+    struct reader_of_skin *reader = PyMem_Calloc(1, sizeof *reader);
+    if (!reader)
+        return PyErr_NoMemory();
+    for (size_t i = 0; i < SKIN_ARRAYS; i++)
+        reader->arrays[i] = keep(call, i + 1);
+    reader->readout = readout_new(settings, &skin);
+    if (reader->readout)
+        return hold((PyTypeObject *)call->self, reader, drop_readout);
+    drop_readout(reader);
+    return PyErr_NoMemory();
+}
+
+FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
+         NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
+         ARRAY("tare_pa", 'f', "n"), OUT("active", '?', "n"), OUT("codes", 'i', "n"),
+         OUT("floats", 'f', "3n"), OUT("doubts", '?', "3n"), OUT("readings", 'f', "2t"),
+         OUT("status", 'B', "t"), OUT("rest", 'f', "2n"), OUT("valid", '?', "n"))
+{
+    struct reader_of_skin *reader = held_by(call->self);
+    const struct readout_settings *settings = readout_settings(reader->readout);
+    const union value *v = call->value;
+    size_t nodes = axis(call, 'n');
+    uint8_t *doubts = v[11].data;
+    float *words = v[10].data, *readings = v[12].data, *rest = v[14].data;
+    struct readout_frame frame = {v[8].data,
+                                  doubts,
+                                  doubts + nodes,
+                                  doubts + 2 * nodes,
+                                  v[9].data,
+                                  words,
+                                  words + nodes,
+                                  words + 2 * nodes,
+                                  readings,
+                                  readings + settings->taxels,
+                                  v[13].data,
+                                  rest,
+                                  rest + nodes,
+                                  v[15].data};
+
+    if (!are_of(call, &settings->frame))
+        return NULL;
+    if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
+        return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,
+                      settings->taxels, nodes, axis(call, 't'));
+    return PyLong_FromLong(readout_read(reader->readout, v[0].data, (float)v[1].number,
+                                        (float)v[2].number, v[3].size, v[4].number, v[5].number,
+                                        v[6].data, v[7].data, &frame));
+}
+
+static PyMethodDef readout_methods[] = {ENTRY(read), {0}};
+
+static PyType_Slot readout_slots[] = {
+    {Py_tp_new, Readout},
+    {Py_tp_dealloc, drop_holder},
+    {Py_tp_methods, readout_methods},
+    {0},
+};
+
+PyType_Spec readout_spec = {
+    .name = "tactile_cdma._kernel.Readout",
+    .basicsize = sizeof(struct holder),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = readout_slots,
 };

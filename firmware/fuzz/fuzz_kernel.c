@@ -7,7 +7,7 @@
 #include "gap.h"
 #include "reference.h"
 #include "readout.h"
-#include "samples.h"
+#include "marked_frame.h"
 #include "scanner.h"
 #include "transform.h"
 #include "words.h"

@@ -73,7 +73,6 @@ class Decorrelator:
         clocks: NodeClocks,
         sampling: Sampling,
         samples: int | None = None,
-        max_gain: float = MAX_GAIN,
     ) -> None:
         """Set up the equations and eliminate.
 
@@ -103,7 +102,7 @@ class Decorrelator:
         self._bits = spec.line_bits
         windows = self._windows(round(most) if samples is None else samples)
         self.samples = windows[-1][1]
-        self.ridge = spec.order * sampling.per_chip / (4 * max_gain**2)
+        self.ridge = spec.order * sampling.per_chip / (4 * MAX_GAIN**2)
         size = sum(stop - first for first, stop in windows) * 8 * (spec.nodes + 1)
         if size > MAX_BYTES:
             raise SpecError(

@@ -46,12 +46,12 @@ def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> F
     return _multiply(chips, book.order, transform_of(book.plan), out)
 
 
-def spread(symbols: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
+def spread(symbols: Floats32, book: CodeBook) -> Floats32:
     """The sum of all code rows, each times its symbol: (…, N) float32 to chips (…, N) float32.
 
-    What correlate takes apart: correlate(spread(x)) == x. out and errors as there.
+    What correlate takes apart: correlate(spread(x)) == x. Errors as there.
     """
-    return _multiply(symbols, book.order, transform_of(book.plan, spreading=True), out)
+    return _multiply(symbols, book.order, transform_of(book.plan, spreading=True))
 
 
 def rows_of(chips: Floats32, spec: FrameSpec) -> Floats32:
@@ -75,7 +75,7 @@ class Transform(Protocol):
 
 
 def _multiply(
-    vectors: Floats32, order: int, transform: Transform, out: Floats32 | None
+    vectors: Floats32, order: int, transform: Transform, out: Floats32 | None = None
 ) -> Floats32:
     """The product of vectors (…, N), in out or a new array."""
     values = np.ascontiguousarray(vectors, dtype=np.float32)

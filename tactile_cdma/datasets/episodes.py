@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from ..base.errors import CaptureError, ParameterError
-from .progress import Progress, fraction
+from .progress import Progress
 from .samples import NANO, Sample, SampleSource
 
 EMPTY = "std_msgs/msg/Empty"
@@ -97,7 +98,8 @@ def samples_of(
     for sample in source.samples(None, end_ns + LATENESS_NS if end_ns < FOREVER_NS else None):
         passed_s = (sample.seen_ns - source.begin_ns) / NANO
         text = f"{source.path.name}: {passed_s:.0f} s" if source.begin_ns else source.path.name
-        progress.at(fraction(sample.seen_ns, source.begin_ns, source.end_ns), text)
+        length_s = (source.end_ns - source.begin_ns) / NANO  # not above 0: the end is not known
+        progress.at(passed_s / length_s if length_s > 0 else math.nan, text)
         yield sample
 
 

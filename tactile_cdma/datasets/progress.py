@@ -39,8 +39,3 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         if self._to_terminal:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-
-def fraction(now_ns: int, begin_ns: int, end_ns: int) -> float:
-    """How far a time is from one to another; NaN where the end is not known."""
-    return (now_ns - begin_ns) / (end_ns - begin_ns) if end_ns > begin_ns else float("nan")

@@ -21,7 +21,7 @@ from ..wire.discovery import leave_alone_if_open
 from ..wire.introduction import described_info, introduction
 from ..wire.port import Port
 from .report import Check, ok, problem, warning
-from .stream import RawStream, judge
+from .stream import RawStream, decided, judge
 
 _log = logging.getLogger(__name__)
 
@@ -80,17 +80,21 @@ def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Ite
         return
     configure = values is not None
     yield ok("digitizer", described_info(info, "was set to" if configure else "set to"))
-    yield from judge(_listen(port, config, configure, seconds), config, seconds)
+    pipeline = Pipeline(config)
+    yield from judge(_listen(port, pipeline, configure, seconds), config, seconds)
+    if pipeline.decisions.total:
+        yield decided(pipeline.decisions)
 
 
-def _listen(port: Port, config: SkinConfig, configure: bool, seconds: float) -> RawStream:
-    """Listen to the stream for so long, asking for it as the driver does.
+def _listen(port: Port, pipeline: Pipeline, configure: bool, seconds: float) -> RawStream:
+    """Listen to the stream for so long, asking for it and decoding it as the driver does.
 
     configure: set the digitizer to these parameters; else it stays as it is.
     """
+    config = pipeline.config
     # The amplitude is to be found, so the digitizer must not leave out what seems too weak by it.
     learning = replace(config, spec=replace(config.spec, amplitude_v=None))
-    session, pipeline = Session(learning if configure else None), Pipeline(config)
+    session = Session(learning if configure else None)
     chunks: list[tuple[bytes, float]] = []
     size, opened_s, begin_s = 0, time.monotonic(), 0.0
     start_s = START_S + START_FRAMES * config.spec.frame_period_s

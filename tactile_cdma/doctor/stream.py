@@ -16,7 +16,9 @@ from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
+from ..driver.compiled_stream import CLOCKS_OF_NODES, GAP_TIMING
 from ..driver.pipeline import Pipeline, TactileFrame
+from ..driver.stream import NUMPY, Decisions
 from ..framing.timing import silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
@@ -32,6 +34,17 @@ OTHER_AMPLITUDE = 0.2
 MANY_BEYOND, FEW_BEYOND = 0.25, 0.02
 """Shares of all words. The line is taken to be inverted if more than MANY_BEYOND of them are beyond
 the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
+MUCH_IN_PYTHON = 0.2
+"""Share of frames decided in Python above which that is explained. Chosen: a sound skin with marked
+frames has less than 0.05."""
+IN_PYTHON_BECAUSE = {
+    NUMPY: "tactile-cdma doctor tells why the kernel is not used",
+    GAP_TIMING: "as always without frame marks (timing: gap)",
+    CLOCKS_OF_NODES: "as always where nodes have clocks of their own (roll_call)",
+}
+"""What it means that most of those frames were decided there for this reason."""
+DOUBTED_BECAUSE = "as where nodes stretch their frames, or with noise, hum or clipping on the line"
+"""The same for any other reason, which is a doubt about the samples."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
@@ -97,6 +110,17 @@ def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Che
         yield from _amplitude(measured_v, config)
     yield from _polarity(decoded, config)
     yield from _nodes(decoded, seconds)
+
+
+def decided(decisions: Decisions) -> Check:
+    """Where frames were decided, which tells what they cost, and what the line is like."""
+    text = f"{decisions.python_share:.0%} of {decisions.total} frames decided in Python"
+    if decisions.in_python:
+        text = f"{text}: {decisions.reasons}"
+    if decisions.python_share > MUCH_IN_PYTHON:
+        [(leading, _)] = decisions.in_python.most_common(1)
+        text = f"{text}; this takes more CPU, {IN_PYTHON_BECAUSE.get(leading, DOUBTED_BECAUSE)}"
+    return ok("kernel", text)
 
 
 def _decoded(stream: RawStream, config: SkinConfig, swing_v: float | None) -> DecodedStream:

@@ -58,8 +58,9 @@ class _Kind(IntEnum):
     BLOCK = 8
 
 
+CLOCKS_OF_NODES = "roll call or clocks of nodes"
 DOUBTS = (
-    "roll call or clocks of nodes",
+    CLOCKS_OF_NODES,
     "",
     "its end is not seen",
     "cut short",

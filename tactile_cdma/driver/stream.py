@@ -27,6 +27,9 @@ from .clock import PassedPacket
 from .description import Description
 from .timeline import Answer, Arrival, Placement, Step, end_index, sample_count
 
+NUMPY = "numpy"
+"""Why frames are decided in Python where there is no kernel, or it is not to be used."""
+
 
 @dataclass(slots=True)
 class Decisions:
@@ -39,10 +42,24 @@ class Decisions:
     in_python: Counter[str] = field(default_factory=Counter)
 
     @property
+    def total(self) -> int:
+        """All that was decided."""
+        return self.compiled + self.in_python.total()
+
+    @property
     def python_share(self) -> float:
         """Share of all that was decided in Python, 0…1."""
-        python = sum(self.in_python.values())
-        return python / (python + self.compiled) if python else 0.0
+        return self.in_python.total() / max(1, self.total)
+
+    @property
+    def reasons(self) -> str:
+        """Why frames were decided in Python, and how many for that: the most frequent first."""
+        return ", ".join(f"{reason} {count}" for reason, count in self.in_python.most_common())
+
+    def since(self, before: Decisions) -> Decisions:
+        """Those since a moment; `before` is what this method gave then for none before."""
+        in_python = self.in_python.copy()  # whose reasons stay, while another thread adds some
+        return Decisions(self.compiled - before.compiled, in_python - before.in_python)
 
 
 class Event(NamedTuple):
@@ -194,4 +211,4 @@ class NumpyStream:
 
     def _add(self, frames: list[FrameLevels]) -> None:
         self._frames.extend(frames)
-        self.decisions.in_python["numpy"] += len(frames)
+        self.decisions.in_python[NUMPY] += len(frames)

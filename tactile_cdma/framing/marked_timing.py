@@ -203,7 +203,7 @@ class MarkedLine:
         strongest = float(amplitude.max())
         return strongest**2 <= max(self.least_power, LIMITS.loud**2 * self.noise / self.spec.order)
 
-    def silent(self, frame: MarkedFrame, power: float, fit: Fit | None = None) -> Verdict:
+    def silent(self, frame: MarkedFrame, power: float) -> Verdict:
         """A frame in which no node spoke; rejected where one that did might not show.
 
         power: mean power of its samples, V², all of it noise.
@@ -214,7 +214,7 @@ class MarkedLine:
         if self.spec.scramble and power > self.most_silent_power:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
-        return self._decided(frame.start, fit or self.nominal, None, noise_v, clipped)
+        return self._decided(frame.start, self.nominal, None, noise_v, clipped)
 
     @property
     def most_silent_power(self) -> float:

@@ -66,7 +66,6 @@ class CdrWriter:
 
     @property
     def message(self) -> bytes:
-        """What was written."""
         return b"".join(self._parts)
 
     @property
@@ -86,7 +85,6 @@ class CdrWriter:
         self.add(_COUNT.pack(length), 4)
 
     def text(self, text: str) -> None:
-        """Write a string."""
         self.add(_string(text), 4)
 
     def array(self, values: NDArray[np.generic]) -> None:
@@ -96,7 +94,6 @@ class CdrWriter:
             self.add(np.ascontiguousarray(values).view(np.uint8).reshape(-1).data, values.itemsize)
 
     def header(self, heading: Heading) -> None:
-        """Write a header."""
         self.add(heading.fields, 4)
 
 
@@ -149,10 +146,8 @@ class CdrReader:
         return int.from_bytes(self.take(4, 4), "little")
 
     def text(self) -> str:
-        """A string."""
         return self.take(self.count())[:-1].decode(errors="replace")
 
     def header(self) -> Heading:
-        """A header."""
         seconds, nanoseconds = _STAMP.unpack(self.take(_STAMP.size, 4))
         return Heading(seconds * 1_000_000_000 + nanoseconds, self.text())

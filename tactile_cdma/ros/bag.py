@@ -34,8 +34,13 @@ DATA = ("tactile", "info", "contacts", "wrench")
 """Topics of a skin's node that are recorded by default."""
 PICTURES = ("heatmap", "pressure_image", "points", "markers")
 SHARED = ("/diagnostics", "/tf_static")
-QUEUE = 1000
-"""Messages that may wait while the disk is busy; chosen: some 12 s of frames."""
+OFFERED = QoSProfile(
+    depth=1000,
+    reliability=ReliabilityPolicy.BEST_AVAILABLE,
+    durability=DurabilityPolicy.BEST_AVAILABLE,
+)
+"""The best QoS that all publishers of a topic offer. Depth: messages that may wait while the disk
+is busy; chosen: some 12 s of frames."""
 LOOK_S = 0.1
 """Interval of looks for topics that nobody published so far, and at the room on the disk, s."""
 RESERVED_BYTES = 64 << 20
@@ -46,9 +51,8 @@ without; chosen far above the size of an index."""
 class BagRecorder(Node):
     """Writes every message of some topics into a bag.
 
-    Subscribes to a topic once somebody publishes it, with the best QoS that all its publishers
-    offer. counts: messages by topic. missing: topics that
-    nobody has published so far.
+    Subscribes to a topic once somebody publishes it. counts: messages by topic. missing: topics
+    that nobody has published so far.
     """
 
     def __init__(self, writer: Writer, topics: Iterable[str]) -> None:
@@ -66,7 +70,7 @@ class BagRecorder(Node):
                 self._record(topic, offers)
 
     def _record(self, topic: str, offers: Sequence[Any]) -> None:
-        kind, profiles = offers[0].topic_type, [offer.qos_profile for offer in offers]
+        kind = offers[0].topic_type
         if kind not in self._types.types:
             self.get_logger().error(f"{topic} is left out: the definition of {kind} is not known")
             return
@@ -74,27 +78,16 @@ class BagRecorder(Node):
             topic,
             kind,
             typestore=self._types,
-            offered_qos_profiles=[_noted(profile) for profile in profiles],
+            offered_qos_profiles=[_noted(offer.qos_profile) for offer in offers],
         )
         package, _, name = kind.split("/")
         message_type = getattr(import_module(f"{package}.msg"), name)
         keep: Callable[[bytes], None] = partial(self._keep, connection)
-        self.create_subscription(message_type, topic, keep, _matching(profiles), raw=True)
+        self.create_subscription(message_type, topic, keep, OFFERED, raw=True)
 
     def _keep(self, connection: Connection, message: bytes) -> None:
         self._writer.write(connection, time.time_ns(), message)
         self.counts[connection.topic] += 1
-
-
-def _matching(offered: Sequence[QoSProfile]) -> QoSProfile:
-    """The best QoS that all publishers of a topic offer."""
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-    return QoSProfile(
-        depth=QUEUE,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
 
 
 def _noted(profile: QoSProfile) -> Qos:
@@ -110,7 +103,7 @@ def _noted(profile: QoSProfile) -> Qos:
 
 
 def _topics(arguments: argparse.Namespace) -> list[str]:
-    """Full names of what to record; raises ParameterError for one that no topic can have."""
+    """Full names of what to record; raises ParameterError for an invalid one."""
     names = DATA + (PICTURES if arguments.all else ())
     nodes = ["/" + node.strip("/") for node in arguments.node or ["skin"]]
     topics = [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
@@ -120,7 +113,7 @@ def _topics(arguments: argparse.Namespace) -> list[str]:
         try:
             validate_full_topic_name(topic)
         except InvalidTopicNameException:
-            raise ParameterError(f"{topic!r} is no name that a topic can have") from None
+            raise ParameterError(f"{topic!r} is not a valid topic name") from None
     return topics
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from ..base.errors import SpecError
@@ -35,8 +35,8 @@ from ..wire.messages import (
 )
 from ..wire.packets import PacketParser, PacketWriter
 from .indenters import Indenter
-from .line import Disturbance, truth
-from .nodes import NodeFrame, RollCalls
+from .line import Disturbance
+from .nodes import RollCalls
 from .options import Setup, SimOptions
 from .packets import Block, stream
 from .scene import EXTERNAL, External
@@ -63,8 +63,8 @@ class VirtualDigitizer:
     time then passes as usual. In the scene "external" a program presses on the skin, and at speed 0
     it also says how many frames pass.
 
-    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost: since START.
-    born_s: host time of power-up, s.
+    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, roll_calls: since
+    START. born_s: host time of power-up, s.
 
     clock: host time, s. disturbance: of its line. Not thread-safe.
     """
@@ -81,7 +81,7 @@ class VirtualDigitizer:
         self._schedule = Schedule(clock, self.options.speed)
         self.born_s = self._schedule.born_s
         self._disturbance = disturbance
-        self._roll_calls = RollCalls()
+        self.roll_calls = RollCalls()
         self._parser, self._writer = PacketParser(), PacketWriter()
         self._external = External() if self.options.scene == EXTERNAL else None
         # What touches the skin in the frames that may begin, where the program says so.
@@ -90,8 +90,6 @@ class VirtualDigitizer:
         self._packs = False
         self._output = bytearray(1)  # a delimiter ends whatever was on the line before
         self._overrun = False  # before the next block
-        self._truth: Iterator[NodeFrame] | None = None
-        self._true_frame: NodeFrame | None = None
 
     @property
     def pending(self) -> int:
@@ -198,36 +196,22 @@ class VirtualDigitizer:
             digitizer_id=SIMULATED_ID + self.options.seed.to_bytes(4, "little"),
         )
 
-    def truth(self, frame_number: int) -> NodeFrame:
-        """What the nodes measured and sent in a frame, in the present set-up; 0 is START's.
-
-        Computed anew, so that any frame may be asked for; in rising order that costs least. What a
-        program pressed is not remembered: of the scene "external" this is the untouched skin.
-        """
-        if self._truth is None or (self._true_frame and self._true_frame.number > frame_number):
-            called = RollCalls(self._roll_calls.starts)  # the stream begins those asked for
-            self._truth, self._true_frame = truth(self.options, self.setup, called), None
-        while self._true_frame is None or self._true_frame.number < frame_number:
-            self._true_frame = next(self._truth)
-        return self._true_frame
-
     def _obey(self, command: Command) -> None:
         result = Result.OK
         match command:
             case Start():
-                self._roll_calls = RollCalls()
+                self.roll_calls = RollCalls()
                 blocks = stream(
-                    self.options, self.setup, self._roll_calls, self._disturbance, self._external
+                    self.options, self.setup, self.roll_calls, self._disturbance, self._external
                 )
                 self._schedule.start(blocks)
                 self.frames_lost, self._overrun = 0, False
-                self._truth = None
             case Stop():
                 self._schedule.stop()
             case RollCall():
                 marked = self.setup.sync != SyncMode.NONE and not self.setup.integrated
                 if self.streaming and marked:
-                    self._roll_calls.asked = True
+                    self.roll_calls.asked = True
                 else:
                     result = Result.UNSUPPORTED
             case Pack():
@@ -249,7 +233,7 @@ class VirtualDigitizer:
         except SpecError:
             return Result.UNSUPPORTED
         self._schedule.stop()
-        self._truth, self._packs = None, False
+        self._packs = False
         return Result.OK
 
     def _send_block(self, block: Block) -> None:

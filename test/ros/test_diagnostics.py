@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from tactile_cdma.base import kernel
 from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.driver import pipeline
 from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.sim import line
@@ -169,6 +172,27 @@ def test_noise_drowns_the_weakest_node() -> None:
 def test_clipping_says_by_how_much() -> None:
     client = complaint("stream", WARN, "are at a rail", port="sim://?scene=all&threshold=0&rail=1")
     assert float(client.value("stream", "clipped samples (%)")) > 1
+
+
+@pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
+def test_why_frames_are_decided_in_python_is_told_while_they_are() -> None:
+    """The line of a skin under load is clipped; when nobody speaks, nothing is left to doubt."""
+    with hurrying(port="sim://?scene=all&threshold=0&rail=1") as (_, client):
+        wait_for(lambda: client.value("stream", "why in Python").startswith("clipped "), PATIENCE_S)
+        assert float(client.value("stream", "decided in Python (%)")) > 90
+        assert int(client.value("stream", "decided in Python")) > 0
+    with hurrying(port="sim://?scene=idle&heartbeat=0") as (_, client):
+        wait_for(lambda: int(client.value("stream", "decided by the kernel") or 0) > 40, PATIENCE_S)
+        wait_for(lambda: client.value("stream", "decided in Python (%)") == "0.0", PATIENCE_S)
+        wait_for(lambda: client.value("stream", "why in Python") == "", PATIENCE_S)
+
+
+def test_frames_are_decided_in_python_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "kernel", SimpleNamespace(compiled=None))
+    with hurrying(port="sim://?scene=press") as (_, client):
+        wait_for(lambda: client.value("stream", "why in Python").startswith("numpy "), PATIENCE_S)
+    assert client.value("stream", "decided in Python (%)") == "100.0"
+    assert client.value("stream", "decided by the kernel") == "0"
 
 
 @pytest.mark.parametrize(

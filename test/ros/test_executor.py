@@ -145,7 +145,7 @@ def test_publishers_hear_of_subscribers_that_ask_for_more(world: World) -> None:
 
 def test_polled_topics_wake_nobody_and_wait_until_they_are_polled(world: World) -> None:
     topic = (Header, "said", world.hear, LATCHED)
-    polled, woken = Following(world.node, topic, is_awaited=False), Following(world.peer, topic)
+    polled, woken = Following(world.node, topic, is_polled=True), Following(world.peer, topic)
     for following in (polled, woken):
         following.follow(True)
     world.publisher("it")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.nodes import NodeFrame, RollCalls
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Samples, Start
@@ -44,6 +47,23 @@ class _Clock:
 
     def __call__(self) -> float:
         return self.now_s
+
+
+class Truth:
+    """What the nodes of a virtual digitizer measure and send in its present set-up, by frame.
+
+    Number 0 is START's. What a program pressed is not remembered: of the scene "external" this is
+    the untouched skin.
+    """
+
+    def __init__(self, digitizer: VirtualDigitizer) -> None:
+        called = RollCalls(digitizer.roll_calls.starts)  # the stream begins those asked for
+        self._coming = truth(digitizer.options, digitizer.setup, called)
+        self._known: list[NodeFrame] = []
+
+    def __getitem__(self, number: int) -> NodeFrame:
+        self._known += islice(self._coming, max(0, number + 1 - len(self._known)))
+        return self._known[number]
 
 
 def scope_capture(

@@ -7,6 +7,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Info, Packet, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
@@ -104,7 +106,7 @@ def record(config: SkinConfig, options: SimOptions, count: int) -> Stretch:
     info = digitizer.info()
     period_us = round(config.spec.frame_period_s * 1e6)
     started_us = round(digitizer.started_s * 1e6)
-    said = [digitizer.truth(number) for number in range(count)]
+    said = list(islice(truth(digitizer.options, digitizer.setup), count))
     return Stretch(
         info=info,
         frames=tuple(

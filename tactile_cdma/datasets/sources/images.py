@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 
 from ...base.errors import CaptureError
 
-CHANNELS = {
-    "rgb8": (0, 1, 2),
-    "8UC3": (0, 1, 2),
-    "bgr8": (2, 1, 0),
-    "rgba8": (0, 1, 2),
-    "bgra8": (2, 1, 0),
-    "mono8": (0, 0, 0),
-    "8UC1": (0, 0, 0),
+ENCODINGS = {
+    "rgb8": (3, (0, 1, 2)),
+    "8UC3": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+    "mono8": (1, (0, 0, 0)),
+    "8UC1": (1, (0, 0, 0)),
 }
-"""Encodings of sensor_msgs/Image that are taken: which channels are red, green and blue."""
-_DEPTH = {"rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
-"""Bytes of a pixel, where they are not 3."""
+"""Encodings of sensor_msgs/Image that are taken: bytes of a pixel; its red, green and blue."""
 PNG_LEVEL = 1
 """Effort of compression; chosen: 6 takes three times as long for some 5 % less."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -34,9 +32,9 @@ _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 def problem(message: Any) -> str | None:
     """Why an Image or CompressedImage cannot ride along; None if it can."""
     if hasattr(message, "encoding"):
-        if message.encoding in CHANNELS:
+        if message.encoding in ENCODINGS:
             return None
-        return f"encoding {message.encoding}; {', '.join(CHANNELS)} are taken"
+        return f"encoding {message.encoding}; {', '.join(ENCODINGS)} are taken"
     if bytes(message.data[:8]).startswith((_PNG, _JPEG)):
         return None
     return f"format {message.format!r} is neither PNG nor JPEG"
@@ -89,11 +87,11 @@ def _opened(file: bytes, topic: str) -> Iterator[Any]:
 
 def _pixels(message: Any, topic: str) -> NDArray[np.uint8]:
     height, width, step = int(message.height), int(message.width), int(message.step)
-    depth = _DEPTH.get(message.encoding, 3)
+    depth, channels = ENCODINGS[message.encoding]
     if step < width * depth or len(message.data) < step * height or not height * width:
         raise CaptureError(
             f"{topic}: an image of {width} × {height} with {len(message.data)} bytes"
         )
     rows = np.asarray(message.data[: step * height], dtype=np.uint8).reshape(height, step)
     pixels = rows[:, : width * depth].reshape(height, width, depth)
-    return np.ascontiguousarray(pixels[:, :, CHANNELS[message.encoding]])
+    return np.ascontiguousarray(pixels[:, :, channels])

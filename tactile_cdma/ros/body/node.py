@@ -72,7 +72,6 @@ class BodyNode(Node):
         self._published_s = time.monotonic()  # when contacts were, or would have been, published
         self._is_first = True  # nobody has had a message yet
         self._sequence = 0
-        self._is_polling = False
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
         self._are_points_due = False
         self._cloud = b""
@@ -107,13 +106,10 @@ class BodyNode(Node):
             self._points_timer.cancel()
         if names:
             self._publish_names()
-        if contacts:  # in case all that are awaited fell silent at once
-            self._poll_contacts()
         now_s = time.monotonic()
         if not contacts:
             self._rounds.forget()
             self._published_s, self._is_first = now_s, True
-            self._choose_awaited()
         elif now_s - self._published_s > self._values["stale_after_s"]:
             self._publish_contacts(now_s)
 
@@ -130,30 +126,12 @@ class BodyNode(Node):
     # Contacts and wrench
 
     def _take_contacts(self, feed: PatchFeed, message: Touches) -> None:
-        self._poll_contacts()
         now_s = time.monotonic()
         if self._rounds.is_due_before(feed.node_name):
             self._publish_contacts(now_s)
         feed.contacts = message
         if self._rounds.add(feed.node_name, now_s):
             self._publish_contacts(now_s)
-        self._choose_awaited()
-
-    def _poll_contacts(self) -> None:
-        """Take what has come from patches that are not awaited, while it can join the round."""
-        if not self._is_polling:
-            self._is_polling = True
-            for feed in self._feeds.values():
-                if not feed.is_awaited:
-                    feed.poll_contacts()
-            self._is_polling = False
-
-    def _choose_awaited(self) -> None:
-        """Be woken by as few patches as the round needs: that takes longer than all the rest."""
-        if not self._is_polling:
-            awaited = self._rounds.awaited(self._feeds)
-            for name, feed in self._feeds.items():
-                feed.is_awaited = name in awaited
 
     def _publish_contacts(self, now_s: float) -> None:
         self._rounds.end()

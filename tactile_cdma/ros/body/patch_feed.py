@@ -62,7 +62,7 @@ class PatchFeed:
             node,
             (TactileSkinInfo, f"{node_name}/info", self._take_info, LATCHED),
             (TactileArray, f"{node_name}/tactile", self._take_array, LATEST),
-            is_awaited=False,
+            is_polled=True,
         )
 
     @property
@@ -131,20 +131,6 @@ class PatchFeed:
         if not points:
             self.array = self._cloud = None
             self.is_new = False
-
-    @property
-    def is_awaited(self) -> bool:
-        """Whether new contacts are noticed on arrival, not when poll_contacts is called."""
-        return self._for_contacts.is_awaited
-
-    @is_awaited.setter
-    def is_awaited(self, is_awaited: bool) -> None:
-        self._for_contacts.is_awaited = is_awaited
-
-    def poll_contacts(self) -> None:
-        """Take all contacts that wait, or they would stay one frame late after a hold-up."""
-        for _ in range(FRESH.depth):
-            self._for_contacts.poll()
 
     def poll_points(self) -> None:
         """Take the latest array, and info, if there are new ones."""

@@ -20,8 +20,6 @@ class Rounds:
         self.silent_after_s = silent_after_s
         self._heard_s: dict[str, float] = {}
         self._news: set[str] = set()
-        self._completed_by: str | None = None  # of the present round
-        self._last: str | None = None  # in the round before, if all sent in it
 
     def is_due_before(self, sender: str) -> bool:
         """Whether the round ends before this sender's next message is added."""
@@ -31,26 +29,11 @@ class Rounds:
         """Add a sender's message; returns whether this completes the round."""
         self._heard_s[sender] = now_s
         self._news.add(sender)
-        is_complete = self._news.issuperset(self.present(self._heard_s, now_s))
-        if is_complete:
-            self._completed_by = sender
-        return is_complete
+        return self._news.issuperset(self.present(self._heard_s, now_s))
 
     def end(self) -> None:
         """Begin the next round."""
         self._news.clear()
-        self._last, self._completed_by = self._completed_by, None
-
-    def awaited(self, senders: Iterable[str]) -> set[str]:
-        """The senders whose next messages have to be noticed on arrival; others' can wait for them.
-
-        Where all keep their order, the one that was last in the round before completes this one,
-        too. Another one is awaited with it, and tells by its second message if that stays away.
-        """
-        if self._last is None or self._last in self._news:
-            return set(senders)
-        others = self._heard_s.keys() - {self._last}
-        return {self._last, *sorted(others, key=self._heard_s.__getitem__)[-1:]}
 
     def present(self, senders: Iterable[str], now_s: float) -> list[str]:
         """The senders that are present, in the given order."""
@@ -61,4 +44,3 @@ class Rounds:
         """Start over, with no sender heard."""
         self._heard_s.clear()
         self._news.clear()
-        self._last = self._completed_by = None

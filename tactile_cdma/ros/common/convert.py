@@ -139,15 +139,3 @@ def nanoseconds(stamp: Time) -> int:
 def rows(points: Sequence[Point | Point32 | Vector3]) -> NDArray[np.float64]:
     """Points or vectors as an array, (m, 3)."""
     return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float64).reshape(-1, 3)
-
-
-def point(place: NDArray[np.floating]) -> Point:
-    """A point from an array, (3,)."""
-    x, y, z = place.tolist()
-    return Point(x=x, y=y, z=z)
-
-
-def vector(values: NDArray[np.floating]) -> Vector3:
-    """A vector from an array, (3,)."""
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)

@@ -8,7 +8,7 @@ with 20 services and topics, several times what the message itself does.
 
 rclpy.experimental.EventsExecutor costs as little as this one, but in Jazzy's rclpy (7.1) it calls
 nobody while it waits without a time limit, fails where a callback wants what the middleware knows
-of a message, and has no Gate.
+of a message, and waits for what is only Polled, too.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.utilities import timeout_sec_to_nsec
 
 EVENTS_S = 0.2
@@ -29,24 +30,14 @@ EVENTS_S = 0.2
 at a subscriber, and waiting for the 2 of every topic takes longer than for all else."""
 
 
-class Gate(CallbackGroup):
-    """Group of subscriptions that are waited for only while is_open.
+class Polled(CallbackGroup):
+    """Group of subscriptions that no executor waits for: messages stay in the middleware.
 
-    A message that arrives meanwhile stays in the middleware.
+    What the middleware has to say about them, such as incompatible QoS, is heard all the same.
     """
 
-    def __init__(self, is_open: bool) -> None:
-        super().__init__()
-        self.is_open = is_open
-
     def can_execute(self, entity: object) -> bool:
-        return self.is_open
-
-    def beginning_execution(self, entity: object) -> bool:
-        return self.is_open
-
-    def ending_execution(self, entity: object) -> None:
-        pass
+        return not isinstance(entity, Subscription)
 
 
 class LeanExecutor(Executor):
@@ -60,7 +51,6 @@ class LeanExecutor(Executor):
         super().__init__()
         self._held = ExitStack()  # keeps what is waited for from being destroyed
         self._add: list[tuple[Callable[[Any], None], Any]] = []
-        self._gated: list[tuple[Gate, Callable[[Any], None], Any]] = []
         self._event_handlers: list[Any] = []
         self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
         self._has_changed, self._events_due_s = True, 0.0
@@ -88,9 +78,6 @@ class LeanExecutor(Executor):
         wait_set.clear_entities()
         for add, handle in self._add:
             add(handle)
-        for gate, add, handle in self._gated:
-            if gate.is_open:
-                add(handle)
         handlers = []
         if time.monotonic() >= self._events_due_s:
             self._events_due_s, handlers = time.monotonic() + EVENTS_S, self._event_handlers
@@ -120,18 +107,13 @@ class LeanExecutor(Executor):
         self._held.close()
         nodes, context = self.get_nodes(), self._context.handle
         timers, subscriptions, services, self._event_handlers = (
-            [
-                entity
-                for node in nodes
-                for entity in getattr(node, kind)
-                if isinstance(entity.callback_group, Gate) or self.can_execute(entity)
-            ]
+            [entity for node in nodes for entity in getattr(node, kind) if self.can_execute(entity)]
             for kind in ("timers", "subscriptions", "services", "waitables")
         )
         guards = [self._guard, self._sigint_gc]
         kinds = subscriptions, guards, timers, (), services, self._event_handlers  # no clients
         self._wait_set = _rclpy.WaitSet(*map(len, kinds), context)
-        self._add, self._gated, self._call = [], [], {}
+        self._add, self._call = [], {}
         for kind, entities, call in (
             ("guard_condition", guards, None),
             ("timer", timers, _call_timer),
@@ -141,10 +123,7 @@ class LeanExecutor(Executor):
             add = getattr(self._wait_set, f"add_{kind}")
             for entity in entities:
                 self._held.enter_context(entity.handle)
-                if call and isinstance(entity.callback_group, Gate):
-                    self._gated.append((entity.callback_group, add, entity.handle))
-                else:
-                    self._add.append((add, entity.handle))
+                self._add.append((add, entity.handle))
                 if call:
                     self._call[entity.handle.pointer] = call, entity
         for held in (*self._event_handlers, context):

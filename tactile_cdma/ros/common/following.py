@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from .executor import Gate, take_message
+from .executor import Polled, take_message
 
 Topic = tuple[type, str, Callable[..., None], QoSProfile]
 """Type of the messages, name, callback (see take_message), QoS."""
@@ -19,30 +19,20 @@ Topic = tuple[type, str, Callable[..., None], QoSProfile]
 class Following:
     """Some topics of a node, subscribed to together or not at all.
 
-    is_awaited: executors wait for their messages; else these stay in the middleware until poll().
-    Being woken by a message costs more than taking it. raw: callbacks get serialised messages,
-    bytes.
+    is_polled: messages stay in the middleware until poll(); else executors wait for them. raw:
+    callbacks get serialised messages, bytes.
     """
 
     def __init__(
-        self, node: Node, *topics: Topic, is_awaited: bool = True, raw: bool = False
+        self, node: Node, *topics: Topic, is_polled: bool = False, raw: bool = False
     ) -> None:
         self._node, self._topics, self._raw = node, topics, raw
-        self._gate = Gate(is_awaited)
+        self._group = Polled() if is_polled else None
         self._subscriptions: list[Subscription] = []
 
     def __bool__(self) -> bool:
         """Whether the topics are subscribed to."""
         return bool(self._subscriptions)
-
-    @property
-    def is_awaited(self) -> bool:
-        """Whether executors wait for their messages."""
-        return self._gate.is_open
-
-    @is_awaited.setter
-    def is_awaited(self, is_awaited: bool) -> None:
-        self._gate.is_open = is_awaited
 
     def follow(self, asked: bool) -> None:
         """Subscribe, or end the subscriptions."""
@@ -52,7 +42,7 @@ class Following:
             self._node.destroy_subscription(subscription)
         topics = self._topics if asked else ()
         self._subscriptions = [
-            self._node.create_subscription(*topic, callback_group=self._gate, raw=self._raw)
+            self._node.create_subscription(*topic, callback_group=self._group, raw=self._raw)
             for topic in topics
         ]
 

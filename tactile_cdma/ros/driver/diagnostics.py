@@ -16,6 +16,7 @@ from ...driver.digitizer import SourceWatch
 from ...driver.driver import NOT_YET, Driver
 from ...driver.findings import Level, Settling, worst
 from ...driver.pipeline import Pipeline, TactileFrame
+from ...driver.stream import Decisions
 from ...driver.vitals import Window
 from ...wire.identity import shown_id
 from ...words.health import NodeState
@@ -37,6 +38,7 @@ class SkinReport:
         """node: fully qualified name of the node."""
         self._prefix = node.lstrip("/")
         self._hardware_id = ""
+        self._decided = Decisions()  # up to the last report
         self._start_over()
 
     def _start_over(self) -> None:
@@ -66,10 +68,14 @@ class SkinReport:
         """
         pipeline = driver.pipeline
         window = driver.vitals.take(pipeline)
+        before, self._decided = self._decided, pipeline.decisions.since(Decisions())
         if pipeline.digitizer.info is not None:
             self._hardware_id = shown_id(pipeline.digitizer.info.digitizer_id)
         values: dict[str, Values] = {
-            STREAM: _stream_values(pipeline, window),
+            STREAM: {
+                **_stream_values(pipeline, window),
+                **_decision_values(self._decided, self._decided.since(before)),
+            },
             NODES: {**_node_values(driver, window), "tared": tared or "not"},
             LINK: {"port": driver.url, **_link_values(driver, window)},
             SOURCE: {
@@ -134,6 +140,15 @@ def _stream_values(pipeline: Pipeline, window: Window) -> Values:
         "lost frames (per s)": f"{window.rises.stream.lost_frames / window.seconds:.2f}",
         "noise floor (V rms)": _number(window.noise_rms_v, 6),
         "clipped samples (%)": f"{100 * window.clipped:.2f}",
+    }
+
+
+def _decision_values(totals: Decisions, rises: Decisions) -> Values:
+    return {
+        "decided by the kernel": totals.compiled,
+        "decided in Python": totals.in_python.total(),
+        "decided in Python (%)": f"{100 * rises.python_share:.1f}",
+        "why in Python": rises.reasons,
     }
 
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -17,7 +17,6 @@ from ...config.parameters import Values
 from ...places.layout import Layout
 from ...places.mesh import tangents
 from ...places.poses import Pose
-from ..common.convert import vector
 
 TF_STATIC = "/tf_static"
 MIDDLE = "_middle"
@@ -85,7 +84,7 @@ def middle_of(values: Values, layout: Layout) -> TransformStamped:
 
 
 def _stamped(parent: str, child: str, pose: Pose) -> TransformStamped:
-    translation = vector(pose.translation_m)
+    translation = Vector3(**dict(zip("xyz", pose.translation_m.tolist(), strict=True)))
     rotation = Quaternion(**dict(zip("xyzw", pose.quaternion.tolist(), strict=True)))
     return TransformStamped(
         header=Header(frame_id=parent),

@@ -35,25 +35,14 @@ class BodyViewer(Node):
     def __init__(self, body: str) -> None:
         super().__init__("body_viewer")
         self.latest: TactileContacts | None = None
-        self._complaints = Complaints(body.strip("/"))
+        self.complaints = Complaints(body.strip("/"))
         self.tally = Tally()
-        self._heard_s = time.monotonic()
         self.create_subscription(TactileContacts, f"{body}/contacts", self._take, RELIABLE)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._complaints.take, 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.complaints.take, 10)
 
     def _take(self, message: TactileContacts) -> None:
-        self.latest, self._heard_s = message, time.monotonic()
-        self.tally.add(message.info_id, message.sequence, 0.0, self._heard_s)
-
-    @property
-    def silent_s(self) -> float:
-        """Time since the last message, s."""
-        return time.monotonic() - self._heard_s
-
-    @property
-    def complaint(self) -> str:
-        """What the body's node complains of; empty: nothing."""
-        return self._complaints.worst
+        self.latest = message
+        self.tally.add(message.info_id, message.sequence, 0.0, time.monotonic())
 
 
 def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:
@@ -103,16 +92,17 @@ def _report(program: Running[BodyViewer], seconds: float) -> None:
         if not program.spin(LINE_S):
             return
         if viewer.latest is None:
-            print(line(None, 0.0, viewer.complaint), flush=True)
+            print(line(None, 0.0, viewer.complaints.worst), flush=True)
     end_s = time.monotonic() + (seconds if viewer.latest else seconds - PATIENCE_S)
     while (left_s := end_s - time.monotonic()) > 0 and program.spin(min(LINE_S, left_s)):
         if left_s < LINE_S:
             return
-        if viewer.latest and viewer.silent_s > LINE_S:
-            print(f"no message for {viewer.silent_s:.1f} s", flush=True)
+        now_s = time.monotonic()
+        if viewer.latest and (silent_s := viewer.tally.silent_s(now_s)) > LINE_S:
+            print(f"no message for {silent_s:.1f} s", flush=True)
             continue
-        rate_hz = viewer.tally.rate_hz(time.monotonic())
-        print(line(viewer.latest, rate_hz, viewer.complaint), flush=True)
+        text = line(viewer.latest, viewer.tally.rate_hz(now_s), viewer.complaints.worst)
+        print(text, flush=True)
 
 
 def main() -> int:
@@ -126,7 +116,7 @@ def main() -> int:
     viewer = program.node
     latest = viewer.latest
     if latest is None:
-        reason = viewer.complaint or "does the node body run?"
+        reason = viewer.complaints.worst or "does the node body run?"
         print(f"no message on {arguments.body}/contacts: {reason}", file=sys.stderr)
     absent = len(latest.absent) if latest else 0
     print(f"received={viewer.tally.received} lost={viewer.tally.lost} absent={absent}")

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -39,6 +40,10 @@ class Tally:
         self.received += 1
         self.latency_ms.append(age_s * 1e3)
         self._arrivals_s.append(now_s)
+
+    def silent_s(self, now_s: float) -> float:
+        """Time since the last message, s; infinite if there was none."""
+        return now_s - self._arrivals_s[-1] if self._arrivals_s else math.inf
 
     @property
     def lost(self) -> int:

@@ -66,7 +66,6 @@ class Viewer(Node):
         self.latest: TactileArray | None = None
         self.layout: Layout | None = None
         self.coverage = Coverage()
-        self._heard_s = -math.inf
         self._topic = topic
         self.patch = driver = topic.rpartition("/")[0]
         self.complaints = Complaints(driver.strip("/"))
@@ -99,7 +98,7 @@ class Viewer(Node):
         now_s = time.monotonic()
         age_ns = self.get_clock().now().nanoseconds - nanoseconds(message.header.stamp)
         self.tally.add(message.info_id, message.sequence, age_ns * 1e-9, now_s)
-        self.latest, self._heard_s = message, now_s
+        self.latest = message
         pressure_pa = np.array(message.pressure, dtype=np.float32)
         self.coverage = Coverage.of(pressure_pa, np.array(message.status, dtype=np.uint8))
         self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
@@ -109,7 +108,7 @@ class Viewer(Node):
 
     def silent_s(self, now_s: float) -> float:
         """Time without a frame, s; 0 up to OLD_S."""
-        silent_s = now_s - self._heard_s
+        silent_s = self.tally.silent_s(now_s)
         return silent_s if silent_s > OLD_S else 0.0
 
     def reading(self, message: TactileArray, now_s: float) -> Reading:

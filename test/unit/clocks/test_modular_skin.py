@@ -14,6 +14,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Received, RollCall, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.words.decode import decode
+from test.support.simulated import Truth
 
 URL = (
     "sim://?nodes=15&order=32&chip_us=20&samples_per_chip=4&clock_spread=0.005&delay_spread=0.5"
@@ -45,7 +46,7 @@ def test_a_roll_call_is_all_it_takes() -> None:
     spec, sampling, info = digitizer.setup.spec, Sampling(4.0), digitizer.info()
     listener = RollCallListener(spec, sampling)
     decorrelator, plain_errors, checked = None, 0, 0
-    called = 0
+    called, truths = 0, Truth(digitizer)
     for number, (by_name, counts) in enumerate(frames_of(received)):
         volts = info.volts(counts)
         gap = volts[listener.samples :]
@@ -63,7 +64,7 @@ def test_a_roll_call_is_all_it_takes() -> None:
                 assert needs_decorrelation(spec, clocks)
                 decorrelator = Decorrelator(spec, clocks, sampling)
                 assert not decorrelator.unresolved.size
-            truth = digitizer.truth(number)
+            truth = truths[number]
             noise_v = float(gap.std()) * float(np.sqrt(np.square(decorrelator.noise_gain).mean()))
             words = decode(NodeLevels(decorrelator.estimate(volts), noise_v), spec)
             assert np.array_equal(words.active, truth.active)

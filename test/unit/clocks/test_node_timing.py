@@ -15,6 +15,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import PacketType, Result
 from tactile_cdma.wire.messages import Ack, RollCall, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import Truth
 
 OWN = "&clock_spread=0.01&delay_spread=0.5"
 
@@ -51,11 +52,11 @@ class Bench:
         matrix are shifts of each other.
         """
         newest = round(self.frames[-1].t_start / self.config.spec.frame_period_s)
-        right = 0
+        right, truth = 0, Truth(self.digitizer)
         for frame in self.frames:
             number = round(frame.t_start / self.config.spec.frame_period_s)
             if number > newest - last:
-                sent = self.digitizer.truth(number)
+                sent = truth[number]
                 words = frame.words
                 same = (words.codes == sent.codes) & words.active & sent.active
                 right += int((same | words.doubtful).sum())

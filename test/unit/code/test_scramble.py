@@ -29,7 +29,7 @@ from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words, decode
-from test.support.simulated import configuration, run, stream
+from test.support.simulated import Truth, configuration, run, stream
 
 MASK = 0xFFFFFFFF
 MOST_LATE = 40
@@ -114,9 +114,9 @@ def test_a_scrambled_skin_is_decoded(samples_per_chip: int, parity: bool) -> Non
         digitizer.receive(PacketWriter().encode(command))
     frames = run(config, data)
     assert len(frames) >= 38
-    seen = set()
+    seen, truths = set(), Truth(digitizer)
     for frame in frames:
-        truth = digitizer.truth(round(frame.t_start / config.spec.frame_period_s))
+        truth = truths[round(frame.t_start / config.spec.frame_period_s)]
         assert frame.t_start == pytest.approx(truth.start_s, abs=config.spec.chip_s)
         np.testing.assert_array_equal(frame.words.active, truth.active)
         np.testing.assert_array_equal(frame.words.codes, truth.codes)

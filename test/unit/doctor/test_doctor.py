@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor import installation
 from tactile_cdma.doctor.report import Grade, exit_code
+from tactile_cdma.driver import pipeline
 from tactile_cdma.wire.messages import FrameLayout, Info
 from tactile_cdma.wire.packets import PacketWriter, wrap
 from tactile_cdma.wire.port import Port
@@ -144,6 +146,40 @@ def test_nodes_that_would_go_stale_between_heartbeats(
     assert code == 0
     assert found["parameters"].startswith("warning")
     assert "stale_after_s is 0.9 s, but nodes at rest speak every 1 s" in found["parameters"]
+
+
+@pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
+@pytest.mark.parametrize(
+    ("options", "lines", "reason", "said"),
+    [
+        ("scene=idle&heartbeat=0&noise=0.4", [], "no timing yet", "noise, hum or clipping"),
+        ("scene=all&threshold=0&rail=1", [], "clipped", "noise, hum or clipping"),
+        ("scene=all&threshold=0&stretch=0.1", [], "unexplained", "nodes stretch their frames"),
+        ("scene=press", ["timing: gap"], "gap timing", "as always without frame marks"),
+    ],
+)
+def test_why_much_is_decided_in_python_is_told(
+    doctor: Doctor, params: Callable[..., str], options: str, lines: list[str], reason: str,
+    said: str,
+) -> None:  # fmt: skip
+    file = params("nodes: 16", *lines)
+    _, found = doctor(f"sim://?{options}", "--params", file, "--seconds", "0.5")
+    assert f"frames decided in Python: {reason} " in found["kernel"]
+    share = int(re.match(r"ok: (\d+)% of \d+ frames", found["kernel"])[1])  # type: ignore[index]
+    assert share > 90 and said in found["kernel"]
+
+
+def test_that_frames_are_decided_without_the_kernel_is_told(
+    doctor: Doctor, params: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = "sim://?scene=press", "--params", params("nodes: 16"), "--seconds", "0.5"
+    if kernel.compiled is not None:
+        _, found = doctor(*arguments)
+        assert re.match(r"ok: \d% of \d+ frames", found["kernel"]) and "CPU" not in found["kernel"]
+    monkeypatch.setattr(pipeline, "kernel", SimpleNamespace(compiled=None))
+    _, found = doctor(*arguments)
+    assert re.match(r"ok: 100% of (\d+) frames .*: numpy \1; this takes more CPU", found["kernel"])
+    assert "tells why the kernel is not used" in found["kernel"]
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\xfe", b"just: yaml", b"[1"])

@@ -35,6 +35,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.simulated import Truth
 
 SKINS = {
     "raw": {"samples_per_chip": 4},
@@ -183,9 +184,10 @@ def test_frames_come_again_by_themselves(name: str, data: st.DataObject) -> None
     assert len(frames) == pytest.approx(LOOK_S / config.spec.frame_period_s, abs=1)
     assert talk.pipeline.problem is None
     assert talk.pipeline.counters.lost_frames == lost
+    truth = Truth(talk.digitizer)
     for frame in frames:
         since_s = frame.t_start - talk.digitizer.started_s
-        true = talk.digitizer.truth(round(since_s / config.spec.frame_period_s))
+        true = truth[round(since_s / config.spec.frame_period_s)]
         assert since_s == pytest.approx(true.start_s, abs=config.spec.chip_s)
         assert np.array_equal(frame.words.active, true.active)
         assert np.array_equal(frame.words.codes, true.codes)

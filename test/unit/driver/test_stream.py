@@ -17,10 +17,11 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.code.transform import compiled_transform
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.compiled_stream import DOUBTS, CompiledStream, _rules
+from tactile_cdma.driver.compiled_stream import CLOCKS_OF_NODES, CompiledStream, _rules
+from tactile_cdma.driver.description import Description
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
-from tactile_cdma.driver.stream import NumpyStream
+from tactile_cdma.driver.stream import Decisions, NumpyStream
 from tactile_cdma.driver.timeline import Answer
 from tactile_cdma.framing.line_timing import CARRIED_FRAMES
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -90,9 +91,8 @@ def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Pipeline:
     expected, expected_told = outcome(reference, data, chunk)
     assert_same(frames, expected)
     assert told == expected_told
-    decided = pipeline.decisions.compiled + sum(pipeline.decisions.in_python.values())
-    assert decided >= len(frames)
-    assert not reference.decisions.compiled
+    assert pipeline.decisions.total >= len(frames)
+    assert reference.decisions.python_share == 1 or not reference.decisions.total
     return pipeline
 
 
@@ -171,6 +171,19 @@ def test_why_frames_are_decided_in_python_is_told(
     )
     assert pipeline.decisions.in_python.most_common(1)[0][0] == reason
     assert pipeline.decisions.python_share > 0.9
+
+
+def test_decisions_are_counted_from_any_moment() -> None:
+    config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
+    pipeline = Pipeline(config, background=False)
+    pipeline.feed(data[: len(data) // 3], 1.0)
+    before = pipeline.decisions.since(Decisions())
+    copied = before.compiled, before.reasons
+    frames = pipeline.feed(data[len(data) // 3 :], 1.0)
+    assert before.total and (before.compiled, before.reasons) == copied
+    assert pipeline.decisions.since(before).total == len(frames)
+    assert pipeline.decisions.total == pipeline.counters.frames == before.total + len(frames)
+    assert not pipeline.decisions.since(pipeline.decisions).total
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 64, 500, 1 << 14, 1 << 22])
@@ -321,7 +334,7 @@ def test_a_roll_call_gives_the_same(options: str) -> None:
         digitizer.receive(PacketWriter(50).encode(RollCall()))
     pipeline = compare(config, data)
     assert pipeline.clocks is not None and pipeline.clocks.heard == 16
-    assert pipeline.decisions.in_python[DOUBTS[0]] >= 16
+    assert pipeline.decisions.in_python[CLOCKS_OF_NODES] >= 16
 
 
 @pytest.mark.parametrize("parameters", [SMALL, CHIPS])
@@ -491,10 +504,7 @@ def test_bytes_that_were_read_are_decoded_before_others_are_left_out() -> None:
 def test_arguments_that_do_not_fit_are_refused() -> None:
     assert kernel.compiled is not None
     config = SkinConfig.of(SMALL)
-    pipeline = Pipeline(config, background=False)
-    pipeline.feed(sent((), "sim://?seed=1&scene=moving"), 1.0)
-    assert isinstance(pipeline.stream, CompiledStream) and pipeline._description is not None
-    rules = _rules(pipeline._description, frames=True)
+    rules = _rules(Description(INFO, config, background=False), frames=True)
     flips, rows = np.empty(0, np.float32), np.empty((10, 20), np.float32)
     transform = compiled_transform(config.spec.book.plan, spreading=False)
     with pytest.raises(TypeError, match="scanner: a Scanner of the kernel"):
@@ -541,5 +551,5 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
         made.place(Answer.TAKE, 0, False, 0.0, 0.0)
     with pytest.raises(ValueError, match="answer: "):
         made.place(17, 0, False, 0.0, 0.0)
-    del made, pipeline, answer
+    del made, answer
     gc.collect()

@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 
-import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -90,63 +89,3 @@ def test_the_silence_of_a_sender_never_heard_is_infinite() -> None:
     rounds.forget()
     assert rounds.present(["a"], 5.0) == []
     assert not rounds.is_due_before("a")
-
-
-class Sleeper(Gatherer):
-    """Is woken by awaited senders alone; the others' messages, at most two, wait to be polled."""
-
-    def __init__(self, senders: set[str], silent_after_s: float) -> None:
-        super().__init__(silent_after_s)
-        self.waiting: dict[str, deque[float]] = {name: deque(maxlen=2) for name in senders}
-        self.awaited, self.wakes = senders, 0
-
-    def arrive(self, sender: str, now_s: float) -> None:
-        self.waiting[sender].append(now_s)
-        while woken := [name for name in sorted(self.awaited) if self.waiting[name]]:
-            self.wakes += 1
-            for name in self.waiting.keys() - self.awaited:
-                while self.waiting[name]:
-                    self.take(name, self.waiting[name].popleft())
-            self.take(woken[0], self.waiting[woken[0]].popleft())
-            self.awaited = self.rounds.awaited(self.waiting)
-
-
-def slept(arrivals: list[tuple[float, str]]) -> Sleeper:
-    sleeper = Sleeper({name for _, name in arrivals}, silent_after_s=1.0)
-    for now_s, sender in sorted(arrivals):
-        sleeper.arrive(sender, now_s)
-    return sleeper
-
-
-@given(st.lists(st.floats(0.0, 0.0099), min_size=3, max_size=8, unique=True))
-def test_senders_in_order_need_fewer_wakes_for_timely_rounds(
-    phases_s: list[float],
-) -> None:
-    arrivals = [n for i, phase_s in enumerate(phases_s) for n in steady(f"p{i}", 0.01, phase_s, 1)]
-    sleeper = slept(arrivals)
-    late = [(now_s, latest) for now_s, latest in sleeper.out if now_s > 0.5]
-    assert 49 <= len(late) <= 51
-    for now_s, latest in late:
-        assert len(latest) == len(phases_s)
-        assert now_s - min(latest.values()) < 0.0101
-    assert sleeper.wakes < 2 * 100 + 5 * len(phases_s)
-
-
-@given(st.integers(0, 4), st.floats(0.3, 0.7))
-def test_whoever_falls_silent_the_awaited_keep_the_pace(silent: int, until_s: float) -> None:
-    """The one that is awaited to complete the round, too."""
-    ends_s = [until_s if i == silent else 1.0 for i in range(5)]
-    arrivals = [n for i in range(5) for n in steady(f"p{i}", 0.01, i * 1e-3, ends_s[i])]
-    out = slept(arrivals).out
-    assert max(np.diff([now_s for now_s, _ in out])) < 0.0201
-    final_s, latest = out[-1]
-    assert all(final_s - latest[f"p{i}"] < 0.0201 for i in range(5) if i != silent)
-
-
-def test_a_quicker_sender_is_noticed() -> None:
-    """Its pace is kept once it has sent twice in a round."""
-    arrivals = [n for i in range(4) for n in steady(f"p{i}", 0.01, i * 1e-3, 2.0)]
-    arrivals += [(1.0 + 0.0025 * i + 0.0001, "p1") for i in range(400)]
-    out = slept(arrivals).out
-    quick = [now_s for now_s, _ in out if 1.1 < now_s < 1.9]
-    assert len(quick) > 0.9 * len([a for a, n in arrivals if n == "p1" and 1.1 < a < 1.9])

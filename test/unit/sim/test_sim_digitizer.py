@@ -37,6 +37,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
+from test.support.simulated import Truth
 
 
 class Bench:
@@ -238,9 +239,9 @@ def test_truth_is_what_the_samples_say(query: str) -> None:
     bench.send(Start())
     packets = samples(bench.run(0.3, 0.01))
     volts = info.volts(np.concatenate([p.counts for p in packets])) - options.offset
-    per_chip = 1 if setup.integrated else setup.samples_per_chip
+    per_chip, truths = 1 if setup.integrated else setup.samples_per_chip, Truth(digitizer)
     for number, start in enumerate([p.first_index for p in packets if p.sync][:-1]):
-        truth = digitizer.truth(number)
+        truth = truths[number]
         assert truth.number == number
         stretch = options.stretch * np.random.default_rng([3, number]).random()
         middles = start + np.floor((np.arange(spec.chips) + 0.5) * per_chip * (1 + stretch))
@@ -252,14 +253,6 @@ def test_truth_is_what_the_samples_say(query: str) -> None:
         codes = (1 << np.arange(spec.bits)[::-1]) @ (rows > 0)
         assert np.array_equal(active, truth.active)
         assert np.array_equal(codes[active], truth.codes[active])
-
-
-def test_truth_can_be_asked_for_in_any_order() -> None:
-    digitizer = VirtualDigitizer(SimOptions(scene="presses"))
-    later = digitizer.truth(300)
-    assert digitizer.truth(5).number == 5
-    assert np.array_equal(digitizer.truth(300).codes, later.codes)
-    assert np.array_equal(digitizer.truth(300).active, later.active)
 
 
 def test_start_may_fall_into_a_frame() -> None:
@@ -433,7 +426,7 @@ def test_a_roll_call_lets_every_node_speak_alone() -> None:
     bench.send(Start())
     packets = bench.run(0.1, 0.004)
     bench.send(RollCall())
-    assert bench.digitizer.truth(1).active.all()
+    assert Truth(bench.digitizer)[1].active.all()
     packets += bench.run(0.3, 0.004)
     assert of_kind(packets, Ack)[-1].result == Result.OK
     marks = [packet for packet in samples(packets) if packet.sync]
@@ -443,7 +436,7 @@ def test_a_roll_call_lets_every_node_speak_alone() -> None:
     line = np.concatenate([packet.counts for packet in samples(packets)])
     spec = bench.digitizer.setup.spec
     for number in (called[0] - 1, *called, called[-1] + 1):
-        truth, first = bench.digitizer.truth(number), marks[number].first_index
+        truth, first = Truth(bench.digitizer)[number], marks[number].first_index
         turn = np.arange(9) == number - called[0]
         assert np.array_equal(truth.active, turn if number in called else np.ones(9, bool))
         chips = line[first : first + 2 * spec.chips : 2].reshape(spec.bits, -1)
@@ -474,7 +467,7 @@ def test_nodes_with_clocks_of_their_own_are_late_as_told(query: str) -> None:
     clocks = digitizer.options.clocks.at(3, 3 * spec.frame_period_s)
     assert clocks is not None
     assert clocks.spread_chips(spec) > 1
-    truth, fine = digitizer.truth(3), 64
+    truth, fine = Truth(digitizer)[3], 64
     instants = (np.arange(spec.chips * fine) + 0.5) / fine
     line = np.zeros(instants.size)
     for node in range(3):
@@ -504,7 +497,7 @@ def test_restarts_keep_clocks_together() -> None:
         first = next(p.first_index for p in packets if p.sync and p.first_index)
         volts = info.volts(np.concatenate([p.counts for p in packets]))[first:]
         chips = volts[(4 * spec.places[:, None] + np.arange(4))].mean(axis=1).reshape(spec.bits, -1)
-        sent = line_chips(spec, bench.digitizer.truth(1).codes)
+        sent = line_chips(spec, Truth(bench.digitizer)[1].codes)
         errors.append(np.abs(chips - sent).mean())
     assert errors[1] < 0.25 * errors[0]
 

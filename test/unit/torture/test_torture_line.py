@@ -21,11 +21,11 @@ from tactile_cdma.driver import pipeline as pipeline_module
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
+from tactile_cdma.driver.stream import Event
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Received
 from tactile_cdma.wire.packets import PacketParser
-from tactile_cdma.words.decode import Words
 from torture.line import rig as rig_module
 from torture.line.campaign import COMMANDS, harmed, spoilt_commands
 from torture.line.damage import FLIPS, HELD, KINDS, LOST, Kind
@@ -157,33 +157,16 @@ def on_call(number: int, change: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return maybe
 
 
-def other_word(words: Words) -> Words:
-    codes = words.codes.copy()
+def other_word(frame: TactileFrame) -> TactileFrame:
+    codes = frame.words.codes.copy()
     codes[5] ^= 1
-    return replace(words, codes=codes)
+    return replace(frame, words=replace(frame.words, codes=codes))
 
 
-def unheard(words: Words) -> Words:
-    active = words.active.copy()
+def unheard(frame: TactileFrame) -> TactileFrame:
+    active = frame.words.active.copy()
     active[5] = False
-    return replace(words, active=active)
-
-
-@pytest.mark.parametrize("change", [other_word, unheard])
-def test_a_false_word_is_found(
-    monkeypatch: pytest.MonkeyPatch, change: Callable[[Words], Words]
-) -> None:
-    decode, maybe = pipeline_module.decode, on_call(7, change)
-    monkeypatch.setattr(pipeline_module, "decode", lambda *args: maybe(decode(*args)))
-    assert bad(tortured()) == ["wrong_values"]
-
-
-class Fed(Pipeline):
-    """All of its bytes come through `feed`."""
-
-    @property
-    def is_steady(self) -> bool:
-        return False
+    return replace(frame, words=replace(frame.words, active=active))
 
 
 def too_late(frame: TactileFrame) -> TactileFrame:
@@ -199,15 +182,16 @@ def too_much(frame: TactileFrame) -> TactileFrame:
     return replace(frame, readings=replace(frame.readings, pressure_pa=pressure_pa))
 
 
-@pytest.mark.parametrize("change", [too_late, too_early, too_much])
-def test_a_false_time_or_pressure_is_found(
+@pytest.mark.parametrize("change", [other_word, unheard, too_late, too_early, too_much])
+def test_a_false_word_time_or_pressure_is_found(
     monkeypatch: pytest.MonkeyPatch, change: Callable[[TactileFrame], TactileFrame]
 ) -> None:
     maybe = on_call(7, change)
 
-    class Falsifying(Fed):
-        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-            return [maybe(frame) for frame in super().feed(data, t_host, backlog)]
+    class Falsifying(Pipeline):
+        def take(self, event: Event) -> TactileFrame | None:
+            frame = super().take(event)
+            return None if frame is None else maybe(frame)
 
     monkeypatch.setattr(driver_module, "Pipeline", Falsifying)
     assert bad(tortured()) == ["wrong_values"]
@@ -218,12 +202,11 @@ def test_a_false_time_or_pressure_is_found(
 )
 def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
     class Miscounting(PacketParser):
-        def feed(self, data: bytes) -> list[Received]:
-            packets = super().feed(data)
-            if packets and not hasattr(self, "done"):
+        def interpret(self, *found: Any) -> Received | None:
+            if not hasattr(self, "done"):
                 self.done = True
                 setattr(self._refused, count, getattr(self._refused, count) + 1)
-            return packets
+            return super().interpret(*found)
 
     monkeypatch.setattr(pipeline_module, "PacketParser", Miscounting)
     assert bad(tortured()) == ["uncounted_losses"]
@@ -231,11 +214,11 @@ def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, 
 
 @pytest.mark.parametrize("count", ["lost_samples", "lost_frames", "implausible_packets"])
 def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
-    class Forgetting(Fed):
-        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-            frames = super().feed(data, t_host, backlog)
+    class Forgetting(Pipeline):
+        def take(self, event: Event) -> TactileFrame | None:
+            frame = super().take(event)
             setattr(self.counters, count, 0)
-            return frames
+            return frame
 
     monkeypatch.setattr(driver_module, "Pipeline", Forgetting)
     kind = next(kind for kind in KINDS if kind.forges)
@@ -245,20 +228,20 @@ def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, co
 def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """It arrived whole, long after a fault, and is told as lost: streaming resumes too late."""
 
-    class Lazy(Fed):
-        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-            frames = super().feed(data, t_host, backlog)
-            return [frame for frame in frames if frame.sequence not in (3, 8, 13)]
+    class Lazy(Pipeline):
+        def take(self, event: Event) -> TactileFrame | None:
+            frame = super().take(event)
+            return None if frame is None or frame.sequence in (3, 8, 13) else frame
 
     monkeypatch.setattr(driver_module, "Pipeline", Lazy)
     assert "hangs" in bad(tortured())
 
 
 def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Deaf(Fed):
-        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-            frames = super().feed(data, t_host, backlog)
-            return frames if self.counters.frames <= 5 else []
+    class Deaf(Pipeline):
+        def take(self, event: Event) -> TactileFrame | None:
+            frame = super().take(event)
+            return frame if self.counters.frames <= 5 else None
 
     monkeypatch.setattr(driver_module, "Pipeline", Deaf)
     with Rig(CHIPS, 1, 0.5) as rig:
@@ -266,12 +249,12 @@ def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Failing(Fed):
-        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-            frames = super().feed(data, t_host, backlog)
+    class Failing(Pipeline):
+        def take(self, event: Event) -> TactileFrame | None:
+            frame = super().take(event)
             if self.counters.frames > 5:
                 raise ZeroDivisionError
-            return frames
+            return frame
 
     monkeypatch.setattr(driver_module, "Pipeline", Failing)
     with Rig(CHIPS, 1, 3.0) as rig:
@@ -281,13 +264,16 @@ def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing but what it tells shows that, and it tells of it late."""
 
-    class Failing(Fed):
-        def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-            frames = super().feed(data, t_host, backlog)
+    class Failing(Pipeline):
+        def __init__(self, *given: Any, **named: Any) -> None:
+            super().__init__(*given, compiled=False, **named)  # counts bytes when they are read
+
+        def take(self, event: Event) -> TactileFrame | None:
+            frame = super().take(event)
             arrived = rig.man.ledger.counts.bytes
-            if frames and rig.man.over() and self.packet_counts.bytes >= arrived:
+            if frame and rig.man.over() and self.packet_counts.bytes >= arrived:
                 raise ZeroDivisionError
-            return frames
+            return frame
 
     class Slow(Driver):
         def _report(self, problem: str | None) -> None:

@@ -16,6 +16,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from test.support.simulated import Truth
 from torture.outcome import Outcome
 from torture.signals import faulty_line, faulty_nodes
 from torture.signals import trial as signal_trial
@@ -130,7 +131,7 @@ def test_what_reached_the_converter_is_known(skin: Skin) -> None:
         while faults.number < 35:
             digitizer.advance()
             digitizer.take(1 << 20)
-        codes = digitizer.truth(35).codes.tolist()
+        codes = Truth(digitizer)[35].codes.tolist()
         shares = [faults.heard_share(35, node, code) for node, code in enumerate(codes)]
         assert shares == pytest.approx([share] * 16, abs=0.05)
 
