@@ -76,26 +76,7 @@ class Baseline:
         return len(self._looks) == LOOKS
 
     @property
-    def valid(self) -> Bools:
-        """(n,) bool, nodes with a valid reading in every one of the last looks."""
-        return np.asarray(np.all([valid for *_, valid in self._looks], axis=0))
-
-    @property
-    def ever_valid(self) -> Bools:
-        """(n,) bool, nodes with a valid reading in any of the last looks."""
-        return np.asarray(np.any([valid for *_, valid in self._looks], axis=0))
-
-    @property
-    def voltage_v(self) -> Floats32:
-        """(n,) float32, V, median of the last looks, without drift_v."""
-        return np.asarray(np.median([volts for volts, *_ in self._looks], axis=0))
-
-    @property
-    def pressure_pa(self) -> Floats32:
-        """(n,) float32, Pa, median of the last looks, before the tare."""
-        return np.asarray(np.median([pressure for _, pressure, _ in self._looks], axis=0))
-
-    @property
-    def span_v(self) -> Floats32:
-        """(n,) float32, V, by how much the voltages of the last looks differ."""
-        return np.asarray(np.ptp([volts for volts, *_ in self._looks], axis=0))
+    def last_second(self) -> tuple[Floats32, Floats32, Bools]:
+        """The last looks, (l, n) each: V without drift_v, Pa before the tare, validity."""
+        voltage_v, pressure_pa, valid = map(np.array, zip(*self._looks, strict=True))
+        return voltage_v, pressure_pa, valid

@@ -45,17 +45,19 @@ def take_tare(
         raise RestError(
             f"not tared: the skin has been read for less than {LOOKS * LOOK_S:g} s; try again"
         )
-    valid, pressure_pa = baseline.valid, baseline.pressure_pa
+    voltages_v, pressures_pa, valids = baseline.last_second
+    valid, pressure_pa = valids.all(axis=0), np.median(pressures_pa, axis=0)
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
     if not force:
-        if early := (np.flatnonzero(~valid & (may_yet_speak | baseline.ever_valid)) + 1).tolist():
+        awaited = ~valid & (may_yet_speak | valids.any(axis=0))
+        if early := (np.flatnonzero(awaited) + 1).tolist():
             raise RestError(  # they would be left with another zero
                 f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
                 "try again, or tare the others with force: true"
             )
         above_pa = pressure_pa - baseline.tare_pa
-        moving = valid & (baseline.span_v > MOVING_LSB * lsb_v)
+        moving = valid & (np.ptp(voltages_v, axis=0) > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
         # Where something moves over the skin, the nodes that it has left need no naming.
         named = moving & loaded if (moving & loaded).any() else moving
@@ -63,7 +65,7 @@ def take_tare(
         remedy = "take away what touches them, or, if this is how the skin rests, "
         _refuse("under load", loaded, above_pa, layout, remedy + "tare with force: true")
     begin_v = curves.voltage_v[0].astype(np.float32)
-    rest_v = baseline.voltage_v + baseline.drift_v
+    rest_v = np.median(voltages_v, axis=0) + baseline.drift_v
     above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
     before_v = begin_v if baseline.rest_v is None else baseline.rest_v
     baseline.drift_v = baseline.drift_v - above_v

@@ -204,9 +204,7 @@ class RestKeeper:
         """
         config = self.config
         path = self._write()
-        return path, self._store.write_calibration(
-            config.calibration, config.adc, config.curve, config.skin
-        )
+        return path, self._store.write_calibration(config.calibration, config.adc, config.skin)
 
     def _streaming(self) -> Driver:
         if self._driver is None:

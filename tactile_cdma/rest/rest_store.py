@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
 from ..base.errors import CalibrationError, RestError
-from ..readings.calibration import AdcScale, Calibration, PressureCurve
-from ..readings.calibration_file import CalibrationContent, read_calibration, write_calibration
+from ..readings.calibration import AdcScale, Calibration
+from ..readings.calibration_file import CalibrationContent, read_content, write_content
 from .rest_file import RestState, calibration_path, read_rest, set_aside, write_rest
 
 
@@ -67,25 +68,20 @@ class RestStore:
         write_rest(self.path, state)
         return self.path
 
-    def write_calibration(
-        self, calibration: Calibration, adc: AdcScale, curve: PressureCurve, skin: str
-    ) -> Path:
+    def write_calibration(self, calibration: Calibration, adc: AdcScale, skin: str) -> Path:
         """Write the curves in force, unless they are on file already; returns the file's path.
 
         Raises TactileError.
         """
         assert self.path is not None
         path = calibration_path(self.path)
-        content = CalibrationContent.of(calibration, adc, skin)
-        try:
-            kept = read_calibration(path, content.nodes, adc, curve, skin)
-            if kept.identity == content.identity:
-                return path
-        except CalibrationError:
-            pass  # missing, or of another skin
-        self._set_aside(path)
         source = f"the calibration {calibration.identity or 'by default'} of a running skin"
-        write_calibration(path, calibration, adc, skin, source)
+        content = CalibrationContent.of(calibration, adc, skin, source)
+        with suppress(CalibrationError):  # missing, or of another skin
+            if read_content(path, content.nodes, adc, skin).identity == content.identity:
+                return path
+        self._set_aside(path)
+        write_content(path, content)
         return path
 
     def _set_aside(self, path: Path) -> None:

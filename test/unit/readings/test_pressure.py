@@ -5,7 +5,7 @@
 import numpy as np
 
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.readings.baseline import LOOK_S, Baseline, RestRules
+from tactile_cdma.readings.baseline import LOOK_S, LOOKS, Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.drift import DriftTracker, nodes_beside
 from tactile_cdma.readings.pressure import PressureChain
@@ -27,7 +27,8 @@ def test_without_a_tracker_voltages_are_read_and_remembered_for_a_tare() -> None
     loads_pa = np.array([0.0, 10e3, 60e3, 139e3])
     voltage_v = CURVE.voltage(loads_pa).astype(np.float32)
     np.testing.assert_allclose(run(chain, voltage_v, 2.0), loads_pa, atol=0.1)
-    assert baseline.seen and np.array_equal(baseline.voltage_v, voltage_v)
+    seen_v, *_ = baseline.last_second
+    assert baseline.seen and np.array_equal(seen_v, [voltage_v] * LOOKS)
 
 
 def test_at_a_drift_rate_of_zero_drift_is_not_followed_and_frames_can_be_held() -> None:
