@@ -138,18 +138,8 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
     return content
 
 
-def write_calibration(
-    path: Path, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
-) -> str:
-    """Write a calibration atomically; returns its identity.
-
-    source: what it was made from, for people. Raises CalibrationError if it cannot be written.
-    """
-    return write_content(path, CalibrationContent.of(calibration, adc, skin, source))
-
-
 def write_content(path: Path, content: CalibrationContent) -> str:
-    """Write content atomically; returns its identity. Raises as write_calibration."""
+    """Write content atomically; returns its identity. Raises CalibrationError if that fails."""
     with naming(path, CalibrationError, "cannot be written"):
         replace_file(path, _text(content))
     return content.identity

@@ -17,9 +17,9 @@ import rclpy
 from rclpy.node import Node
 
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.readings.calibration_file import write_calibration
 from tactile_cdma.ros.viewers.view import Viewer
 from test.support.boards import Board, plugged
+from test.support.calibrations import write_calibration
 from test.support.skin_client import running
 from test.support.waiting import PATIENCE_S, wait_for
 

@@ -17,11 +17,11 @@ from std_srvs.srv import Trigger
 
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.readings.calibration_file import write_calibration
 from tactile_cdma.rest import rest_keeper
 from tactile_cdma.ros.driver.node import APART_NODES
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.srv import Tare
+from test.support.calibrations import write_calibration
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 

@@ -26,7 +26,7 @@ from tactile_cdma.config.parameters import (
     read_file,
 )
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.readings.calibration_file import write_calibration
+from test.support.calibrations import write_calibration
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -17,12 +17,9 @@ from tactile_cdma.base.errors import CalibrationError, SpecError, TactileError
 from tactile_cdma.base.marked_yaml import MOST_BYTES
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.readings.calibration_file import (
-    read_calibration,
-    seal_calibration,
-    write_calibration,
-)
+from tactile_cdma.readings.calibration_file import read_calibration, seal_calibration
 from tactile_cdma.readings.dynamics import Dynamics
+from test.support.calibrations import write_calibration
 
 DEFAULT = PressureCurve.two_stage()
 ADC = AdcScale()

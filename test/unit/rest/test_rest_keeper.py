@@ -15,7 +15,6 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.readings.calibration_file import write_calibration
 from tactile_cdma.rest import rest_keeper
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -23,6 +22,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from tactile_cdma.wire.messages import GetInfo, Start
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.calibrations import write_calibration
 from test.support.simulated import configuration
 
 IDLE = "sim://?scene=idle"
