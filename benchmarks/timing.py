@@ -39,7 +39,7 @@ from tactile_cdma.clocks.clock_tracking import ClockTracker
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
 from tactile_cdma.clocks.roll_call import RollCallListener
-from tactile_cdma.clocks.sampling import INTEGRATED, Sampling
+from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.config.parameters import GAP, Value, read_file
@@ -61,6 +61,8 @@ CHIP_S = 10e-6
 RESYNC, GUARD = 32, 1
 FRAMES = {16: 10, 64: 5, 256: 2} if QUICK else {16: 40, 64: 20, 256: 10}
 NODES = (16, 64, 256)
+INTEGRATED = Sampling(1.0, 1.0)
+"""One mean value per nominal chip."""
 STRETCHES = (0.0, 0.005, 0.11) if QUICK else (0.0, 0.0005, 0.002, 0.005, 0.02, 0.05, 0.08, 0.11)
 JITTERS = (0.0, 0.1) if QUICK else (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 RATES = (0.001, 0.01) if QUICK else (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)

@@ -80,7 +80,4 @@ def settings(struct: str, **fields: float) -> NDArray[np.void]:
     dtype = np.dtype(
         {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}, align=False
     )
-    filled = np.zeros((), dtype)
-    for name, value in fields.items():
-        filled[name] = value
-    return filled
+    return np.array(tuple(fields[name] for name in names), dtype)

@@ -65,11 +65,6 @@ class NodeClocks:
                     f"it must lie within ±{limit:g}"
                 )
 
-    @classmethod
-    def nominal(cls, nodes: int) -> NodeClocks:
-        """Clocks that agree with the digitizer's, none of them known."""
-        return cls(np.zeros(nodes), np.zeros(nodes), np.zeros(nodes, bool))
-
     @property
     def nodes(self) -> int:
         """Number of nodes, n."""

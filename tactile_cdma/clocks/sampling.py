@@ -34,10 +34,6 @@ class Sampling:
         return max(self.aperture, _SHARP)
 
 
-INTEGRATED = Sampling(1.0, 1.0)
-"""One mean value per nominal chip."""
-
-
 class RunningSum:
     """Sums of samples up to any instant; a sample at the instant counts in part.
 

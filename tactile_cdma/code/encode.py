@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Floats32
 from ..base.errors import SpecError
-from .chips import chips_of
 from .frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from .transform import chips_of
 
 
 def word_bits(codes: ArrayLike, bits: int) -> NDArray[np.uint8]:

@@ -18,7 +18,6 @@ from .codes import (
     chip_flips,
     code_book,
     default_order,
-    is_feasible,
     row_signs,
     smallest_order,
 )
@@ -95,8 +94,8 @@ class FrameSpec:
         needed = self.nodes + self.first_row
         if self.order == 0:
             object.__setattr__(self, "order", default_order(needed))
-        elif not is_feasible(self.order):
-            code_book(self.order)  # raises, naming the nearest feasible orders
+        else:
+            code_book(self.order)  # raises where there is none, naming the nearest ones
         if self.order < needed:
             raise SpecError(
                 f"{self.nodes} nodes from row {self.first_row} on need {needed} code rows, but "

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..base import kernel
 from ..base.arrays import Floats32
 from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
-from .chips import rows_of
 from .frame import UNIPOLAR, FrameSpec
+from .transform import rows_of
 
 SPOKEN_OVER = 2.2
 """Mean |r| of a word over the standard deviation of its levels, above which it was spoken. Chosen:

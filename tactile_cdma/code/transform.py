@@ -25,18 +25,13 @@ from ..base import kernel
 from ..base.arrays import Floats32
 from ..base.errors import SpecError
 from .codes import MAX_ORDER, CodeBook
+from .frame import FrameSpec
 
 _LARGEST_BLOCK = 128
 """Order to which factors are merged: few stages, none much larger than it needs. Chosen."""
 _BLAS_PRODUCTS = 1 << 18
 """Multiplications in one BLAS call. OpenBLAS spreads longer ones over its threads, which then wait
 for each other: milliseconds, on a machine that has anything else to do."""
-_LEAST_ROWS = 32
-"""Rows of a product below which packing the block's matrix for BLAS dominates its time. Measured
-when it was introduced."""
-_CHUNK = MAX_ORDER
-"""Values that pass through all stages together: one scratch buffer of 256 kB serves any batch, and
-intermediate results stay in the cache."""
 
 
 def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
@@ -57,6 +52,19 @@ def spread(symbols: Floats32, book: CodeBook) -> Floats32:
     What correlate takes apart: correlate(spread(x)) == x. Errors as there.
     """
     return _multiply(symbols, book.order, transform_of(book.plan, spreading=True))
+
+
+def rows_of(chips: Floats32, spec: FrameSpec) -> Floats32:
+    """Correlation of every row with every bit's chips: (…, k, N) float32, V, of such chips."""
+    if spec.flips is not None:
+        chips = np.multiply(chips, spec.flips, dtype=np.float32)
+    return correlate(chips, spec.book)
+
+
+def chips_of(rows: Floats32, spec: FrameSpec) -> Floats32:
+    """The inverse: the chips in which every row has this level."""
+    chips = spread(rows, spec.book)
+    return chips if spec.flips is None else chips * spec.flips
 
 
 class Transform(Protocol):
@@ -81,65 +89,43 @@ def _multiply(
     return out
 
 
-class _Dense:
-    """A stage for BLAS: matrix (order, order) applied from the right.
-
-    One product is split into many, of some rows and columns each; see _BLAS_PRODUCTS.
-    """
-
-    def __init__(self, matrix: Floats32, rest: int) -> None:
-        """rest: product of the other blocks' orders."""
-        order = len(matrix)
-        self.matrix, self.rest = matrix, rest
-        rows = max(d for d in range(1, min(rest, _most_rows(order)) + 1) if rest % d == 0)
-        self._from = (-1, order, rest // rows, rows)
-        self._to = (-1, rest // rows, rows, order)
-
-    def apply(self, values: Floats32, result: Floats32) -> None:
-        """(c, order·rest) to (c, rest·order)."""
-        if self.rest > 1:
-            values = values.reshape(self._from).transpose(0, 2, 3, 1)
-            result = result.reshape(self._to)
-        rows, order = values.shape[-2:]
-        columns = _BLAS_PRODUCTS // (rows * order)
-        if columns >= order:
-            np.matmul(values, self.matrix, out=result)
-            return
-        for start in range(0, order, columns):
-            part = slice(start, start + columns)
-            np.matmul(values, self.matrix[:, part], out=result[..., part])
-
-
 class _Scratch(threading.local):
-    """A buffer for intermediate results; each thread has its own."""
+    """Memory for intermediate results; each thread has its own."""
 
     def __init__(self) -> None:
-        self.values = np.empty(_CHUNK, dtype=np.float32)
+        self.values = np.empty(MAX_ORDER, dtype=np.float32)
 
 
 _scratch = _Scratch()
 
 
 @dataclass(frozen=True)
-class _Stages:
-    """The product as stages in numpy. most: vectors that go through them together."""
+class _Blocks:
+    """The product in numpy. matrices: of the blocks, applied from the right."""
 
     order: int
-    stages: tuple[_Dense, ...]
-    most: int
+    matrices: list[Floats32]
 
     def multiply(self, source: Floats32, out: Floats32, /) -> None:
         """As Transform."""
-        source, result = source.reshape(-1, self.order), out.reshape(-1, self.order)
-        count = len(source)
-        parts = -(-count // self.most)
-        for part in range(parts):  # of about equal size
-            chosen = slice(part * count // parts, (part + 1) * count // parts)
-            values, to_scratch = source[chosen], len(self.stages) % 2 == 0
-            for stage in self.stages:  # by turns, so that the last one writes the result
-                goal = _scratch.values[: values.size] if to_scratch else result[chosen]
-                stage.apply(values, goal)
-                values, to_scratch = goal, not to_scratch
+        vectors, results = source.reshape(-1, self.order), out.reshape(-1, self.order)
+        most, last = MAX_ORDER // self.order, len(self.matrices) - 1
+        for start in range(0, len(vectors), most):
+            values, result = vectors[start : start + most], results[start : start + most]
+            spare = _scratch.values[: values.size].reshape(values.shape)
+            for i, matrix in enumerate(self.matrices):  # by turns, so that the last is in result
+                goal = spare if (last - i) % 2 else result
+                self._apply(matrix, values, goal)
+                values = goal
+
+    def _apply(self, matrix: Floats32, values: Floats32, goal: Floats32) -> None:
+        """Multiply the slowest axis of vectors (c, N), and leave it as the fastest one of goal."""
+        count, block = len(values), len(matrix)
+        turned = values.reshape(count, block, -1).transpose(0, 2, 1)
+        goal, columns = goal.reshape(count, -1, block), _BLAS_PRODUCTS // self.order
+        for start in range(0, block, columns):
+            part = slice(start, start + columns)
+            np.matmul(turned, matrix[:, part], out=goal[..., part])
 
 
 @lru_cache(maxsize=64)
@@ -167,21 +153,13 @@ def compiled_transform(plan: tuple[int, ...], spreading: bool, lanes: int = 0) -
 
 
 def numpy_transform(plan: tuple[int, ...], spreading: bool) -> Transform:
-    """That of numpy; the first stage of those that correlate scales."""
+    """That of numpy; the first block of those that correlate scales."""
+    books = [CodeBook(block).matrix for block in _blocks(plan)]
+    matrices = [(book if spreading else book.T).astype(np.float32, order="C") for book in books]
     order = math.prod(plan)
-    stages: list[_Dense] = []
-    for group in _blocks(plan):
-        block = math.prod(group)
-        scale = 1.0 if spreading or stages else 1.0 / order
-        matrix = CodeBook(group).matrix if spreading else CodeBook(group).matrix.T
-        stages.append(_Dense((matrix * scale).astype(np.float32, order="C"), order // block))
-    most = _most_rows(order) if len(stages) == 1 else _CHUNK // order
-    return _Stages(order, tuple(stages), most)
-
-
-def _most_rows(order: int) -> int:
-    """Rows of one BLAS product with a block; products of few large rows are split by columns."""
-    return max(_BLAS_PRODUCTS // order**2, _LEAST_ROWS)
+    if not spreading:
+        matrices[0] *= np.float32(1.0 / order)
+    return _Blocks(order, matrices)
 
 
 def _blocks(plan: tuple[int, ...]) -> list[tuple[int, ...]]:

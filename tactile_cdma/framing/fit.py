@@ -19,10 +19,9 @@ from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..base.sums import dot
 from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, LOUDEST_FLOOR, usual_amplitude
-from ..code.chips import chips_of, rows_of
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.separate import frame_settings
-from ..code.transform import transform_of
+from ..code.transform import chips_of, rows_of, transform_of
 from .limits import LIMITS
 
 UNEVEN = 0.02

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
-from ..code.chips import chips_of
 from ..code.frame import FrameSpec
+from ..code.transform import chips_of
 from .fit import BLUR, Fit, Line, WordFit, compiled_code, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected

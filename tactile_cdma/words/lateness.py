@@ -15,11 +15,10 @@ from functools import lru_cache
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
-from ..code.chips import chips_of, rows_of
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from ..code.transform import correlate
+from ..code.transform import chips_of, correlate, rows_of
 
 EDGE = 2
 """Chips at either end of a bit that are looked at. Chosen: later nodes miss these, too."""

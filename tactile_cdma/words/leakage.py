@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
-from ..code.chips import chips_of, rows_of
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
+from ..code.transform import chips_of, rows_of
 
 TAPS = (1, -1)
 """Distances, in chips, from which a chip may hold a share: behind a low-pass of the chip before,

@@ -22,7 +22,7 @@ def test_displacement_grows_with_the_chips_counted() -> None:
     spec = FrameSpec(nodes=2, order=4, frame_period_s=5e-3)
     assert some.spread_chips(spec) == pytest.approx(0.5 + 0.03 * 40)
     assert some.end_s(spec) == pytest.approx(40.9 * 50e-6)
-    assert some.moved_chips(NodeClocks.nominal(2), spec) == pytest.approx(0.9)
+    assert some.moved_chips(clocks([0, 0], [0, 0]), spec) == pytest.approx(0.9)
 
 
 def test_unknown_nodes_take_the_median() -> None:
@@ -33,7 +33,8 @@ def test_unknown_nodes_take_the_median() -> None:
     assert (guessed.delay_chips[1], guessed.rate_error[1]) == (0.2, 0.002)
     assert not guessed.known[1]
     assert np.array_equal(guessed.delay_chips[[0, 2, 3]], some.delay_chips[[0, 2, 3]])
-    assert NodeClocks.nominal(3).with_guesses().delay_chips.tolist() == [0, 0, 0]
+    unknown = NodeClocks(np.array([0.1, 0.0, 0.2]), np.zeros(3), np.zeros(3, bool))
+    assert unknown.with_guesses().delay_chips.tolist() == [0.1, 0.0, 0.2]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.clocks.sampling import INTEGRATED, RunningSum, Sampling, row_samples
+from tactile_cdma.clocks.sampling import RunningSum, Sampling, row_samples
 from tactile_cdma.code.codes import code_book
 
 ROWS = code_book(12).matrix
@@ -38,7 +38,9 @@ def test_integrated_samples_are_means_over_chips(clock, number: int) -> None:
     begin, chip = clock
     fine = (np.arange(16 * 1000) + 0.5) / 1000
     expected = finely(ROWS[number], begin, chip, fine).reshape(16, 1000).mean(axis=1)
-    seen = row_samples(ROWS[number][None], np.array([begin]), np.array([chip]), 0, 16, INTEGRATED)
+    seen = row_samples(
+        ROWS[number][None], np.array([begin]), np.array([chip]), 0, 16, Sampling(1.0, 1.0)
+    )
     assert np.allclose(seen[0], expected, atol=5e-3)
 
 

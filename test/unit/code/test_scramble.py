@@ -14,11 +14,11 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
 from tactile_cdma.clocks.sampling import Sampling
-from tactile_cdma.code.chips import chips_of, rows_of
 from tactile_cdma.code.codes import chip_flips, scrambler_state
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import separate
+from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
