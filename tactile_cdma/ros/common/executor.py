@@ -130,17 +130,15 @@ class LeanExecutor(Executor):
             self._held.enter_context(held)
 
 
-def take_message(subscription: Any) -> bool:
-    """Take a waiting message and call back with it; returns False if none waits.
+def take_message(subscription: Any) -> None:
+    """Take a waiting message, if there is one, and call back with it.
 
     A callback that needs two arguments gets what the middleware knows of the message, too: a
     dictionary with source_timestamp and received_timestamp, ns. So it is in rclpy since Iron.
     """
-    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-    if taken:
+    if taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
         both = subscription._callback_type is type(subscription).CallbackType.WithMessageInfo
         subscription.callback(*taken if both else taken[:1])
-    return bool(taken)
 
 
 def _call_timer(timer: Any) -> None:
