@@ -201,8 +201,10 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         return FRAME_NO_TIMING;
     /* All edges of chips lie within more samples than the frame has. */
     size_t heard = rules->integrated ? rules->whole_size : timing->heard;
-    if (rules->integrated ? count < frame->bits * frame->order || count < heard : count <= heard)
+    if (rules->integrated ? count < frame->bits * frame->order : count <= heard)
         return FRAME_CUT_SHORT;
+    if (heard > count) /* pauses between bits have no samples, if these are chips */
+        heard = count;
     found->clipped = share_clipped(rules, volts, heard);
     if (found->clipped > rules->deafened)
         return FRAME_CLIPPED;

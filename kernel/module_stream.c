@@ -468,7 +468,7 @@ PyType_Spec stream_spec = {
 
 /* ---- Readout ----------------------------------------------------------------------------------- */
 
-enum { SKIN_ARRAYS = 16 };
+enum { SKIN_ARRAYS = 17 };
 
 struct reader_of_skin {
     struct readout *readout;
@@ -488,7 +488,7 @@ static void drop_readout(void *held)
 }
 
 CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
-            OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
+            ARRAY("offset", 'f', "o"), OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
             ARRAY("state", 'B', "n"), ARRAY("invalid", '?', "n"), ARRAY("uncalibrated", '?', "n"),
             ARRAY("masked", '?', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("pieces", 'f', "p3n"),
             ARRAY("end_v", 'f', "n"), ARRAY("source", 'i', "t"), OUT("kept_codes", 'i', "n"),
@@ -497,9 +497,9 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
     const struct readout_settings *settings = call->value[0].data;
     const struct words_frame *frame = &settings->frame;
     const union value *v = call->value;
-    struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data, v[6].data,
-                                v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data,
-                                v[12].data, v[13].data, v[14].data, v[15].data, v[16].data};
+    struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data,  v[6].data,
+                                v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data, v[12].data,
+                                v[13].data, v[14].data, v[15].data, v[16].data, v[17].data};
     const int32_t *source = skin.source;
     bool in_range = true;
 
@@ -509,8 +509,11 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
         in_range = in_range && skin.kept_codes[i] >= 0 && (size_t)skin.kept_codes[i] < axis(call, 'c');
     if (!axis(call, 't'))
         skin.source = NULL;
+    if (!axis(call, 'o'))
+        skin.offset = NULL;
     if (!(in_range && frame->nodes == axis(call, 'n') && frame->order == axis(call, 'N') &&
           frame->bits > settings->reading.parity && frame->bits <= WORDS_MOST_BITS &&
+          axis(call, 'o') == (settings->scrambled ? frame->bits * frame->order : 0) &&
           settings->codes == axis(call, 'c') && settings->pieces == axis(call, 'p') &&
           settings->codes == (size_t)1 << (frame->bits - settings->reading.parity) &&
           settings->taxels == (skin.source ? axis(call, 't') : frame->nodes) &&

@@ -244,7 +244,7 @@ enum readout_look readout_read(struct readout *readout, const float *rows, float
                                     out->doubtful, out->doubled, out->odd};
     enum words_look look =
         words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, skin->sign_mask,
-                   skin->expected, &measures, &decided, out->active, readout->late);
+                   skin->offset, skin->expected, &measures, &decided, out->active, readout->late);
     if (look == WORDS_NEED_STAGES || is_disturbed(readout, out))
         return READOUT_ODD;
     if (look == WORDS_LEAVE_ENERGY && !in_place) {

@@ -35,6 +35,7 @@ struct readout_settings {
 /* What is known of a skin beside its words, and what is kept of them. */
 struct readout_skin {
     const int32_t *sign_mask;
+    const float *offset;  /* (k, N), see words_read; NULL where chips are not scrambled */
     float *expected;      /* V, amplitude; written to where that is learnt from every frame */
     const float *edges;   /* (4, N), see words_late */
     const float *table_v; /* (codes,) */

@@ -324,7 +324,7 @@ double words_noise(const struct words_frame *frame, const float *rows, size_t sp
 struct spoken {
     size_t words;
     double power, rows_power; /* of the words; of their rows in all bits */
-    float least;              /* amplitude */
+    float least, expected;    /* amplitude; of all nodes that is expected */
 };
 
 /* Clears what silent nodes have, and adds up the rest. least: share of the expected amplitude below which
@@ -334,7 +334,7 @@ VECTORS static struct spoken clear_silent(size_t nodes, const struct words_measu
                                           const uint8_t *restrict active,
                                           const float *restrict expected, float share)
 {
-    struct spoken spoken = {.least = INFINITY};
+    struct spoken spoken = {.least = INFINITY, .expected = INFINITY};
     const float *restrict amplitude = measures->amplitude;
     float *restrict margins = decided->margin;
     int32_t *restrict codes = decided->codes;
@@ -343,7 +343,7 @@ VECTORS static struct spoken clear_silent(size_t nodes, const struct words_measu
 
     for (size_t begin = 0; begin < nodes; begin += BLOCK) {
         size_t size = nodes - begin < BLOCK ? nodes - begin : BLOCK;
-        float level[BLOCK], loud[BLOCK], least = INFINITY;
+        float level[BLOCK], loud[BLOCK], least = INFINITY, usual = INFINITY;
         unsigned words = 0;
         for (size_t i = 0; i < size; i++) {
             size_t node = begin + i;
@@ -360,34 +360,79 @@ VECTORS static struct spoken clear_silent(size_t nodes, const struct words_measu
         for (size_t i = 0; i < size; i++) {
             words += active[begin + i];
             least = loud[i] < least ? loud[i] : least;
+            usual = expected[begin + i] < usual ? expected[begin + i] : usual;
         }
         spoken.words += words;
         spoken.least = least < spoken.least ? least : spoken.least;
+        spoken.expected = usual < spoken.expected ? usual : spoken.expected;
         spoken.power += power_of(level, size);
         spoken.rows_power += sum_of(measures->squares + begin, size);
     }
     return spoken;
 }
 
+INLINE float sign_of(float level)
+{
+    return (float)((level > 0) - (level < 0));
+}
+
+INLINE float dot(const float *some, const float *others, size_t size)
+{
+    float partial[16] = {0}, sum = 0;
+    size_t i = 0;
+
+    for (; i + 16 <= size; i += 16)
+        for (size_t lane = 0; lane < 16; lane++)
+            partial[lane] += some[i + lane] * others[i + lane];
+    for (; i < size; i++)
+        partial[0] += some[i] * others[i];
+    for (size_t lane = 0; lane < 16; lane++)
+        sum += partial[lane];
+    return sum;
+}
+
+/* Energy per bit of what one offset of all chips leaves over, V²; offset: (k, N), rows of an offset of 1 V;
+ * as common_energy in lateness.py. */
+static double common_energy(const struct words_frame *frame, const float *rows, const float *offset,
+                            const float *amplitude, const uint8_t *active, size_t from)
+{
+    double product = 0, norm = 0;
+
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order, offset += frame->order) {
+        const float *levels = rows + frame->first, *shares = offset + frame->first;
+        float words[8] = {0};
+        product += dot(rows + from, offset + from, frame->order - from);
+        norm += dot(offset + from, offset + from, frame->order - from);
+        for (size_t i = 0; i < frame->nodes; i++)
+            words[i & 7] += active[i] ? sign_of(levels[i]) * amplitude[i] * shares[i] : 0;
+        for (size_t i = 0; i < 8; i++)
+            product -= (double)words[i];
+    }
+    return product * product / norm / (double)frame->bits;
+}
+
 /* Whether words leave over less than a chip of the weakest: what out_of_place in lateness.py asks. */
 static bool leave_little(const struct words_frame *frame, const struct words_reading *reading,
-                         const float *rows, const struct spoken *spoken)
+                         const float *rows, const float *offset, const float *amplitude,
+                         const uint8_t *active, const struct spoken *spoken)
 {
     const size_t from = !frame->unipolar && frame->first > 0, end = frame->first + frame->nodes;
     double total = spoken->rows_power, share = spoken->words <= reading->few ? (double)reading->few_share : 1;
 
     if (!spoken->words)
         return true;
+    double common = offset ? common_energy(frame, rows, offset, amplitude, active, from) : 0;
     for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order)
         total += power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
-    double most = share * (double)reading->a_chip * (double)spoken->least;
-    return total / (double)frame->bits - spoken->power <
-           most * (double)spoken->least / (double)frame->order;
+    float weakest = offset && spoken->expected < spoken->least ? spoken->expected : spoken->least;
+    double most = share * (double)reading->a_chip * (double)weakest;
+    return total / (double)frame->bits - spoken->power - common <
+           most * (double)weakest / (double)frame->order;
 }
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
-                           const int32_t *sign_mask, float *expected,
+                           const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active, uint8_t *faint)
 {
@@ -412,7 +457,7 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     float share = threshold < reading->faint_share ? threshold : reading->faint_share;
     struct spoken spoken =
         clear_silent(frame->nodes, measures, decided, active, expected, share);
-    return leave_little(frame, reading, rows, &spoken) ? WORDS_ARE_PLAIN : WORDS_LEAVE_ENERGY;
+    return leave_little(frame, reading, rows, offset, amplitude, active, &spoken) ? WORDS_ARE_PLAIN : WORDS_LEAVE_ENERGY;
 }
 
 /* ---- late -------------------------------------------------------------------------------------- */
@@ -420,26 +465,6 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
 /* The chips of a bit that are looked at: what is left of its last two and first two, and what is meant
  * by its last and its first one. */
 enum chip { LEFT_END, LEFT_LAST, LEFT_FIRST, LEFT_SECOND, MEANT_LAST, MEANT_FIRST, CHIPS };
-
-INLINE float sign_of(float level)
-{
-    return (float)((level > 0) - (level < 0));
-}
-
-INLINE float dot(const float *some, const float *others, size_t size)
-{
-    float partial[16] = {0}, sum = 0;
-    size_t i = 0;
-
-    for (; i + 16 <= size; i += 16)
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] += some[i + lane] * others[i + lane];
-    for (; i < size; i++)
-        partial[0] += some[i] * others[i];
-    for (size_t lane = 0; lane < 16; lane++)
-        sum += partial[lane];
-    return sum;
-}
 
 /* Chips of all bits, and the power of what is left in all rows. */
 INLINE double find_chips(const struct words_frame *frame, const float *rows, const float *meant,

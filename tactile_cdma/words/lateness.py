@@ -58,8 +58,11 @@ def out_of_place(
     rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
-    few = FEW_SHARE if spoken.size <= FEW else 1.0
-    if left < few * least_left(spec) * float(spoken.min()) ** 2 / spec.order:
+    weakest, few = float(spoken.min()), few_share(spec) if spoken.size <= FEW else 1.0
+    if spec.scramble:
+        left -= common_energy(levels.rows, amplitude, active, spec)
+        weakest = min(weakest, expected)
+    if left < few * least_left(spec) * weakest**2 / spec.order:
         return None
     return displaced(levels, amplitude, active, expected, spec)
 
@@ -84,9 +87,41 @@ def displaced(
     return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None
 
 
+def common_energy(rows: Floats32, amplitude: Floats32, active: Bools, spec: FrameSpec) -> float:
+    """Energy per bit of what one offset of all chips leaves over, V²: no word, late or not, has it.
+
+    Of a scrambled frame whose line at rest is unknown, so that its mean is taken for the level.
+    rows: (k, N) V.
+    """
+    begin = 0 if spec.first_row == 0 else 1
+    offset = offset_rows(spec).reshape(rows.shape)
+    nodes = np.flatnonzero(active)
+    signs = np.sign(rows[:, spec.node_slice][:, nodes])
+    words = (signs * offset[:, spec.node_slice][:, nodes]).sum(axis=0) @ amplitude[nodes]
+    offset = offset[:, begin:]
+    product = float(np.einsum("kr,kr->", rows[:, begin:], offset)) - float(words)
+    return product**2 / float(np.einsum("kr,kr->", offset, offset)) / spec.line_bits
+
+
+@lru_cache(maxsize=8)
+def offset_rows(spec: FrameSpec) -> Floats32:
+    """Rows of an offset of 1 V, (k N,); none where chips are not scrambled."""
+    if not spec.scramble:
+        return np.empty(0, np.float32)
+    return rows_of(np.ones((spec.line_bits, spec.order), np.float32), spec).ravel()
+
+
 def least_left(spec: FrameSpec) -> float:
     """Energy that is left over for a closer look, in chips of the weakest word."""
-    return A_CHIP if spec.order > 2 * EDGE else math.inf  # a bit of so few chips is all edges
+    if spec.order <= 2 * EDGE:  # a bit of so few chips is all edges
+        return math.inf
+    # Scrambled: half of what a word has that late_scrambled finds.
+    return 0.5 * LATE_SHARE**2 * spec.order if spec.scramble else A_CHIP
+
+
+def few_share(spec: FrameSpec) -> float:
+    """Share of that where FEW words were spoken."""
+    return 1.0 if spec.scramble else FEW_SHARE
 
 
 def late_scrambled(
