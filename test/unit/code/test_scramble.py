@@ -17,7 +17,7 @@ from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.codes import chip_flips, scrambler_state
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import separate
+from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.gap_timing import GapTiming
@@ -29,6 +29,7 @@ from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words, decode
+from tactile_cdma.words.lateness import common_energy, least_left
 from test.support.simulated import Truth, configuration, run, stream
 
 MASK = 0xFFFFFFFF
@@ -205,6 +206,31 @@ def test_no_node_is_silent_beside_one_that_is_not_understood(
         silent = ~words.active
         assert silent[0] or words.doubtful[0]
         assert words.doubtful[silent].all()
+
+
+def test_an_unknown_offset_is_no_reason_to_look_for_late_words() -> None:
+    spec = FrameSpec(nodes=60, order=64, scramble=True, frame_period_s=40e-3)
+    rng = np.random.default_rng(3)
+    active = np.ones(60, np.bool_)
+    signs = rng.choice([-1.0, 1.0], (spec.line_bits, 60)).astype(np.float32)
+    rows = np.zeros((spec.line_bits, 64), np.float32)
+    rows[:, spec.node_slice] = signs
+    amplitude = np.ones(60, np.float32)
+
+    def is_asked(chips: NDArray[np.float32]) -> bool:
+        levels = NodeLevels(rows[:, spec.node_slice], 0.0, rows=rows_of(chips, spec))
+        assert levels.rows is not None
+        left = float(np.square(levels.rows[:, 1:]).sum()) / spec.line_bits - 60
+        left -= common_energy(levels.rows, amplitude, active, spec)
+        return left >= least_left(spec) / spec.order
+
+    sent = chips_of(rows, spec)
+    assert not is_asked(sent) and not is_asked(sent + np.float32(0.5))
+    late = rows.copy()
+    late[:, spec.first_row] = 0  # one node is two chips late
+    alone = chips_of(rows - late, spec).ravel()
+    delayed = np.concatenate((np.zeros(2, np.float32), alone[:-2])).reshape(sent.shape)
+    assert is_asked(chips_of(late, spec) + delayed)
 
 
 @pytest.mark.parametrize("scene", ["idle", "press"])

@@ -98,6 +98,8 @@ def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Pipeline:
 
 TIGHT = {"frame_period_ms": 10.1}  # the next mark comes before it is seen how a frame ends
 GAP = {"timing": "gap"}
+PAUSES = {"resync_chips": 20, "guard_chips": 1, "frame_period_ms": 15.0}
+SCRAMBLED = {"scramble": True}
 CASES = [
     (SMALL, "scene=moving"),
     (SMALL, "scene=all&threshold=0"),
@@ -118,7 +120,8 @@ CASES = [
     ({"amplitude_mv": 0.0}, "scene=moving"),
     (FULL, "scene=all&threshold=0"),
     (FULL, "scene=moving&offset=0.3"),
-    ({"resync_chips": 20, "guard_chips": 1, "frame_period_ms": 15.0}, "scene=moving"),
+    (PAUSES, "scene=moving"),
+    (PAUSES | CHIPS, "scene=moving"),
     (CHIPS, "scene=moving&offset=0.2"),
     (CHIPS, "scene=all&threshold=0&noise=0.3"),
     (CHIPS, "scene=idle"),
@@ -127,10 +130,11 @@ CASES = [
     (LARGE | CHIPS, "scene=hand"),
     (LARGE, "scene=hand"),
     (LARGE, "scene=all&threshold=0"),
-    ({"scramble": True}, "scene=moving&offset=0.2"),
-    ({"scramble": True}, "scene=idle&heartbeat=0&noise=0.1"),
-    ({"scramble": True} | CHIPS, "scene=all&threshold=0"),
-    ({"scramble": True} | LARGE, "scene=hand"),
+    (SCRAMBLED, "scene=moving&offset=0.2"),
+    (SCRAMBLED, "scene=idle&heartbeat=0&noise=0.1"),
+    (SCRAMBLED | CHIPS, "scene=all&threshold=0"),
+    (SCRAMBLED | CHIPS, "scene=moving&offset=0.2"),
+    (SCRAMBLED | LARGE, "scene=hand"),
     (TIGHT, "scene=moving"),
     (TIGHT | FULL, "scene=all&threshold=0"),
     (GAP, "scene=moving&stretch=0.1"),
@@ -143,7 +147,9 @@ def test_frames_are_those_of_numpy(parameters: dict[str, object], options: str) 
     compare(SkinConfig.of(parameters), data)
 
 
-@pytest.mark.parametrize("parameters", [SMALL, CHIPS, TIGHT, {"scramble": True}, FULL])
+@pytest.mark.parametrize(
+    "parameters", [SMALL, CHIPS, TIGHT, PAUSES | CHIPS, SCRAMBLED, SCRAMBLED | CHIPS, FULL]
+)
 @pytest.mark.parametrize("options", ["scene=all&threshold=0", "scene=idle", "scene=moving"])
 def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     parameters: dict[str, object], options: str
