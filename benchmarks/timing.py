@@ -39,7 +39,6 @@ from tactile_cdma.clocks.clock_tracking import ClockTracker
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
 from tactile_cdma.clocks.roll_call import RollCallListener
-from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.config.parameters import GAP, Value, read_file
@@ -61,8 +60,6 @@ CHIP_S = 10e-6
 RESYNC, GUARD = 32, 1
 FRAMES = {16: 10, 64: 5, 256: 2} if QUICK else {16: 40, 64: 20, 256: 10}
 NODES = (16, 64, 256)
-INTEGRATED = Sampling(1.0, 1.0)
-"""One mean value per nominal chip."""
 STRETCHES = (0.0, 0.005, 0.11) if QUICK else (0.0, 0.0005, 0.002, 0.005, 0.02, 0.05, 0.08, 0.11)
 JITTERS = (0.0, 0.1) if QUICK else (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 RATES = (0.001, 0.01) if QUICK else (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02)
@@ -188,7 +185,7 @@ def called_clocks(
     spec: FrameSpec, clocks: NodeClocks, per_chip: int, rng: np.random.Generator
 ) -> NodeClocks:
     """The clocks as estimated from one roll call."""
-    listener, noise = RollCallListener(spec, Sampling(per_chip)), noise_of(spec, per_chip)
+    listener, noise = RollCallListener(spec, per_chip), noise_of(spec, per_chip)
     for node in range(spec.nodes):
         bits = rng.choice([-1.0, 1.0], (spec.bits, 1)) * (np.arange(spec.nodes) == node)
         line = own_line(spec, clocks, bits, per_chip, listener.samples)
@@ -205,7 +202,7 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
     clocks = NodeClocks(
         rng.uniform(0, delay, nodes), rng.uniform(-rate, rate, nodes), np.ones(nodes, bool)
     )
-    sampling, noise = Sampling(per_chip), noise_of(spec, per_chip)
+    noise = noise_of(spec, per_chip)
     period = round(spec.frame_period_s / CHIP_S * per_chip)
     start = np.array([clocks.delay_chips.mean() * per_chip - 0.5])
     chip = np.array([(1 + clocks.rate_error.mean()) * per_chip])
@@ -218,7 +215,7 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
         return separate(integrate(Line(line), start, nominal, resynced)[0], spec).values
 
     def decorrelated(some: FrameSpec) -> Callable[[np.ndarray], np.ndarray]:
-        decorrelator = Decorrelator(some, called_clocks(some, clocks, per_chip, rng), sampling)
+        decorrelator = Decorrelator(some, called_clocks(some, clocks, per_chip, rng), per_chip)
         return lambda line: decorrelator.estimate(line.astype(np.float32))
 
     methods = {
@@ -247,10 +244,9 @@ def sampling_rows() -> list[list[object]]:
         )
         for scramble in (False, True):
             spec = frame_spec(nodes, scramble)
-            for sampling in (INTEGRATED, Sampling(2.0), Sampling(4.0)):
-                samples = spec.chips if sampling is INTEGRATED else None
-                decorrelator = Decorrelator(spec, clocks, sampling, samples)
-                noise, share = noise_of(spec, sampling.per_chip), 0.0
+            for per_chip in (2.0, 4.0):
+                decorrelator = Decorrelator(spec, clocks, per_chip)
+                noise, share = noise_of(spec, per_chip), 0.0
                 for _ in range(FRAMES[nodes]):
                     bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
                     line = decorrelator.line(bits)
@@ -261,7 +257,7 @@ def sampling_rows() -> list[list[object]]:
                         nodes,
                         spec.order,
                         "yes" if scramble else "no",
-                        "chip means" if sampling is INTEGRATED else f"{sampling.per_chip:g}",
+                        f"{per_chip:g}",
                         float(np.median(decorrelator.gain)),
                         float(decorrelator.gain.max()),
                         int(decorrelator.unresolved.size),
@@ -285,13 +281,12 @@ def costs(report: Report) -> float:
         clocks = NodeClocks(
             rng.uniform(0, 0.5, nodes), rng.uniform(-0.01, 0.01, nodes), np.ones(nodes, bool)
         )
-        sampling = Sampling(2.0)
-        decorrelator = Decorrelator(spec, clocks, sampling)
+        decorrelator = Decorrelator(spec, clocks, 2.0)
         bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
         line = decorrelator.line(bits)
         line += np.float32(0.1) * rng.normal(size=line.size).astype(np.float32)
         tracker, wide = ClockTracker(clocks), line.astype(float)
-        listener, lone = RollCallListener(spec, sampling), np.arange(nodes) == nodes // 2
+        listener, lone = RollCallListener(spec, 2.0), np.arange(nodes) == nodes // 2
         alone = own_line(spec, clocks, np.ones((10, 1)) * lone, 2, listener.samples)
         alone = alone.astype(np.float32)
         times = medians_s(
@@ -299,7 +294,7 @@ def costs(report: Report) -> float:
                 "plain": partial(plainly, wide, spec),
                 "decorrelated": partial(decorrelator.estimate, line),
                 "track": partial(tracker.update, decorrelator, line, bits, 0.1),
-                "build": partial(Decorrelator, spec, clocks, sampling),
+                "build": partial(Decorrelator, spec, clocks, 2.0),
                 "hear": partial(listener.hear, nodes // 2, alone, 0.1),
             },
             rounds=2 if QUICK else 7,

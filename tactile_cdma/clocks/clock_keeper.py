@@ -20,7 +20,6 @@ from .clock_tracking import REBUILD, ClockTracker
 from .decorrelate import Decorrelator
 from .node_clocks import NodeClocks, needs_decorrelation
 from .roll_call import RollCallListener
-from .sampling import Sampling
 
 _log = logging.getLogger(__name__)
 
@@ -51,15 +50,15 @@ class ClockKeeper:
     report: what is known now. decorrelator: takes frames apart; None where correlation does.
     """
 
-    def __init__(self, spec: FrameSpec, sampling: Sampling, background: bool) -> None:
+    def __init__(self, spec: FrameSpec, per_chip: float, background: bool) -> None:
         """background: work in a thread beside the stream.
 
         Else at once, so that the same samples always give the same frames.
         """
         self.report = ClockReport()
         self.decorrelator: Decorrelator | None = None
-        self.listener = RollCallListener(spec, sampling)
-        self._spec, self._sampling = spec, sampling
+        self.listener = RollCallListener(spec, per_chip)
+        self._spec, self._per_chip = spec, per_chip
         self._tracker: ClockTracker | None = None
         self._worker = ThreadPoolExecutor(1, "node clocks") if background else None
         self._coming: Future[Decorrelator | None] | None = None
@@ -72,7 +71,7 @@ class ClockKeeper:
     def begin(self) -> None:
         """Begin a roll call."""
         _log.debug("a roll call begins")
-        self.listener = RollCallListener(self._spec, self._sampling)
+        self.listener = RollCallListener(self._spec, self._per_chip)
         self.report = replace(self.report, busy=True, problem=None)
 
     def hear(self, node: int, line: Floats32, noise_rms_v: float) -> None:
@@ -142,7 +141,7 @@ class ClockKeeper:
         self, clocks: NodeClocks, problem: str | None, decorrelated: bool = True
     ) -> Decorrelator | None:
         """Build a decorrelator for these clocks, if wanted, and report."""
-        built = Decorrelator(self._spec, clocks, self._sampling) if decorrelated else None
+        built = Decorrelator(self._spec, clocks, self._per_chip) if decorrelated else None
         unresolved = tuple((built.unresolved + 1).tolist()) if built else ()
         heard, spread = int(clocks.known.sum()), clocks.spread_chips(self._spec)
         self.report = ClockReport(heard, spread, decorrelated, unresolved, problem=problem)

@@ -64,7 +64,7 @@ class ClockTracker:
         for node in nodes:
             alone = left + decorrelator.line(words[:, [node]], [node])
             begins, ends = raster(late[node], error, 1)
-            energy = RowSearch(alone, spec.node_rows[node], spec, decorrelator.sampling).energy(
+            energy = RowSearch(alone, spec.node_rows[node], spec, decorrelator.per_chip).energy(
                 begins, ends
             )
             apart = np.square(begins - late[node, 0]) + np.square(ends - late[node, 1])

@@ -33,7 +33,7 @@ from ..base.arrays import Floats32, Indices
 from ..base.errors import SpecError
 from ..code.frame import UNIPOLAR, FrameSpec
 from .node_clocks import NodeClocks
-from .sampling import Sampling, row_samples
+from .sampling import RAMP, row_samples
 
 MAX_GAIN = 8.0
 """Largest noise of an estimate, over that of a correlation without crosstalk: sets λ. ρ/2 gives the
@@ -67,17 +67,9 @@ class Decorrelator:
     resolution: (n,) float32, share of its amplitude that a node keeps in its worst bit.
     """
 
-    def __init__(
-        self,
-        spec: FrameSpec,
-        clocks: NodeClocks,
-        sampling: Sampling,
-        samples: int | None = None,
-    ) -> None:
-        """Set up the equations and eliminate.
+    def __init__(self, spec: FrameSpec, clocks: NodeClocks, per_chip: float) -> None:
+        """Set up the equations and eliminate. per_chip: samples in a nominal chip.
 
-        samples: largest number in a frame; None for all of its period. (A digitizer that
-        integrates sends k·N; what slow nodes send later is lost.)
         Raises SpecError where the clocks are too far apart or the skin is too large.
         """
         if clocks.nodes != spec.nodes:
@@ -87,22 +79,22 @@ class Decorrelator:
                 "nodes that start anew within a frame don't drift apart: set resync_chips to 0 to "
                 "decorrelate them instead"
             )
-        self.spec, self.clocks, self.sampling = spec, clocks, sampling
-        most = spec.frame_period_s / spec.chip_s * sampling.per_chip
-        if samples is None and abs(most - round(most)) > 0.05:
+        self.spec, self.clocks, self.per_chip = spec, clocks, per_chip
+        most = spec.frame_period_s / spec.chip_s * per_chip
+        if abs(most - round(most)) > 0.05:
             raise SpecError(
                 f"a frame period of {most:.2f} samples lets the sampling slide against the sync "
                 "edge: make it a whole number of samples"
             )
-        if samples is None and clocks.end_s(spec) > spec.frame_period_s:
+        if clocks.end_s(spec) > spec.frame_period_s:
             raise SpecError(
                 f"the slowest node needs {clocks.end_s(spec) * 1e3:g} ms for its frame, longer "
                 f"than the period of {spec.frame_period_s * 1e3:g} ms; lengthen frame_period_s"
             )
         self._bits = spec.line_bits
-        windows = self._windows(round(most) if samples is None else samples)
+        windows = self._windows(round(most))
         self.samples = windows[-1][1]
-        self.ridge = spec.order * sampling.per_chip / (4 * MAX_GAIN**2)
+        self.ridge = spec.order * per_chip / (4 * MAX_GAIN**2)
         size = sum(stop - first for first, stop in windows) * 8 * (spec.nodes + 1)
         if size > MAX_BYTES:
             raise SpecError(
@@ -125,7 +117,7 @@ class Decorrelator:
     @property
     def gain(self) -> Floats32:
         """Noise of a node's worst bit over that of a correlation without crosstalk, (n,)."""
-        clean = math.sqrt(self.spec.order * self.sampling.per_chip)
+        clean = math.sqrt(self.spec.order * self.per_chip)
         worst: Floats32 = self.noise_gain.max(axis=0) * np.float32(clean)
         return worst
 
@@ -172,11 +164,11 @@ class Decorrelator:
 
     def _windows(self, available: int) -> list[tuple[int, int]]:
         """First and last + 1 sample of each bit, of the earliest and the latest node."""
-        spec, sampling = self.spec, self.sampling
+        spec = self.spec
         edges = np.arange(self._bits + 1) * spec.order
-        instants = (edges + self.clocks.displacement(edges)) * sampling.per_chip - 0.5
-        early = np.ceil(instants.min(axis=0) - sampling.width / 2)
-        late = np.floor(instants.max(axis=0) + sampling.width / 2) + 1
+        instants = (edges + self.clocks.displacement(edges)) * self.per_chip - 0.5
+        early = np.ceil(instants.min(axis=0) - RAMP / 2)
+        late = np.floor(instants.max(axis=0) + RAMP / 2) + 1
         first, stop = np.clip([early[:-1], late[1:]], 0, available).astype(int).tolist()
         if any(a > b for a, b in zip(stop, first[2:], strict=False)):
             raise SpecError(
@@ -197,11 +189,11 @@ class Decorrelator:
         begin = edge + self.clocks.displacement(edge)
         chip = 1.0 + self.clocks.rate_error
         flips = 1 if self.spec.flips is None else self.spec.flips[bit].astype(np.int8)
-        nodes = row_samples(rows * flips, begin, chip, first, stop, self.sampling)
+        nodes = row_samples(rows * flips, begin, chip, first, stop, self.per_chip)
         if self.spec.first_row == 0 and not self.spec.scramble:
             return nodes
         ones = np.ones_like(rows)
-        pedestal = row_samples(ones, begin, chip, first, stop, self.sampling).mean(axis=0)
+        pedestal = row_samples(ones, begin, chip, first, stop, self.per_chip).mean(axis=0)
         return np.concatenate((nodes, pedestal[None]))
 
     def _eliminate(

@@ -23,7 +23,6 @@ from ..framing.marked_timing import CarriedTiming, MarkedFrame, MarkedLine, Mark
 from ..framing.timing import ABSURD, INCOMPLETE, MISFIT, Rails
 from .clock_keeper import ClockKeeper
 from .decorrelate import Decorrelator
-from .sampling import Sampling
 
 TRACKED_FRAMES = 4
 """Clocks are followed in one frame of so many, clock_tracking.NODES_PER_FRAME nodes each time.
@@ -44,7 +43,7 @@ class NodeTiming(MarkedTiming):
     ) -> None:
         """See MarkedLine; background: see ClockKeeper."""
         line = MarkedLine(spec, rate_hz, rails_v)
-        self.clocks = ClockKeeper(spec, Sampling(line.chip), background)
+        self.clocks = ClockKeeper(spec, line.chip, background)
         super().__init__(line, NodeRecogniser(line, self.clocks))
 
 

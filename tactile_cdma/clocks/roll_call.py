@@ -27,7 +27,7 @@ from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import FrameSpec
 from .node_clocks import NodeClocks
-from .sampling import RunningSum, Sampling
+from .sampling import RunningSum
 
 LARGEST_DELAY = 1.0
 """Largest delay that is searched for, chips. Chosen: a node starts within its first chip."""
@@ -73,19 +73,18 @@ class HeardClock:
 class RollCallListener:
     """Collects the clocks of all nodes while they are called one after the other."""
 
-    def __init__(self, spec: FrameSpec, sampling: Sampling) -> None:
+    def __init__(self, spec: FrameSpec, per_chip: float) -> None:
         """Raises SpecError below two samples per chip, and for frames with restarts in them."""
         if spec.resync_chips:
             raise SpecError(
                 "nodes that start anew within a frame show too little of their clocks: a roll call "
                 "takes resync_chips 0"
             )
-        if sampling.per_chip < 1.9:
+        if per_chip < 1.9:
             raise SpecError(
-                f"{sampling.per_chip:g} samples per chip: a roll call takes raw samples, 2 per "
-                "chip or more"
+                f"{per_chip:g} samples per chip: a roll call takes raw samples, 2 per chip or more"
             )
-        self.spec, self.sampling = spec, sampling
+        self.spec, self.per_chip = spec, per_chip
         self.heard: dict[int, HeardClock] = {}
 
     @property
@@ -93,7 +92,7 @@ class RollCallListener:
         """Samples of a frame that are looked at: until the slowest clock is through."""
         spec = self.spec
         longest = spec.chips * (1 + LARGEST_RATE_ERROR) + LARGEST_DELAY
-        return int(self.sampling.per_chip * min(longest, spec.frame_period_s / spec.chip_s))
+        return int(self.per_chip * min(longest, spec.frame_period_s / spec.chip_s))
 
     def hear(self, node: int, samples: Floats32, noise_rms_v: float) -> HeardClock:
         """Measure the clock of a node, counted from 0, in its frame; a refused clock is not kept.
@@ -106,7 +105,7 @@ class RollCallListener:
         line = np.asarray(samples[: self.samples], dtype=np.float64)
         # One row at a time: those of all nodes of a large skin are gigabytes.
         (row,) = self.spec.book.rows([self.spec.rows[node]])
-        clock = hear_node(line, row, self.spec, self.sampling, noise_rms_v)
+        clock = hear_node(line, row, self.spec, self.per_chip, noise_rms_v)
         if not clock.refusal:
             self.heard[node] = clock
         return clock
@@ -121,14 +120,14 @@ class RollCallListener:
 
 
 def hear_node(
-    line: Floats, row: NDArray[np.int8], spec: FrameSpec, sampling: Sampling, noise_rms_v: float
+    line: Floats, row: NDArray[np.int8], spec: FrameSpec, per_chip: float, noise_rms_v: float
 ) -> HeardClock:
     """Delay, clock error and amplitude of the one node that speaks in a frame.
 
     line: (m,) float64, V, from the sync edge on, gap level removed. row: (N,) of ±1, the node's.
     noise_rms_v: of one sample in the gap.
     """
-    search = RowSearch(line, row, spec, sampling)
+    search = RowSearch(line, row, spec, per_chip)
     unit = 2 * noise_rms_v**2
     late, step, reach = search.coarse(), _WIDEST, 6  # as far as the coarse raster's neighbours
     while step > _FINEST:
@@ -160,10 +159,10 @@ class RowSearch:
     """A row's amplitude in the samples, for displacements of the frame's begin and end."""
 
     def __init__(
-        self, line: Floats, row: NDArray[np.int8], spec: FrameSpec, sampling: Sampling
+        self, line: Floats, row: NDArray[np.int8], spec: FrameSpec, per_chip: float
     ) -> None:
         self.chips, self.bits = spec.chips, spec.line_bits
-        self.row, self.sums = row, RunningSum(line, sampling)
+        self.row, self.sums = row, RunningSum(line, per_chip)
         flips = 1.0 if spec.flips is None else spec.flips
         self.rows = np.broadcast_to(row * flips, (self.bits, row.size)).astype(float)
 

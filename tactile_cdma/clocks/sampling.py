@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,26 +11,9 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Floats32
 
-_SHARP = 1e-3
-"""Least aperture, samples, so that one formula serves instants and means. Chosen: far below the
-0.03 chip to which edges have to be known."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sampling:
-    """When the line is sampled: sample s stands around instant s + ½, counted from the sync edge.
-
-    per_chip: samples in a nominal chip. aperture: share of its period over which a sample is the
-    mean of the line, 0…1: near 0 for a converter that samples instants, 1 for an integrating one.
-    """
-
-    per_chip: float
-    aperture: float = 0.0
-
-    @property
-    def width(self) -> float:
-        """Width of the ramp that an edge is seen as, samples."""
-        return max(self.aperture, _SHARP)
+RAMP = 1e-3
+"""Width of the ramp that an edge is seen as, samples: so a sample at an edge has a value. Chosen:
+far below the 0.03 chip to which edges have to be known."""
 
 
 class RunningSum:
@@ -40,9 +22,12 @@ class RunningSum:
     The difference of two sums is the correlation with a level of 1 V between their instants.
     """
 
-    def __init__(self, samples: Floats, sampling: Sampling) -> None:
-        """samples: (m,) float64, V, from the sync edge on; the line is taken as 0 outside."""
-        self.sampling = sampling
+    def __init__(self, samples: Floats, per_chip: float) -> None:
+        """samples: (m,) float64, V, from the sync edge on; the line is taken as 0 outside.
+
+        per_chip: samples in a nominal chip.
+        """
+        self._per_chip = per_chip
         self._samples = np.append(samples, 0.0)
         self._sums = np.concatenate(([0.0], np.cumsum(samples)))
 
@@ -51,21 +36,20 @@ class RunningSum:
 
         Returns the sums, V, and the number of samples in them, which need not be whole.
         """
-        sampling = self.sampling
-        position = np.clip(chips * sampling.per_chip, 0.0, float(self._samples.size - 1))
+        position = np.clip(chips * self._per_chip, 0.0, float(self._samples.size - 1))
         whole = position.astype(np.intp)
         position -= whole
-        part = np.clip((position - 0.5) / sampling.width + 0.5, 0.0, 1.0)
+        part = np.clip((position - 0.5) / RAMP + 0.5, 0.0, 1.0)
         return self._sums[whole] + part * self._samples[whole], whole + part
 
 
 def row_samples(
-    rows: NDArray[np.int8], begin: Floats, chip: Floats, first: int, stop: int, sampling: Sampling
+    rows: NDArray[np.int8], begin: Floats, chip: Floats, first: int, stop: int, per_chip: float
 ) -> Floats32:
     """Samples first…stop − 1 of code rows: (n, stop − first) float32, 0 outside a row.
 
     rows: (n, N) of ±1. begin, chip: (n,) start of each row and duration of its chips, nominal
-    chips. Every sample is the mean over its aperture.
+    chips. per_chip: samples in a nominal chip. Sample s stands at instant s + ½ from the sync edge.
     """
     chips = rows.shape[1]
     sums = np.zeros((len(rows), chips + 1))
@@ -74,7 +58,7 @@ def row_samples(
 
     def integral(instant: NDArray[Any]) -> Floats:
         """∫ row up to instants in samples, in the row's own chips."""
-        at = (instant / sampling.per_chip - begin[:, None]) / chip[:, None]
+        at = (instant / per_chip - begin[:, None]) / chip[:, None]
         np.clip(at, 0.0, chips, out=at)
         whole = at.astype(np.intp)
         at -= whole
@@ -83,7 +67,6 @@ def row_samples(
         return area
 
     middle = np.arange(first + 0.5, stop)
-    reach = sampling.width / 2
-    area = integral(middle + reach) - integral(middle - reach)
-    area *= chip[:, None] * (sampling.per_chip / sampling.width)
+    area = integral(middle + RAMP / 2) - integral(middle - RAMP / 2)
+    area *= chip[:, None] * (per_chip / RAMP)
     return area.astype(np.float32)

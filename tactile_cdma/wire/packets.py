@@ -103,11 +103,6 @@ class PacketParser:
         counts = self.scanner.counts()
         return counts["bytes"], counts["packets"]
 
-    @property
-    def held(self) -> int:
-        """Bytes of an incomplete packet that are held back."""
-        return self.scanner.held()
-
     def feed(self, data: bytes) -> list[Received]:
         """The packets that these bytes complete."""
         received = [self.interpret(*found) for found in self.scanner.feed(data)]
@@ -164,7 +159,7 @@ class Scanner:
         return {name: getattr(seen, name) for name in _COUNTERS}
 
     def held(self) -> int:
-        """As PacketParser.held."""
+        """Bytes of an incomplete packet that are held back."""
         return len(self._partial)
 
     def feed(self, data: bytes) -> list[Found]:

@@ -8,11 +8,11 @@ import pytest
 from tactile_cdma.clocks.clock_tracking import ClockTracker
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
-from tactile_cdma.clocks.sampling import Sampling, row_samples
+from tactile_cdma.clocks.sampling import row_samples
 from tactile_cdma.code.frame import FrameSpec
 
 SPEC = FrameSpec(nodes=15, order=32, chip_s=25e-6)
-SAMPLING = Sampling(4.0)
+PER_CHIP = 4.0
 NOISE = 0.01
 
 
@@ -33,7 +33,7 @@ def line_of(clocks: NodeClocks, words: np.ndarray, rng: np.random.Generator) -> 
     for bit, values in enumerate(words):
         begin = clocks.delay_chips + bit * SPEC.order * chip
         rows = SPEC.book.rows(SPEC.rows)
-        line += values @ row_samples(rows, begin, chip, 0, line.size, SAMPLING)
+        line += values @ row_samples(rows, begin, chip, 0, line.size, PER_CHIP)
     return line.astype(np.float32)
 
 
@@ -50,7 +50,7 @@ def test_wrong_clocks_are_corrected_and_drift_is_followed(same_words: bool) -> N
     scatter = rng.normal(size=(2, 15)) * 0.06
     start = moved(true, *scatter)
     tracker = ClockTracker(start)
-    decorrelator = Decorrelator(SPEC, tracker.clocks, SAMPLING)
+    decorrelator = Decorrelator(SPEC, tracker.clocks, PER_CHIP)
     drift = rng.uniform(-0.004, 0.004, 15)  # chips per frame, at the frame's end
     words = 0.3 * rng.choice([-1, 1], (10, 15))
     for frame in range(40):
@@ -61,7 +61,7 @@ def test_wrong_clocks_are_corrected_and_drift_is_followed(same_words: bool) -> N
         decided = 0.3 * np.sign(decorrelator.estimate(line))
         assert tracker.update(decorrelator, line, decided.astype(np.float32), NOISE)
         if frame % 10 == 9:
-            decorrelator = Decorrelator(SPEC, tracker.clocks, SAMPLING)
+            decorrelator = Decorrelator(SPEC, tracker.clocks, PER_CHIP)
     left, lost = errors(tracker.clocks, true), errors(start, true)
     assert np.linalg.norm(left) < 0.6 * np.linalg.norm(lost)
     assert np.median(np.abs(left)) < 0.3 * np.median(np.abs(lost))
@@ -70,7 +70,7 @@ def test_wrong_clocks_are_corrected_and_drift_is_followed(same_words: bool) -> N
 def test_silent_nodes_keep_their_clocks() -> None:
     rng, true = np.random.default_rng(2), drawn(1)
     known = moved(true, np.full(15, 0.05), np.full(15, -0.05))
-    tracker, decorrelator = ClockTracker(known), Decorrelator(SPEC, known, SAMPLING)
+    tracker, decorrelator = ClockTracker(known), Decorrelator(SPEC, known, PER_CHIP)
     speaks = np.arange(15) % 2 == 0
     for _ in range(5):
         words = (0.3 * rng.choice([-1, 1], (10, 15)) * speaks).astype(np.float32)
@@ -82,7 +82,7 @@ def test_silent_nodes_keep_their_clocks() -> None:
 
 def test_frames_that_are_not_understood_move_nothing() -> None:
     rng, true = np.random.default_rng(3), drawn(2)
-    tracker, decorrelator = ClockTracker(true), Decorrelator(SPEC, true, SAMPLING)
+    tracker, decorrelator = ClockTracker(true), Decorrelator(SPEC, true, PER_CHIP)
     words = (0.3 * rng.choice([-1, 1], (10, 15))).astype(np.float32)
     line = line_of(true, words, rng)
     wrong = words.copy()
@@ -96,7 +96,7 @@ def test_frames_that_are_not_understood_move_nothing() -> None:
 def test_one_frame_moves_clocks_by_little() -> None:
     rng, true = np.random.default_rng(4), drawn(3)
     off = moved(true, np.full(15, 0.3), np.full(15, 0.3))
-    tracker, decorrelator = ClockTracker(off), Decorrelator(SPEC, off, SAMPLING)
+    tracker, decorrelator = ClockTracker(off), Decorrelator(SPEC, off, PER_CHIP)
     for _ in range(20):
         words = (0.3 * rng.choice([-1, 1], (10, 15))).astype(np.float32)
         before = tracker.clocks

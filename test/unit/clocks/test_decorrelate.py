@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.decorrelate import MAX_GAIN, Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
-from tactile_cdma.clocks.sampling import Sampling, row_samples
+from tactile_cdma.clocks.sampling import row_samples
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
 
 
@@ -26,13 +26,13 @@ def nominal(nodes: int) -> NodeClocks:
     return NodeClocks(np.zeros(nodes), np.zeros(nodes), np.zeros(nodes, bool))
 
 
-def dense(spec: FrameSpec, clocks: NodeClocks, sampling: Sampling, samples: int) -> np.ndarray:
+def dense(spec: FrameSpec, clocks: NodeClocks, per_chip: float, samples: int) -> np.ndarray:
     """All waveforms of a frame, (samples, k·(n + 1)), the pedestal of each bit last."""
     rows, columns = spec.book.rows(spec.rows), []
     for bit in range(spec.bits):
         begin = clocks.delay_chips + bit * spec.order * (1 + clocks.rate_error)
         for some in (rows, np.ones_like(rows)):
-            shown = row_samples(some, begin, 1 + clocks.rate_error, 0, samples, sampling)
+            shown = row_samples(some, begin, 1 + clocks.rate_error, 0, samples, per_chip)
             columns += list(shown) if some is rows else [shown.mean(axis=0)]
     return np.array(columns, dtype=float).T
 
@@ -55,18 +55,18 @@ def line_of(spec: FrameSpec, clocks: NodeClocks, words: np.ndarray, per_chip: fl
 
 @settings(max_examples=10, deadline=None)
 @given(
-    st.sampled_from([Sampling(2.0), Sampling(3.0, 0.4), Sampling(2.0, 1.0)]),
+    st.sampled_from([2.0, 3.0, 4.5]),
     st.floats(0, 1),
     st.floats(0, 0.02),
     st.integers(0, 99),
 )
 def test_block_elimination_is_regularised_least_squares(
-    sampling: Sampling, delay: float, rate: float, seed: int
+    per_chip: float, delay: float, rate: float, seed: int
 ) -> None:
     spec = FrameSpec(nodes=11, order=12, bits=8)
     clocks = clocks_of(11, delay, rate, seed)
-    decorrelator = Decorrelator(spec, clocks, sampling)
-    A = dense(spec, clocks, sampling, decorrelator.samples)
+    decorrelator = Decorrelator(spec, clocks, per_chip)
+    A = dense(spec, clocks, per_chip, decorrelator.samples)
     K = np.linalg.inv(A.T @ A + decorrelator.ridge * np.eye(A.shape[1]))
     line = np.random.default_rng(seed).normal(size=decorrelator.samples).astype(np.float32)
     expected = (K @ A.T @ line).reshape(8, 12)[:, :11]
@@ -85,8 +85,8 @@ def test_block_elimination_is_regularised_least_squares(
 def test_the_line_of_unipolar_nodes_has_the_pedestal_of_all_that_speak() -> None:
     """Nodes that put 0 or A on the line raise its level by half of each one's swing."""
     spec, clocks = FrameSpec(nodes=11, order=12, bits=8, drive=UNIPOLAR), clocks_of(11, 0.5, 0.002)
-    decorrelator = Decorrelator(spec, clocks, Sampling(2.0))
-    A = dense(spec, clocks, Sampling(2.0), decorrelator.samples)
+    decorrelator = Decorrelator(spec, clocks, 2.0)
+    A = dense(spec, clocks, 2.0, decorrelator.samples)
     words = np.random.default_rng(0).normal(size=(8, 12))
     words[:, 11] = np.abs(words[:, :11]).sum(axis=1)
     modelled = decorrelator.line(words[:, :11].astype(np.float32))
@@ -104,7 +104,7 @@ def test_words_of_nodes_with_clocks_of_their_own_are_separated(
     clocks = clocks_of(nodes, delay, rate)
     rng = np.random.default_rng(0)
     words = 0.3 * rng.choice([-1, 1], (10, nodes)) * (rng.random(nodes) < 0.7)
-    decorrelator = Decorrelator(spec, clocks, Sampling(2.0))
+    decorrelator = Decorrelator(spec, clocks, 2.0)
     line = line_of(spec, clocks, words, 2.0)
     found = decorrelator.estimate(line)
     assert np.abs(found - words).max() < 0.12
@@ -120,7 +120,7 @@ def test_unipolar_nodes_are_separated() -> None:
     )
     clocks = clocks_of(31, 0.3, 0.003)
     words = 0.3 * np.random.default_rng(0).choice([-1, 1], (10, 31))
-    found = Decorrelator(spec, clocks, Sampling(2.0)).estimate(line_of(spec, clocks, words, 2.0))
+    found = Decorrelator(spec, clocks, 2.0).estimate(line_of(spec, clocks, words, 2.0))
     assert np.abs(found - words).max() < 0.2
 
 
@@ -130,41 +130,29 @@ def test_noise_is_bounded_and_twins_are_named() -> None:
     delay = np.zeros(7)
     delay[2] = -1.0  # row 3 begins a chip early
     twins = NodeClocks(delay, np.zeros(7), np.ones(7, bool))
-    decorrelator = Decorrelator(spec, twins, Sampling(2.0))
+    decorrelator = Decorrelator(spec, twins, 2.0)
     assert MAX_GAIN / 2 < decorrelator.gain.max() <= MAX_GAIN
     assert {1, 2} <= set(decorrelator.unresolved.tolist())
-    apart = Decorrelator(spec, nominal(7), Sampling(2.0))
+    apart = Decorrelator(spec, nominal(7), 2.0)
     assert not apart.unresolved.size
     assert apart.gain == pytest.approx(np.ones(7), abs=0.01)
-
-
-def test_integrated_chips_work_where_half_the_rows_are_free() -> None:
-    spec = FrameSpec(nodes=31, order=64, chip_s=1e-6, frame_period_s=1e-3)
-    clocks = clocks_of(31, 0.5, 0.001)
-    decorrelator = Decorrelator(spec, clocks, Sampling(1.0, 1.0), samples=spec.chips)
-    fine = line_of(spec, clocks, words := np.random.default_rng(0).choice([-1, 1], (10, 31)), 64.0)
-    means = fine[: 64 * spec.chips].reshape(spec.chips, 64).mean(axis=1)
-    found = decorrelator.estimate(means.astype(np.float32))
-    good = decorrelator.resolution > 0.9
-    assert np.count_nonzero(good) > 20
-    assert np.all(np.sign(found[:, good]) == words[:, good])
 
 
 def test_misuse_is_refused() -> None:
     spec = FrameSpec()
     equal = nominal(16)
     with pytest.raises(SpecError, match="15 nodes"):
-        Decorrelator(spec, nominal(15), Sampling(2.0))
+        Decorrelator(spec, nominal(15), 2.0)
     with pytest.raises(SpecError, match="slide"):
-        Decorrelator(FrameSpec(frame_period_s=12.812e-3), equal, Sampling(2.0))
+        Decorrelator(FrameSpec(frame_period_s=12.812e-3), equal, 2.0)
     with pytest.raises(SpecError, match="slowest node"):
         slow = NodeClocks(np.zeros(16), np.full(16, 0.02), np.ones(16, bool))
-        Decorrelator(FrameSpec(frame_period_s=10e-3), slow, Sampling(2.0))
+        Decorrelator(FrameSpec(frame_period_s=10e-3), slow, 2.0)
     with pytest.raises(SpecError, match="chips apart"):
         apart = NodeClocks(np.array([0.0, 4.0]), np.array([0, 0.02]), np.ones(2, bool))
-        Decorrelator(FrameSpec(nodes=2, order=4), apart, Sampling(2.0))
+        Decorrelator(FrameSpec(nodes=2, order=4), apart, 2.0)
     with pytest.raises(SpecError, match="MiB"):
         large = FrameSpec(nodes=2047, chip_s=1e-7, frame_period_s=4e-3)
-        Decorrelator(large, nominal(2047), Sampling(2.0))
+        Decorrelator(large, nominal(2047), 2.0)
     with pytest.raises(SpecError, match="needs 400"):
-        Decorrelator(spec, equal, Sampling(2.0)).estimate(np.zeros(399, np.float32))
+        Decorrelator(spec, equal, 2.0).estimate(np.zeros(399, np.float32))

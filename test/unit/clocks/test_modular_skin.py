@@ -7,7 +7,6 @@ import numpy as np
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import needs_decorrelation
 from tactile_cdma.clocks.roll_call import RollCallListener
-from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -43,8 +42,8 @@ def test_a_roll_call_is_all_it_takes() -> None:
         digitizer.receive(writer.encode(command))
         digitizer.advance(120_000)
         received += parser.feed(digitizer.take(1 << 30))
-    spec, sampling, info = digitizer.setup.spec, Sampling(4.0), digitizer.info()
-    listener = RollCallListener(spec, sampling)
+    spec, per_chip, info = digitizer.setup.spec, 4.0, digitizer.info()
+    listener = RollCallListener(spec, per_chip)
     decorrelator, plain_errors, checked = None, 0, 0
     called, truths = 0, Truth(digitizer)
     for number, (by_name, counts) in enumerate(frames_of(received)):
@@ -62,7 +61,7 @@ def test_a_roll_call_is_all_it_takes() -> None:
                 assert clocks.known.all()
                 assert clocks.moved_chips(true, spec) < 0.2
                 assert needs_decorrelation(spec, clocks)
-                decorrelator = Decorrelator(spec, clocks, sampling)
+                decorrelator = Decorrelator(spec, clocks, per_chip)
                 assert not decorrelator.unresolved.size
             truth = truths[number]
             noise_v = float(gap.std()) * float(np.sqrt(np.square(decorrelator.noise_gain).mean()))

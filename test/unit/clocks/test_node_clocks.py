@@ -7,7 +7,7 @@ import pytest
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk, needs_decorrelation
-from tactile_cdma.clocks.sampling import Sampling, row_samples
+from tactile_cdma.clocks.sampling import row_samples
 from tactile_cdma.code.frame import FrameSpec
 
 
@@ -59,9 +59,9 @@ def test_crosstalk_is_what_correlation_sees(order: int) -> None:
     spec = FrameSpec(nodes=60, order=order, frame_period_s=50e-3)
     some = clocks(rng.uniform(0, 0.5, 60), np.zeros(60))
     rows, begin = spec.book.rows(spec.rows), some.delay_chips - some.delay_chips.mean()
-    sampling = Sampling(16.0)
-    seen = row_samples(rows, begin, np.ones(60), 0, 16 * order, sampling)
-    ideal = row_samples(rows, np.zeros(60), np.ones(60), 0, 16 * order, sampling)
+    per_chip = 16.0
+    seen = row_samples(rows, begin, np.ones(60), 0, 16 * order, per_chip)
+    ideal = row_samples(rows, np.zeros(60), np.ones(60), 0, 16 * order, per_chip)
     shifted = seen @ ideal.T / (16 * order) - np.diag(1 - np.abs(begin))
     power = np.square(shifted).sum(axis=0).mean()  # bits, ±1, add independently
     assert crosstalk(spec, some) == pytest.approx(np.sqrt(power), rel=0.2)

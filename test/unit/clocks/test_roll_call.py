@@ -9,7 +9,6 @@ import pytest
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.roll_call import HeardClock, RollCallListener
-from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
 
 NOISE = 1e-3
@@ -23,7 +22,7 @@ def lone(roll: RollCallListener, node: int, delay: float, rate: float, seed: int
     """What instants see of one node: sample s is taken at s + ½, chips change like steps."""
     spec, row = roll.spec, roll.spec.book.rows(roll.spec.rows)[node]
     bits = np.random.default_rng(seed).choice([-1, 1], spec.bits)
-    chip = np.floor(((np.arange(roll.samples) + 0.5) / roll.sampling.per_chip - delay) / (1 + rate))
+    chip = np.floor(((np.arange(roll.samples) + 0.5) / roll.per_chip - delay) / (1 + rate))
     inside = (chip >= 0) & (chip < spec.chips)
     chip = np.where(inside, chip, 0).astype(int)
     line = bits[chip // spec.order] * row[chip % spec.order]
@@ -41,7 +40,7 @@ def hear(roll: RollCallListener, node: int, line: np.ndarray, noise: float = NOI
 def test_clocks_are_found_as_exactly_as_decorrelation_needs(nodes: int, order: int) -> None:
     """0.03 chip of delay and 0.08/N of rate at ρ = 12, on rows with enough level changes."""
     spec = spec_of(nodes, order)
-    roll = RollCallListener(spec, Sampling(4.0))
+    roll = RollCallListener(spec, 4.0)
     rng, noise = np.random.default_rng(order), 0.3 * np.sqrt(order * 4) / 12
     changes = np.count_nonzero(np.diff(spec.book.rows(spec.rows)), axis=1)
     for node in rng.choice(np.flatnonzero(changes > order / 3), 4, replace=False):
@@ -59,7 +58,7 @@ def test_clocks_are_found_as_exactly_as_decorrelation_needs(nodes: int, order: i
 @pytest.mark.parametrize("rate", [0.0, 1e-4])
 def test_where_samples_cannot_tell_the_estimate_lies_in_the_middle(rate: float) -> None:
     """At 2 instants per chip and without drift, delays from 0.25 to 0.75 look the same."""
-    roll = RollCallListener(spec_of(16, 20), Sampling(2.0))
+    roll = RollCallListener(spec_of(16, 20), 2.0)
     heard = hear(roll, 5, lone(roll, 5, 0.45, rate))
     assert heard.delay_chips == pytest.approx(0.5, abs=0.1)
     assert heard.delay_std > 0.1
@@ -67,7 +66,7 @@ def test_where_samples_cannot_tell_the_estimate_lies_in_the_middle(rate: float) 
 
 
 def test_unipolar_nodes_are_heard() -> None:
-    roll = RollCallListener(spec_of(16, 20, drive=UNIPOLAR), Sampling(4.0))
+    roll = RollCallListener(spec_of(16, 20, drive=UNIPOLAR), 4.0)
     heard = hear(roll, 3, lone(roll, 3, 0.2, 0.01))
     assert not heard.refusal
     assert heard.amplitude_v == pytest.approx(0.3, rel=0.02)
@@ -75,7 +74,7 @@ def test_unipolar_nodes_are_heard() -> None:
 
 
 def test_a_residual_offset_does_no_harm() -> None:
-    roll = RollCallListener(spec_of(16, 20), Sampling(4.0))
+    roll = RollCallListener(spec_of(16, 20), 4.0)
     line = lone(roll, 3, 0.2, 0.01)
     clean, shifted = hear(roll, 3, line), hear(roll, 3, line + 0.03)
     assert not shifted.refusal
@@ -85,7 +84,7 @@ def test_a_residual_offset_does_no_harm() -> None:
 
 @pytest.mark.parametrize("order", [20, 256])
 def test_nobody_somebody_else_and_two_are_refused(order: int) -> None:
-    roll = RollCallListener(spec_of(order - 4, order), Sampling(2.0))
+    roll = RollCallListener(spec_of(order - 4, order), 2.0)
     line = lone(roll, 7, 0.2, 0.003)
     noise = 0.3 * np.sqrt(order * 2) / 20
     assert "nobody" in hear(roll, 7, 0 * line, noise).refusal
@@ -98,8 +97,8 @@ def test_nobody_somebody_else_and_two_are_refused(order: int) -> None:
 
 def test_misuse_is_refused() -> None:
     with pytest.raises(SpecError, match="2 per chip"):
-        RollCallListener(spec_of(16, 20), Sampling(1.0))
-    roll = RollCallListener(spec_of(16, 20), Sampling(2.0))
+        RollCallListener(spec_of(16, 20), 1.0)
+    roll = RollCallListener(spec_of(16, 20), 2.0)
     with pytest.raises(SpecError, match="takes 4"):
         roll.hear(0, np.zeros(300, np.float32), NOISE)
 
@@ -107,7 +106,7 @@ def test_misuse_is_refused() -> None:
 def test_a_listener_to_many_nodes_does_not_hold_all_their_rows() -> None:
     spec = FrameSpec(nodes=16_000, order=16_384, chip_s=1e-7, frame_period_s=0.1)
     tracemalloc.start()
-    RollCallListener(spec, Sampling(4.0))
+    RollCallListener(spec, 4.0)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1 << 20  # all rows are 262 MB, and of a skin of 65,000 nodes 4 GB

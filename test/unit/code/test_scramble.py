@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
-from tactile_cdma.clocks.sampling import Sampling
 from tactile_cdma.code.codes import chip_flips, scrambler_state
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
@@ -311,7 +310,7 @@ def test_nodes_a_chip_apart_are_told_apart() -> None:
                 nodes=10, order=20, scramble=scramble, sign_seed=seed, frame_period_s=0.02
             )
             clocks = NodeClocks(np.arange(10) % 2.0, np.zeros(10), np.ones(10, bool))
-            count += bool(len(Decorrelator(spec, clocks, Sampling(4.0, 0.5)).unresolved))
+            count += bool(len(Decorrelator(spec, clocks, 4.0).unresolved))
         return count
 
     assert skins_with_twins(scramble=False) == 12

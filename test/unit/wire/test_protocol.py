@@ -404,7 +404,7 @@ def test_chunks_are_invisible(pieces: list[Packet | bytes], data: st.DataObject)
         parts = [stream[a:b] for a, b in zip(bounds, list(bounds)[1:], strict=False)]
         received = [packet for part in parts for packet in parser.feed(part)]
         assert (received, parser.counters) == whole
-        assert parser.held < MAX_PACKET
+        assert parser.scanner.held() < MAX_PACKET
 
 
 def test_no_flipped_bit_yields_a_false_packet() -> None:
@@ -450,7 +450,7 @@ def test_a_run_without_delimiter_is_dropped_once_and_in_bounded_memory() -> None
     parser = PacketParser()
     for _ in range(1000):
         assert not parser.feed(b"\xaa" * 1000)
-        assert parser.held < MAX_PACKET
+        assert parser.scanner.held() < MAX_PACKET
     assert parser.counters.resyncs == 1
     wire = PacketWriter().encode(Start())
     assert parser.feed(b"\0" + wire) == [Start()]
