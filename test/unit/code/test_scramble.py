@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tactile_cdma.base.arrays import Bools
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
@@ -27,8 +29,8 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.words import lateness
 from tactile_cdma.words.decode import Words, decode
-from tactile_cdma.words.lateness import common_energy, least_left
 from test.support.simulated import Truth, configuration, run, stream
 
 MASK = 0xFFFFFFFF
@@ -207,29 +209,38 @@ def test_no_node_is_silent_beside_one_that_is_not_understood(
         assert words.doubtful[silent].all()
 
 
-def test_an_unknown_offset_is_no_reason_to_look_for_late_words() -> None:
+def test_an_unknown_offset_is_no_reason_to_look_for_late_words(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     spec = FrameSpec(nodes=60, order=64, scramble=True, frame_period_s=40e-3)
-    rng = np.random.default_rng(3)
-    active = np.ones(60, np.bool_)
-    signs = rng.choice([-1.0, 1.0], (spec.line_bits, 60)).astype(np.float32)
-    rows = np.zeros((spec.line_bits, 64), np.float32)
+    rows = np.zeros((spec.line_bits, spec.order), np.float32)
+    signs = np.random.default_rng(3).choice([-1, 1], (spec.line_bits, spec.nodes))
     rows[:, spec.node_slice] = signs
-    amplitude = np.ones(60, np.float32)
+    looks: list[Bools] = []
+    look = lateness.late_scrambled
 
-    def is_asked(chips: NDArray[np.float32]) -> bool:
-        levels = NodeLevels(rows[:, spec.node_slice], 0.0, rows=rows_of(chips, spec))
-        assert levels.rows is not None
-        left = float(np.square(levels.rows[:, 1:]).sum()) / spec.line_bits - 60
-        left -= common_energy(levels.rows, amplitude, active, spec)
-        return left >= least_left(spec) / spec.order
+    def note(*arguments: Any) -> tuple[Bools, bool]:
+        found, hidden = look(*arguments)
+        looks.append(found)
+        return found, hidden
+
+    monkeypatch.setattr(lateness, "late_scrambled", note)
+
+    def hear(chips: NDArray[np.float32]) -> None:
+        heard = rows_of(chips, spec)
+        levels = NodeLevels(heard[:, spec.node_slice], 0.0, rows=heard)
+        amplitude = np.abs(levels.values).mean(axis=0)
+        lateness.out_of_place(levels, amplitude, amplitude > 0.5, 1.0, spec)
 
     sent = chips_of(rows, spec)
-    assert not is_asked(sent) and not is_asked(sent + np.float32(0.5))
-    late = rows.copy()
-    late[:, spec.first_row] = 0  # one node is two chips late
-    alone = chips_of(rows - late, spec).ravel()
-    delayed = np.concatenate((np.zeros(2, np.float32), alone[:-2])).reshape(sent.shape)
-    assert is_asked(chips_of(late, spec) + delayed)
+    hear(sent)
+    hear(sent + np.float32(0.5))
+    assert not looks
+    alone = np.zeros_like(rows)
+    alone[:, spec.first_row] = signs[:, 0]
+    delayed = np.append(np.zeros(2), chips_of(alone, spec).ravel()[:-2]).reshape(rows.shape)
+    hear((chips_of(rows - alone, spec) + delayed).astype(np.float32))
+    assert [np.flatnonzero(found).tolist() for found in looks] == [[0]]
 
 
 @pytest.mark.parametrize("scene", ["idle", "press"])
