@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from emulated import Node
+from test.support import firmware
 from test.support.firmware import CORE, FIRMWARE, SANITIZE, SANITIZED, STRICT, Specimen, need, run
 
 BUILD = FIRMWARE / "build"
-SIMAVR = Path("/usr/include/simavr/sim_avr.h")
 COMPILERS = {
     "node": "avr-gcc",
     "rp2040": "arm-none-eabi-gcc",
@@ -43,7 +43,7 @@ def built() -> Callable[[str], Path]:
 
     def build(target: str) -> Path:
         need(COMPILERS.get(target, "cc"))
-        if target == "sim" and not SIMAVR.exists():
+        if target == "sim" and not firmware.SIMAVR.exists():
             pytest.skip(
                 "no libsimavr-dev on this machine; `make firmware-tools` tells how to get it"
             )

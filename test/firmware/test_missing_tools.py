@@ -35,6 +35,6 @@ def test_target_without_its_compiler_skips(
 def test_emulation_without_simavr_skips(
     built: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("conftest.SIMAVR", tmp_path / "sim_avr.h")
+    monkeypatch.setattr("test.support.firmware.SIMAVR", tmp_path / "sim_avr.h")
     with pytest.raises(pytest.skip.Exception, match="no libsimavr-dev on this machine"):
         built("sim")

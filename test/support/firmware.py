@@ -16,6 +16,7 @@ from emulated import Node
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CORE = FIRMWARE / "core"
+SIMAVR = Path("/usr/include/simavr/sim_avr.h")
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 SANITIZED = "TACTILE_SANITIZE"

@@ -75,7 +75,8 @@ def test_block_elimination_is_regularised_least_squares(
     assert np.allclose(decorrelator.resolution, kept.min(axis=0), atol=1e-3)
     noise = np.linalg.norm(K @ A.T, axis=1).reshape(8, 12)[:, :11]
     assert np.all(decorrelator.noise_gain > 0.999 * noise)
-    assert np.all(decorrelator.noise_gain < 1.5 * noise)
+    resolved = np.setdiff1d(np.arange(11), decorrelator.unresolved)
+    assert np.all(decorrelator.noise_gain[:, resolved] < 1.5 * noise[:, resolved])
     words = np.random.default_rng(seed).normal(size=(8, 12))
     words[:, 11] = 0
     modelled = decorrelator.line(words[:, :11].astype(np.float32))

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError
+from tactile_cdma.driver import pipeline
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire import packets
 from tactile_cdma.wire.packets import Scanner
@@ -136,6 +137,12 @@ def test_crashes_slowness_and_bad_messages_are_found(monkeypatch: pytest.MonkeyP
     assert kinds_of(planted(len), 1) == {SLOW}
 
 
+def without_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packets are found, and followed, in Python."""
+    for module in (packets, pipeline):
+        monkeypatch.setattr(module, "kernel", SimpleNamespace(compiled=None))
+
+
 def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     feed = Pipeline.feed
 
@@ -149,7 +156,7 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    monkeypatch.setattr(packets, "kernel", SimpleNamespace(compiled=None))
+    without_kernel(monkeypatch)
     monkeypatch.setattr(Scanner, "_count_step", lambda self, *packet: True)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
@@ -161,7 +168,7 @@ def test_a_parser_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyP
         self._partial.clear()
         return feed(self, data)
 
-    monkeypatch.setattr(packets, "kernel", SimpleNamespace(compiled=None))
+    without_kernel(monkeypatch)
     monkeypatch.setattr(Scanner, "feed", forgetful)
     assert kinds_of(TARGETS["packets"]) == {WRONG}
 
