@@ -87,7 +87,7 @@ def test_a_frame_passes_the_files_of_the_tour_and_no_others(passed: dict[str, se
 
 def test_a_frame_calls_the_functions_of_the_tour(passed: dict[str, set[str]]) -> None:
     called = set().union(*passed.values())
-    named = set(_NAME.findall(steps())) - {"TactileFrame"}
+    named = set(_NAME.findall(steps())) - {"TactileFrame", "FrameLevels"}
     assert len(named) > 20
     assert named <= called
 
@@ -97,8 +97,9 @@ def test_what_else_the_tour_names_is_there() -> None:
     text = "\n".join(path.read_text() for path in sources)
     files = {str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py")}
     files |= {path.name for path in KERNEL.glob("*")}
+    files |= {"test/ros/test_tour.py", "crc32.c"}
     assert set(_FILE.findall(tour())) <= files
-    for name in _NAME.findall(tour()):
+    for name in set(_NAME.findall(tour())) - {"zlib"}:
         owner, _, method = name.rpartition(".")
         assert re.search(rf"\b{method}\b", text), name
         assert not owner or re.search(rf"class {owner}\b", text), name
