@@ -367,10 +367,11 @@ static void read_frames(struct input *input)
     size_t bits = 2 + input_u8(input) % 6, nodes = 1 + input_u16(input) % 300;
     size_t first = input_u8(input) % 4, order = first + nodes + input_u8(input) % 40;
     uint8_t options = input_u8(input), silent = input_u8(input);
-    bool parity = options & 1, moved = options & 2, learnt = options & 4;
+    bool parity = options & 1, moved = options & 2, learnt = options & 4, scrambled = options & 16;
     size_t codes = (size_t)1 << (bits - parity), taxels = moved ? nodes + 3 : nodes;
     float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
     float *rows = malloc(bits * order * sizeof *rows), *edges = malloc(4 * order * sizeof *edges);
+    float *offset = malloc(bits * order * sizeof *offset);
     float *floats = calloc((15 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
     int32_t *ints = calloc(3 * nodes + taxels, sizeof *ints);
     uint8_t *flags = calloc(10 * nodes + taxels, 1);
@@ -392,12 +393,14 @@ static void read_frames(struct input *input)
         .bits = {1, 4, 8, 2, 16, 32},
         .weak_v = 0.1f,
         .weak_rho = 8,
+        .scrambled = scrambled,
         .spare = first + nodes,
         .spare_count = order - first - nodes,
         .codes = codes,
         .pieces = PIECES,
         .taxels = taxels};
     const struct readout_skin skin = {ints,
+                                      scrambled ? offset : NULL,
                                       floats,
                                       edges,
                                       table,
@@ -433,6 +436,8 @@ static void read_frames(struct input *input)
         table[i] = level_of(input_u8(input));
     for (size_t i = 0; i < 4 * order; i++)
         edges[i] = i % 5 ? 1 : -1;
+    for (size_t i = 0; i < bits * order; i++)
+        offset[i] = i % 3 ? 0.1f : -0.2f;
     for (size_t i = 0; i < nodes; i++) {
         uint8_t some = input_u8(input);
         floats[i] = swing;
@@ -478,6 +483,7 @@ static void read_frames(struct input *input)
     readout_free(readout);
     free(rows);
     free(edges);
+    free(offset);
     free(floats);
     free(ints);
     free(flags);
