@@ -552,7 +552,7 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
                      const struct frame_code *code, float *rows)
 {
     reset(stream);
-    stream->described = rules;
+    stream->described = false;
     if (!rules)
         return true;
     float *scratch = malloc(2 * (rules->frame.frame.nodes + 1) * sizeof *scratch);
@@ -567,7 +567,7 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
     stream->timing = (struct stream_timing){.asks = true};
     stream->uses = stream->marks = stream->ended = 0;
-    return make_room(stream, rules->frame.size);
+    return stream->described = make_room(stream, rules->frame.size);
 }
 
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
@@ -663,8 +663,10 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
     }
     stream->marks = stream->uses = stream->ended = 0;
     if (due >= 0) {
+        if (due <= stream->start || !make_room(stream, (size_t)(due - stream->start)))
+            return false;
         stream->due = due;
-        return due > stream->start && make_room(stream, (size_t)(due - stream->start));
+        return true;
     }
     settle(stream, over, level);
     return true;
@@ -675,14 +677,18 @@ bool stream_look(struct stream *stream, int64_t due)
     if (!answers(stream, STREAM_BLOCK))
         return false;
     stream->kept = stream->first = 0;
+    if (due > stream->end && !make_room(stream, (size_t)(due - stream->end)))
+        return false;
     stream->due = due;
-    return due <= stream->end || make_room(stream, (size_t)(due - stream->end));
+    return true;
 }
 
 bool stream_carry(struct stream *stream, const struct stream_timing *timing,
                   const struct frame_edges *edges)
 {
+    if (!make_room(stream, timing->due))
+        return false;
     stream->timing = *timing;
     stream->edges = *edges;
-    return make_room(stream, timing->due);
+    return true;
 }

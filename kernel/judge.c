@@ -7,6 +7,7 @@
 #include <string.h>
 
 #define LANES 16 /* sums that are kept apart, so that they can be added at once */
+#define MOST_CHIPS (1 << 25) /* of a view: more than any frame has */
 #define SAME 1e-9 /* chips: starts that are as close to whole chips apart are on one lattice */
 
 /* One candidate in the view: `lead` chips before its frame, `count` in all. */
@@ -35,7 +36,7 @@ size_t judge_chips(const struct fit_code *code, const struct judge_candidates *a
     for (size_t i = 0; i < all->count; i++) {
         double chip = all->chip[i], end = all->start[i] + (double)code->span * chip;
         if (!(chip > 0 && all->start[i] >= all->begin - 0.5 * chip && end <= all->end + 0.5 * chip &&
-              (all->end - all->begin) / chip < 1e6))
+              (all->end - all->begin) / chip < MOST_CHIPS))
             return 0;
         size_t count = seen_of(code, all, i).count;
         most = count > most ? count : most;

@@ -250,6 +250,7 @@ FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share"
     if (timing->has_frame &&
         !(axis(call, 'g') + 1 == axis(call, 'e') && axis(call, 'c') == owner->chips &&
           timing->frame.heard && timing->frame.tail >= timing->frame.heard &&
+          timing->frame.tail_end >= timing->frame.tail && timing->frame.chip > 0 &&
           timing->frame.until <= STREAM_MOST_SAMPLES))
         return refuse(call, "edges: those of no frame that was described");
     if (!stream_carry(owner->stream, timing, &edges))
@@ -428,7 +429,7 @@ static int64_t index_of(const struct call *call, size_t argument)
 {
     double index = call->value[argument].number;
 
-    return index >= 0 && index < 1e15 ? (int64_t)index : -1;
+    return index >= 0 && index < (double)(1LL << 53) ? (int64_t)index : -1;
 }
 
 FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"))

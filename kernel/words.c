@@ -416,7 +416,7 @@ static bool leave_little(const struct words_frame *frame, const struct words_rea
                          const float *rows, const float *offset, const float *amplitude,
                          const uint8_t *active, const struct spoken *spoken)
 {
-    const size_t from = !frame->unipolar && frame->first > 0, end = frame->first + frame->nodes;
+    const size_t from = frame->first > 0, end = frame->first + frame->nodes;
     double total = spoken->rows_power, share = spoken->words <= reading->few ? (double)reading->few_share : 1;
 
     if (!spoken->words)

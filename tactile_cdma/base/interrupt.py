@@ -12,10 +12,29 @@ from contextlib import contextmanager
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+class Stop:
+    """Whether to stop, without a lock.
+
+    A threading.Event has one: the handler of a second signal would wait for ever if it came while
+    that of the first one held it.
+    """
+
+    def __init__(self) -> None:
+        self._is_set = False
+
+    def set(self) -> None:
+        """Stop."""
+        self._is_set = True
+
+    def is_set(self) -> bool:
+        """Whether it was told to."""
+        return self._is_set
+
+
 @contextmanager
-def stop_event(seconds: float | None) -> Iterator[threading.Event]:
-    """An event that Ctrl-C, SIGTERM or, after `seconds`, a timer sets."""
-    stop = threading.Event()
+def stop_event(seconds: float | None) -> Iterator[Stop]:
+    """What Ctrl-C, SIGTERM or, after `seconds`, a timer sets."""
+    stop = Stop()
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
         timer.start()

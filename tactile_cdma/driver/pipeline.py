@@ -143,11 +143,11 @@ class Pipeline:
 
     def reconnected(self) -> None:
         """Start anew on a port that was opened again; sequence and counts go on."""
-        # At once, for those who read the counts meanwhile.
-        self._earlier_packets = self.packet_counts
         self.close()
         self._description = None
-        self.stream = self._new_stream()
+        stream = self._new_stream()
+        # At once, for those who read the counts meanwhile.
+        self._earlier_packets, self.stream = self.packet_counts, stream
         self.digitizer, self.problem = DigitizerState(), None
         self.timeline.reconnected()
         self.taxels.forget()

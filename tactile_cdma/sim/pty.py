@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ..base.errors import PortError
+from ..base.interrupt import Stop
 
 _log = logging.getLogger(__name__)
 
@@ -40,7 +41,7 @@ class Digitizer(Protocol):
 def serve(
     power_up: Callable[[], Digitizer],
     link: Path | None,
-    stop: threading.Event,
+    stop: threading.Event | Stop,
     on_ready: Callable[[Path], None],
 ) -> None:
     """Run a digitizer on a pseudo-terminal until `stop` is set.
@@ -60,7 +61,7 @@ def serve(
         _pump(digitizer, host, stop)
 
 
-def _pump(digitizer: Digitizer, host: int, stop: threading.Event) -> None:
+def _pump(digitizer: Digitizer, host: int, stop: threading.Event | Stop) -> None:
     """Carry bytes both ways, at the digitizer's pace."""
     outgoing = b""
     while not stop.is_set():

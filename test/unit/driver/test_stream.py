@@ -24,6 +24,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.stream import Decisions, NumpyStream
 from tactile_cdma.driver.timeline import Answer
 from tactile_cdma.framing.line_timing import CARRIED_FRAMES
+from tactile_cdma.readings import taxels
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Result
@@ -158,6 +159,19 @@ def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     pipeline = compare(config, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200))
     assert pipeline.decisions.compiled > 195 - (200 // CARRIED_FRAMES + 1)
     assert pipeline.decisions.python_share < 0.05
+
+
+@pytest.mark.parametrize("parameters", [SMALL, {"drive": "unipolar"}, SCRAMBLED, FULL])
+def test_words_of_a_sound_skin_are_read_in_one_call(
+    parameters: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[object] = []
+    monkeypatch.setattr(taxels, "displaced", lambda *arguments: looked.append(arguments))
+    config = SkinConfig.of(parameters)
+    pipeline = Pipeline(config)
+    frames = pipeline.feed(sent(tuple(parameters.items()), "sim://?seed=1&scene=moving"), 0.0)
+    assert sum(frame.words.active.any() for frame in frames) > 20
+    assert not looked
 
 
 @pytest.mark.parametrize(
