@@ -73,7 +73,8 @@ enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 struct owner {
     struct stream *stream;
     struct scanner *scanner;
-    PyObject *scanner_object, *transform, *given; /* given: the bytes that are used up next */
+    PyObject *scanner_object, *transform;
+    Py_buffer given; /* the bytes that are used up next */
     Py_buffer rows, flips, edges[EDGE_ARRAYS];
     size_t chips; /* of a frame */
     double t_host; /* of the bytes used last */
@@ -159,7 +160,7 @@ static void drop_owner(void *held)
     release(&owner->flips);
     Py_XDECREF(owner->scanner_object);
     Py_XDECREF(owner->transform);
-    Py_XDECREF(owner->given);
+    release(&owner->given);
     if (owner->stream)
         stream_free(owner->stream);
     PyMem_Free(owner);
@@ -272,12 +273,12 @@ FUNCTION(give, ARRAY("data", 'B', "*"), NUMBER("t_host"), FLAG("backlog"))
         PyErr_SetString(PyExc_RuntimeError, "other bytes are not used up");
         return NULL;
     }
-    PyObject *before = owner->given;
-    owner->given = Py_NewRef(call->given[0]);
-    Py_XDECREF(before);
+    const uint8_t *data = call->value[0].data;
+    size_t size = length(call, 0);
+    exchange(&owner->given, call, 0);
     owner->t_host = call->value[1].number;
     owner->backlog = call->value[2].size;
-    stream_give(owner->stream, call->value[0].data, length(call, 0), owner->t_host, owner->backlog);
+    stream_give(owner->stream, data, size, owner->t_host, owner->backlog);
     Py_RETURN_NONE;
 }
 

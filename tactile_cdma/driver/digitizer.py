@@ -16,6 +16,8 @@ from .quiet_limit import quiet_uv
 
 MAX_SAMPLES_PER_CHIP = 1000
 """Chosen: 8 suffice for any timing, and buffers of a frame stay small at this many."""
+MAX_FRAME_SAMPLES = 1 << 26
+"""Chosen: half a gigabyte of a frame's samples as float64; the kernel takes twice as many."""
 
 
 class Origin(IntEnum):
@@ -167,6 +169,12 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
         return (
             f"the digitizer sends {samples_per_chip:.3g} samples per chip; "
             f"{MAX_SAMPLES_PER_CHIP} at most are taken"
+        )
+    samples = samples_per_chip * config.spec.span_chips
+    if samples > MAX_FRAME_SAMPLES:
+        return (
+            f"a frame has {samples:.3g} samples, {samples_per_chip:.3g} per chip; "
+            f"{MAX_FRAME_SAMPLES:,} at most are taken: have the digitizer send fewer"
         )
     if info.integrated != (abs(samples_per_chip - 1) < 0.01):
         return (

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
@@ -21,6 +22,7 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 from tactile_cdma.wire._protocol import VERSION
 from tactile_cdma.wire.messages import (
+    FrameLayout,
     Info,
     Samples,
 )
@@ -284,6 +286,20 @@ def test_impossible_descriptions_are_reported(changes: dict, message: str) -> No
     writer = PacketWriter()
     assert pipeline.feed(writer.encode(info) + writer.encode(samples), 0.0) == []
     assert re.search(message, pipeline.problem or "")
+
+
+def test_frames_of_too_many_samples_are_refused_in_one_sentence() -> None:
+    period_s = 17 * 65_536 * 50e-6
+    spec = FrameSpec(nodes=9, bits=16, order=65_536, parity=True, frame_period_s=period_s)
+    config = replace(SkinConfig.of({"nodes": 9}), spec=spec)
+    info = replace(
+        info_of(SkinConfig.of({})),
+        frame=FrameLayout.of(spec, 128),
+        sample_rate_uhz=round(128 / 50e-6) * 10**6,
+    )
+    pipeline = Pipeline(config)
+    assert pipeline.feed(PacketWriter().encode(info), 0.0) == []
+    assert re.search("a frame has 1.43e\\+08 samples", pipeline.problem or ""), pipeline.problem
 
 
 @pytest.mark.parametrize("jump_us", [-5_000_000, 5_000_000, 2**40, 2**63])
