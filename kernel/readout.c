@@ -164,7 +164,7 @@ static void look_up(const struct readout_skin *skin, int32_t highest, float *rai
         int32_t code = skin->kept_codes[block->at + i];
         float volts = skin->table_v[code], rest_v = skin->rest_v[block->at + i];
         block->volts[i] = volts;
-        raised_v[block->at + i] = (code == highest) & (volts < rest_v) ? rest_v : volts;
+        raised_v[block->at + i] = code == highest && volts < rest_v ? rest_v : volts;
     }
 }
 

@@ -19,13 +19,15 @@
 /* Before a loop whose arrays differ, where `restrict` is not enough: there are many of them. */
 #if defined(__clang__)
 #define APART _Pragma("clang loop vectorize(assume_safety)")
+#pragma clang diagnostic ignored "-Wpass-failed" /* a sanitizer keeps loops as they are */
 #elif defined(__GNUC__)
 #define APART _Pragma("GCC ivdep")
 #else
 #define APART
 #endif
 
-#if defined(__GNUC__) && defined(__x86_64__) && defined(__gnu_linux__)
+/* Not with clang: its linker symbol of such a function is another one before clang 17. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
 #define VECTORS __attribute__((target_clones("avx2", "default")))
 #else
 #define VECTORS
