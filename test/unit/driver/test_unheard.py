@@ -14,7 +14,7 @@ from tactile_cdma.base import kernel
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
-from tactile_cdma.readings.status import Status, is_unheard
+from tactile_cdma.readings.status import is_unheard
 from tactile_cdma.wire.messages import Quiet, Received, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.simulated import stream
@@ -124,7 +124,3 @@ def test_no_claim_outlives_what_was_heard(condition: object) -> None:
     tally, complaints = condition.run(40, 7)  # type: ignore[attr-defined]
     assert tally.claims > 100
     assert tally.stale_claims == 0, complaints[:3]
-
-
-def test_status_names() -> None:
-    assert Status.UNHEARD == Status.SILENT | Status.LOW_SNR
