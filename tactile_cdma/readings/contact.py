@@ -169,7 +169,7 @@ class ContactTracker:
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
-        coverage, last = readings.coverage, self._contacts
+        coverage, last = readings.coverage(self._used.contact_pa), self._contacts
         found = self._gatherer.gather(readings, self._used.contact_pa, self._used.release_pa)
         count = len(found.starts)
         if not count:

@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
-from .calibration import Calibration
+from .calibration import Calibration, Curves
 from .drift import DriftTracker
 from .dynamics import Compensator
+from .stages import Bounds
 
 
 class PressureChain:
@@ -36,24 +39,48 @@ class PressureChain:
         self.tracker = tracker
         self.compensator = compensator
         self.looked_s = -math.inf
+        self._bounds: tuple[Curves, float, Bounds] | None = None
         self._moved = False
         # Of the last update: voltages, pressures before the tare, and whether they count.
         self._last: tuple[Floats32, Floats32, Bools] | None = None
 
-    def update(self, voltage_v: Floats32, valid: Bools, t_s: float) -> tuple[Floats32, Bools]:
-        """Pressures (n,) float32, Pa, and which are beyond the sensor's range, (n,) bool.
+    @property
+    def bounds(self) -> Bounds:
+        """Where voltages mean what they say; the same object until it changes.
 
+        The tracker knows the lightest contact, and a count; without one both are unbounded.
+        """
+        curves, tracker, known = self.calibration.curves, self.tracker, self._bounds
+        contact_pa = math.inf if tracker is None else tracker.rules.contact_pa
+        if known is None or known[0] is not curves or known[1] != contact_pa:
+            margin_v, end_v = np.full_like(curves.end_v, np.inf), curves.end_v
+            if tracker is not None:  # a code stands for half a count more or less, too
+                margin_v = curves.fall_v(contact_pa)
+                end_v = end_v + np.float32(tracker.lsb_v / 2)
+            known = self._bounds = curves, contact_pa, Bounds(curves.begin_v, margin_v, end_v)
+        return known[2]
+
+    def update(
+        self, voltage_v: Floats32, valid: Bools, t_s: float
+    ) -> tuple[Floats32, Bools, Bools]:
+        """Pressures (n,) float32, Pa; which are beyond the sensor's range; which are off rest.
+
+        The latter, (n,) bool, lie so far above the start of their curve, where no pressure takes
+        them, that 0 Pa there would hide a contact, or a sensor that is torn.
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
         time, s.
         """
-        pressure_pa, saturated = self.calibration.curves.convert(voltage_v, self.baseline.drift_v)
+        bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
+        pressure_pa = self.calibration.curves.pressure(corrected_v)
+        saturated = corrected_v < bounds.end_v
+        off_rest = corrected_v - bounds.rest_v > bounds.margin_v
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - self.baseline.tare_pa
         self._last, self._moved = (voltage_v, pressure_pa, valid), False
         if not 0 <= t_s - self.looked_s < LOOK_S:
             self.look(*self._last, t_s)
-        return reading_pa, saturated
+        return reading_pa, saturated, off_rest
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
         """Pass a frame's readings on to tare and drift; to be called once every LOOK_S.

@@ -34,8 +34,8 @@ class RestState:
     skin: its name; may be empty. simulated: it is not hardware. nodes: their number. calibration:
     identity of the calibration, empty for the default one; for people. curves: checksum of its
     curves, without which tare and drift mean nothing. written: when, in ISO 8601. tared: when the
-    tare was taken; empty: never, or unknown. rest_v, drift_v: (n,) float32, V, see Baseline; None:
-    no tare, no drift.
+    tare was taken; empty: never, or unknown. rest_v, drift_v, tared_drift_v: (n,) float32, V, see
+    Baseline; None: no tare, no drift, none when it was tared.
     """
 
     skin: str
@@ -47,6 +47,7 @@ class RestState:
     tared: str
     rest_v: Floats32 | None
     drift_v: Floats32 | None
+    tared_drift_v: Floats32 | None = None
 
     def misfit(self, skin: str, simulated: bool | None, nodes: int, curves: str) -> str | None:
         """Why this is not the state of such a skin, or None.
@@ -99,6 +100,7 @@ def write_rest(path: Path, state: RestState) -> None:
         "simulated": _YES if state.simulated else _NO,
         "rest_v": _numbers(state.rest_v),
         "drift_v": _numbers(state.drift_v),
+        "tared_drift_v": _numbers(state.tared_drift_v),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     with naming(path, RestError, "tare and drift are not kept"):
@@ -132,11 +134,13 @@ def read_rest(path: Path) -> RestState | None:
     file = read_marked(path, RestError).mapping("the file")
     file.check_schema(SCHEMA, VERSION)
     nodes = file["nodes"].whole("nodes", 1, 65_535)
+    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"  # of older files
     return RestState(
         nodes=nodes,
         simulated=file.text("simulated") == _YES,
         rest_v=_array(file, "rest_v", nodes),
         drift_v=_array(file, "drift_v", nodes),
+        tared_drift_v=_array(file, since, nodes),
         **{name: file.text(name) for name in _TEXTS},
     )
 

@@ -94,7 +94,7 @@ class RestKeeper:
         self._driver, kept = driver, self._kept
         if kept is not None:
             taxels = driver.pipeline.taxels
-            taxels.restore(kept.rest_v, kept.drift_v)
+            taxels.restore(kept.rest_v, kept.drift_v, kept.tared_drift_v)
             if kept.rest_v is not None or kept.drift_v is not None:
                 text = (
                     f"tare and drift are those of {kept.written} in {self._store.path}: "
@@ -257,16 +257,21 @@ class RestKeeper:
 
     def _present(self) -> RestState:
         """What is in force; while inactive, what was last."""
-        config, rest_v, drift_v = self.config, None, None
+        config = self.config
+        rest_v = drift_v = tared_drift_v = None
         simulated = self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated
         if self._driver is not None:
             baseline = self._driver.pipeline.taxels.baseline
             rest_v = baseline.rest_v
-            drift_v = baseline.drift_v if baseline.drift_v.any() else None
+            drift_v, tared_drift_v = (
+                some_v if some_v.any() else None
+                for some_v in (baseline.drift_v, baseline.tared_drift_v)
+            )
         elif self._kept is not None:
             rest_v, drift_v = self._kept.rest_v, self._kept.drift_v
+            tared_drift_v = self._kept.tared_drift_v
         return RestState(
             skin=config.skin,
             simulated=simulated,
@@ -277,6 +282,7 @@ class RestKeeper:
             tared=self.tared,
             rest_v=rest_v,
             drift_v=drift_v,
+            tared_drift_v=tared_drift_v,
         )
 
 
