@@ -89,7 +89,7 @@ class Touches:
 
     @classmethod
     def read(cls, message: bytes) -> Touches:
-        """Take a message apart; raises CdrError if it is none."""
+        """Take a message apart; raises MessageError if it is none."""
         reader = CdrReader(message)
         heading = reader.header()
         sequence, info_id = reader.numbers(_SEQUENCE, 8)
