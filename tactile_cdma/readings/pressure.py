@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
-from .calibration import Calibration, Curves
+from .calibration import Calibration
 from .drift import DriftTracker
 from .dynamics import Compensator
 from .stages import Bounds
@@ -23,7 +23,8 @@ class PressureChain:
     readings are passed on to the baseline and to the drift tracker; a drift that changes by this
     takes effect in the next update.
 
-    looked_s: device time of the last look, s; -inf: the next frame must be updated.
+    looked_s: device time of the last look, s; -inf: the next frame must be updated. bounds: where
+    voltages mean what they say.
     """
 
     def __init__(
@@ -39,26 +40,10 @@ class PressureChain:
         self.tracker = tracker
         self.compensator = compensator
         self.looked_s = -math.inf
-        self._bounds: tuple[Curves, float, Bounds] | None = None
+        self.bounds = self._found_bounds()
         self._moved = False
         # Of the last update: voltages, pressures before the tare, and whether they count.
         self._last: tuple[Floats32, Floats32, Bools] | None = None
-
-    @property
-    def bounds(self) -> Bounds:
-        """Where voltages mean what they say; the same object until it changes.
-
-        The tracker knows the lightest contact, and a count; without one both are unbounded.
-        """
-        curves, tracker, known = self.calibration.curves, self.tracker, self._bounds
-        contact_pa = math.inf if tracker is None else tracker.rules.contact_pa
-        if known is None or known[0] is not curves or known[1] != contact_pa:
-            margin_v, end_v = np.full_like(curves.end_v, np.inf), curves.end_v
-            if tracker is not None:  # a code stands for half a count more or less, too
-                margin_v = curves.fall_v(contact_pa)
-                end_v = end_v + np.float32(tracker.lsb_v / 2)
-            known = self._bounds = curves, contact_pa, Bounds(curves.begin_v, margin_v, end_v)
-        return known[2]
 
     def update(
         self, voltage_v: Floats32, valid: Bools, t_s: float
@@ -119,4 +104,13 @@ class PressureChain:
 
     def unsettle(self) -> None:
         """Have the next frame updated: something other than the voltages has changed."""
-        self.looked_s = -math.inf
+        self.looked_s, self.bounds = -math.inf, self._found_bounds()
+
+    def _found_bounds(self) -> Bounds:
+        """By the tracker's lightest contact and a count; without a tracker both are unbounded."""
+        curves, tracker = self.calibration.curves, self.tracker
+        if tracker is None:
+            return Bounds(curves.begin_v, np.full_like(curves.end_v, np.inf), curves.end_v)
+        # A code stands for half a count more or less, too.
+        end_v = curves.end_v + np.float32(tracker.lsb_v / 2)
+        return Bounds(curves.begin_v, curves.fall_v(tracker.rules.contact_pa), end_v)

@@ -64,12 +64,16 @@ def take_tare(
         # Where something moves over the skin, the nodes that it has left need no naming.
         named = moving & loaded if (moving & loaded).any() else moving
         # By voltage: a pressure does not move where it is clamped to 0.
-        _refuse("moving", named, 1e3 * moved_v, "mV", layout, "wait until nothing moves them")
+        _refuse(
+            "moving", named, 1e3 * moved_v, "mV", above_pa, layout, "wait until nothing moves them"
+        )
         otherwise = ", or, if this is how the skin rests, tare with force: true"
         remedy = "take away what touches them" + otherwise
-        _refuse("under load", loaded, above_pa / 1e3, "kPa", layout, remedy)
+        _refuse("under load", loaded, above_pa / 1e3, "kPa", above_pa, layout, remedy)
         torn, remedy = above_v > curves.fall_v(contact_pa), "check their sensors" + otherwise
-        _refuse("above where their curves begin", torn, 1e3 * above_v, "mV", layout, remedy)
+        _refuse(
+            "above where their curves begin", torn, 1e3 * above_v, "mV", above_v, layout, remedy
+        )
     before_v = begin_v if baseline.rest_v is None else baseline.rest_v
     baseline.drift_v = baseline.drift_v - above_v
     baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
@@ -80,13 +84,19 @@ def take_tare(
 
 
 def _refuse(
-    state: str, nodes: Bools, amounts: Floats32 | Floats, unit: str, layout: Layout, remedy: str
+    state: str,
+    nodes: Bools,
+    amounts: Floats32 | Floats,
+    unit: str,
+    ranks: Floats32 | Floats,
+    layout: Layout,
+    remedy: str,
 ) -> None:
-    """Raises RestError if there are nodes, naming those with the largest amounts first."""
+    """Raises RestError if there are nodes, naming those of the highest ranks first."""
     numbers = np.flatnonzero(nodes)
     if not len(numbers):
         return
-    numbers = numbers[np.argsort(-amounts[numbers], kind="stable")]
+    numbers = numbers[np.argsort(-ranks[numbers], kind="stable")]
     names = listed(
         numbers.tolist(),
         most=_MOST_NAMES,

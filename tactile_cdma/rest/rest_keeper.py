@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,9 +77,11 @@ class RestKeeper:
         self._log, self._on_change = log, on_change
         # Other ports, too, may lead to a simulator or an emulator: the digitizer says it.
         self._simulated = True if url.lower().startswith(SIMULATION) else None
+        self._scene = url if self._simulated else ""
         self._store = RestStore(None if url.lower().startswith(REPLAY) else path, log)
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
+        self._lock, self._drops = Lock(), 0  # of _kept; how often hear() dropped it
         self._told_drift_v: NDArray[np.float32] | None = None
         self._told_s = self._saved_s = 0.0
         self._is_writable = True
@@ -115,13 +118,14 @@ class RestKeeper:
         Tare and drift in force that were found on the other kind of skin are dropped, also those
         that are not on file.
         """
-        found, self._simulated = self._present(), simulated
-        nothing = found.rest_v is None and found.drift_v is None and self._kept is None
-        if self._driver is None or nothing or found.simulated == simulated:
-            return
-        self._driver.pipeline.taxels.restore()
-        self._store.disown()
-        self._kept, self.tared = None, ""
+        with self._lock:
+            found, self._simulated = self._present(), simulated
+            nothing = found.rest_v is None and found.drift_v is None and self._kept is None
+            if self._driver is None or nothing or found.simulated == simulated:
+                return
+            self._driver.pipeline.taxels.restore()
+            self._store.disown()
+            self._kept, self.tared, self._drops = None, "", self._drops + 1
         misfit = found.misfit(found.skin, simulated, found.nodes, found.curves)
         self._log.warning(f"{self._store.path}: tare and drift are dropped: {misfit}")
 
@@ -222,8 +226,9 @@ class RestKeeper:
 
     def _read(self) -> None:
         config = self.config
+        curves = config.calibration.curves.checksum
         self._kept = self._store.read(
-            config.skin, self._simulated, config.spec.nodes, config.calibration.curves.checksum
+            config.skin, self._simulated, config.spec.nodes, curves, self._scene
         )
         self.tared = self._kept.tared if self._kept else ""
 
@@ -250,9 +255,15 @@ class RestKeeper:
             self._is_writable = False
 
     def _write(self) -> Path:
-        state = self._present()
+        with self._lock:
+            state, drops = self._present(), self._drops
         path = self._store.write(state)
-        self._kept, self._is_writable, self._saved_s = state, True, time.monotonic()
+        with self._lock:
+            if self._drops == drops:
+                self._kept = state
+            else:  # what is on file now was dropped meanwhile
+                self._store.disown()
+        self._is_writable, self._saved_s = True, time.monotonic()
         return path
 
     def _present(self) -> RestState:
@@ -275,6 +286,7 @@ class RestKeeper:
         return RestState(
             skin=config.skin,
             simulated=simulated,
+            scene=self._scene,
             nodes=config.spec.nodes,
             calibration=config.calibration.identity,
             curves=config.calibration.curves.checksum,
