@@ -589,7 +589,7 @@ static void look_for_frame(struct input *input)
     sums[0] = 0;
     for (size_t i = 0; i < size; i++)
         sums[i + 1] = sums[i] + volts[i];
-    const struct fit_line line = {size, volts, sums};
+    const struct fit_line line = {size, volts, sums, 0};
     MUST(judge_chips(&code, &all) >= chips, WRONG_VALUE);
     judge_weigh(&code, &line, &limits, &all, noise, &found, &votes, more);
     for (size_t c = 0; c < COUNT; c++)
