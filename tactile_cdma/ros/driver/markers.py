@@ -87,7 +87,7 @@ class SkinMarkers:
         markers = [self._surface(pressure_pa, max_pa)] if len(self._placed) else []
         if len(contacts):
             markers += self._forces(contacts, max_pa)
-        if not contacts.coverage.is_whole:
+        if not contacts.coverage.is_certain:
             markers.append(
                 self._text(BLIND, 0, self._above_m, _blind(contacts.coverage), CONTACT_RGBA)
             )
@@ -178,8 +178,7 @@ def _squares(layout: Layout, share: float) -> Floats:
 
 def _blind(coverage: Coverage) -> str:
     """Says how much is not known."""
-    doubtful = coverage.doubtful
-    lacks = {"unread": coverage.in_service - coverage.valid - doubtful, "doubtful": doubtful}
+    lacks = {"unread": coverage.in_service - coverage.valid, "doubtful": coverage.doubtful}
     return "\n".join(f"{lack}:{n}/{coverage.in_service}" for lack, n in lacks.items() if n)
 
 
