@@ -52,12 +52,11 @@ class Skin:
         self.layout, self.markers = layout, SkinMarkers(layout)
         self.tracker, self.t_s = ContactTracker(layout, ContactThresholds(1e3, 5e2)), 0.0
 
-    def draw(self, pressed_pa: dict[int, float], others: Status = Status.OK) -> MarkerArray:
-        """pressed_pa: by taxel; all others in service read 0 and have this status."""
+    def draw(self, pressed_pa: dict[int, float], every: Status = Status.OK) -> MarkerArray:
+        """pressed_pa: by taxel; all else reads 0. every: status of those in service."""
         pressure_pa = np.zeros(len(self.layout), dtype=np.float32)
         pressure_pa[list(pressed_pa)] = list(pressed_pa.values())
-        status = np.full(len(self.layout), others, dtype=np.uint8)
-        status[list(pressed_pa)] = Status.OK
+        status = np.full(len(self.layout), every, dtype=np.uint8)
         status[self.layout.nodes == 0] = Status.MASKED
         self.t_s += 0.02
         contacts = self.tracker.update(Readings(pressure_pa, pressure_pa, status), self.t_s)
@@ -133,7 +132,7 @@ def test_a_skin_that_is_not_read_says_so_where_an_untouched_one_shows_nothing() 
     assert text.text == "unread:23/23"
     [text] = of(skin.draw({3: float("nan")}), BLIND)
     assert text.text == "unread:1/23"
-    [text] = of(skin.draw({3: float("nan")}, others=Status.LOW_SNR), BLIND)
+    [text] = of(skin.draw({3: float("nan")}, every=Status.LOW_SNR), BLIND)
     assert text.text == "unread:23/23"
     assert [m.id for m in of(skin.draw({}), BLIND, Marker.DELETE)] == [text.id]
     assert not of(skin.draw({}), BLIND, Marker.DELETE)
@@ -175,7 +174,7 @@ def test_the_resultant_of_several_contacts_is_their_sum_at_the_centre_of_pressur
 
 def test_no_text_has_a_space_for_rviz_would_tear_it_apart() -> None:
     nan = float("nan")
-    drawn = Skin().draw({0: 40e3, 9: nan, 22: 30e3}, others=Status.LOW_SNR)
+    drawn = Skin().draw({0: 40e3, 9: nan, 22: 30e3, 12: -2e3})  # below its zero: doubtful
     texts = [m.text for m in drawn.markers if m.type == Marker.TEXT_VIEW_FACING]
     assert len(texts) == 4 and not any(" " in text for text in texts)
 
