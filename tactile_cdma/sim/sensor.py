@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..readings.calibration import Curves, PressureCurve
-from ..readings.dynamics import Dynamics, Hysteresis, Lag
+from .dynamics import Dynamics, Hysteresis, Lag
 
 IDEAL, PAPER = "ideal", "paper"
 MOST_HYSTERESIS = 7.0
@@ -103,7 +103,7 @@ class Sensor:
         self._model, self._curves = model, model.curves(nodes)
         self._lag, self._hysteresis = None, None
         if model.dynamics is not None:
-            self._lag = Lag(model.dynamics.rise_s, model.dynamics.fall_s)
+            self._lag = Lag(model.dynamics)
             self._hysteresis = Hysteresis(model.dynamics, nodes)
         self._rng = np.random.default_rng([model.seed, nodes, 2])
         self._warming_v = model.warming_v * self._rng.uniform(0.5, 1.0, nodes)

@@ -59,7 +59,6 @@ PACKAGES_OF_KEYS = {
     "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
     "python3-packaging": "packaging",
-    "python3-scipy": "scipy",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }
