@@ -85,7 +85,9 @@ def test_points_become_a_file_that_the_driver_takes(
     assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_wrong_area_is_warned_of_and_a_far_too_small_one_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_area_is_warned_of_and_a_far_too_small_one_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     loads = tmp_path / "loads.csv"
     write_loads(loads)
     loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
