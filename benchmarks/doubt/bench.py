@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..report import QUICK, Report
-from . import lines
+from . import lines, stamps
 from .tally import Condition, Tally, total
 
-SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (lines.conditions,)
+SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (lines.conditions, stamps.conditions)
 """Where conditions come from."""
 ONLY = os.environ.get("ONLY", "")
 FRAMES = 60 if QUICK else 250

@@ -41,7 +41,7 @@ def skin_frame(*pressure_pa: float, masked: Sequence[int] = ()) -> SkinFrame:
     status = np.zeros(len(pressure_pa), dtype=np.uint8)
     status[list(masked)] = 32
     values = np.array(pressure_pa, dtype=np.float32)
-    return SkinFrame(0, 0.0, 0.0, 0.0, values, values, status)
+    return SkinFrame(0, 0.0, 0.0, 0.0, 0.0, values, values, status)
 
 
 def state(stamp_ms: float, seen_ms: float, value: float, key: str = "state") -> Sample:

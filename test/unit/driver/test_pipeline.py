@@ -160,6 +160,27 @@ def test_a_restarted_digitizer_is_followed() -> None:
     assert (np.diff([f.sequence for f in second]) == 1).all()
 
 
+@pytest.mark.parametrize("other", [True, False])
+def test_what_another_board_said_is_forgotten(other: bool) -> None:
+    """One that introduces itself in mid-stream, and whose packets happen to continue the stream."""
+    config = SkinConfig.of({"sign_seed": 1, "order": 20})
+    packets = PacketParser().feed(stream(config, "sim://?scene=all&seed=1", 20))
+    writer, pipeline = PacketWriter(), Pipeline(config)
+    *_, held = pipeline.feed(b"".join(map(writer.encode, packets)), 1.0)
+    assert np.isfinite(held.readings.pressure_pa).all()
+    info = next(packet for packet in packets if isinstance(packet, Info))
+    last = [packet for packet in packets if isinstance(packet, Samples)][-1]
+    index = last.first_index + len(last.counts)
+    time_us = last.device_time_us + round(1e6 * len(last.counts) / info.sample_rate_hz)
+    if other:
+        info = replace(info, digitizer_id=b"board..2")
+    data = writer.encode(info) + writer.encode(Quiet(time_us, index, 815, 0, 815, sync=True))
+    *_, frame = pipeline.feed(data, 1.01)
+    assert not frame.words.active.any()
+    assert np.isnan(frame.readings.pressure_pa).all() == other
+    assert pipeline.timeline.times.last is not None
+
+
 def in_the_middle(change: dict[str, int]) -> tuple[Pipeline, list[TactileFrame]]:
     """Decodes a stream in which the 21st frame claims another place."""
     config = SkinConfig.of({"samples_per_chip": 1})
