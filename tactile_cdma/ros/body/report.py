@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from ...base.listing import listed
 from ..common.convert import diagnostic
+from ..common.failures import FAILED, FAILURES
 from .patch_feed import PatchFeed
 
 STAMPS_OFF_S = 0.5
@@ -46,7 +47,10 @@ def body_status(
         text = f"{listed(list(wrong))}: {next(iter(wrong.values()))}"
     elif not any(feed.is_followed for feed in feeds.values()):
         text = "nobody subscribes to the body's topics"
-    values = {patch: complaint or state for patch, (complaint, state) in judged.items()}
+    values: dict[str, object] = {
+        patch: complaint or state for patch, (complaint, state) in judged.items()
+    }
+    values[FAILED] = FAILURES.count
     return diagnostic(f"{name.lstrip('/')}: patches", level, text, values)
 
 

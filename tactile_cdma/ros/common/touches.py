@@ -90,7 +90,7 @@ class Touches:
 
     @classmethod
     def read(cls, message: bytes) -> Touches:
-        """Take a message apart; raises CdrError if it is none."""
+        """Take a message apart; raises MessageError if it is none."""
         reader = CdrReader(message)
         heading = reader.header()
         sequence, info_id, uncertainty_s = reader.numbers(_SEQUENCE, 8)
