@@ -15,6 +15,9 @@ from .tally import Tally
 
 FRAMES = 25
 """Frames here for each of a line's, which take longer to decode."""
+STEPS_MS = (-45, -20, -5, -2, 2, 5, 20, 45)
+ERRORS = (-0.05, -0.009, -0.003, 0.003, 0.009)
+"""Of the clock's rate: ceramic resonators, and worse."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class StampCondition:
         sent = reads(self.clock, FRAMES * frames, zlib.crc32(self.name.encode()) + seed)
         off = [one for one in stamped(*silent_pipeline(), sent) if abs(one.off_s) > one.claimed_s]
         return Tally(stamps_off=len(off)), [
-            f"  at {one.true_s:.3f} s {1e3 * one.off_s:+.2f} ms off, {1e3 * one.claimed_s:.2f} claimed"
+            f"  at {one.true_s:.3f} s: {1e3 * one.off_s:+.2f} ms off, {1e3 * one.claimed_s:.2f} told"
             for one in off
         ]
 
@@ -47,7 +50,7 @@ def conditions() -> Iterator[StampCondition]:
         "stands still for 0.5 s ten times": Clock(
             halts=tuple((2.0 + at, 0.5) for at in range(10))
         ),
-        **{f"clock {100 * e:+.1f} %": Clock(error=e) for e in (-0.05, -0.009, -0.003, 0.003, 0.009)},
+        **{f"clock {100 * e:+.1f} %": Clock(error=e) for e in ERRORS},
         "clock -0.3 %, 10 ms of delay": Clock(error=-0.003, delay_s=0.01),
         "bus stalls for 1 and 3 s": Clock(stalls=((4.0, 1.0), (9.0, 3.0))),
         "host lags by 0.8 s": Clock(lags=((4.0, 6.0, 0.8),)),
@@ -59,4 +62,3 @@ def conditions() -> Iterator[StampCondition]:
         yield StampCondition(f"stamps: {name}", clock)
 
 
-STEPS_MS = (-45, -20, -5, -2, 2, 5, 20, 45)

@@ -276,7 +276,7 @@ class DeviceClock:
         self._origin = device, host + offset_s
 
     def _is_behind(self) -> bool:
-        """Whether the newest arrivals are late as no bus or host makes them; see SURE and RECENT."""
+        """Whether the newest arrivals are late as no bus or host makes them."""
         newest = self._newest(KEPT_INTERVALS)
         x, y = self._device[newest], self._host[newest]
         late_s = y - self._origin[1] - (x - self._origin[0]) * self._rate

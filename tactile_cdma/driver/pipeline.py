@@ -283,6 +283,7 @@ class Pipeline:
         before, self.digitizer.info = self.digitizer.info, info
         self._forget()
         if before is None or before.digitizer_id != info.digitizer_id:
+            self.counters.restarts += before is not None
             self._exchanged()
         self.problem = contradiction(info, self.config)
         if self.problem is None:

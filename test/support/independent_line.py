@@ -395,8 +395,8 @@ def render(
     volts = _line_volts(skin, line, codes, starts, chips, length, cells, rng)
     told = starts
     if digitizer.mark_shifts:
-        late = rng.choice(digitizer.mark_shifts, frames) * (rng.random(frames) < digitizer.mark_share)
-        told = starts + late
+        is_late = rng.random(frames) < digitizer.mark_share
+        told = starts + is_late * rng.choice(digitizer.mark_shifts, frames)
     instants, marks = _sampling(skin, digitizer, told, length)
     if digitizer.slip_share:
         taken, marks = _slipped(skin, digitizer, len(instants), marks, rng)
@@ -541,7 +541,7 @@ def _sampling(
 def _slipped(
     skin: Skin, digitizer: Digitizer, samples: int, marks: Ints, rng: np.random.Generator
 ) -> tuple[Ints, Ints]:
-    """Which samples are taken, where some frames have one more or less, and where marks are then."""
+    """Which samples are taken, some of them twice, and where marks are then."""
     per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
     times = np.ones(samples, dtype=np.int64)
     for mark in marks[rng.random(marks.size) < digitizer.slip_share]:

@@ -29,7 +29,7 @@ HELD_UP = [
 
 
 def found(clock: Clock, compiled: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Times since the event, errors and claims of all stamps, s; and how many steps were counted."""
+    """Times since the event, errors and claims of all stamps, s; how many steps were counted."""
     pipeline, writer = silent_pipeline(compiled)
     rows = np.array(stamped(pipeline, writer, reads(clock, FRAMES, seed=1)))
     true_s, off_s, claimed_s = rows.T
