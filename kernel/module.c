@@ -64,6 +64,7 @@ static const struct field readout_fields[] = {
     OF_READOUT(bits.saturated),
     OF_READOUT(bits.uncalibrated),
     OF_READOUT(bits.masked),
+    OF_READOUT(bits.faulty),
     OF_READOUT(weak_v),
     OF_READOUT(weak_rho),
     OF_READOUT(scrambled),

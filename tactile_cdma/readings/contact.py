@@ -52,8 +52,8 @@ class Contacts:
     torque_nm: (c, 3) float64, of these forces about the frame's origin, N·m.
     area_m2: (c,) float64, of the taxels in contact. pressure_max_pa: (c,) float32.
     saturated: (c,) bool, a taxel is beyond its range.
-    lower_bound: (c,) bool, force, area and pressure are at least this: a taxel is beyond its range,
-        or one beside the contact has no reading.
+    lower_bound: (c,) bool, force, area and pressure are at least this: a taxel in or beside the
+        contact may carry more than it reads, or has no reading.
     velocity_m_s: (c, 3) float64, of the position along the skin, smoothed.
     force_rate_n_s: (c,) float64, rate of change of the force, smoothed.
     taxels: per contact the indices of its taxels, rising.
@@ -84,7 +84,7 @@ class Contacts:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing touches the patch: no contact, and all taxels in service surely read."""
+        """Whether nothing touches the patch: no contact, and all taxels surely read none."""
         return not len(self) and self.coverage.is_certain
 
     @property
@@ -169,7 +169,7 @@ class ContactTracker:
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
-        coverage, last = readings.coverage, self._contacts
+        coverage, last = readings.coverage(self._used.contact_pa), self._contacts
         found = self._gatherer.gather(readings, self._used.contact_pa, self._used.release_pa)
         count = len(found.starts)
         if not count:

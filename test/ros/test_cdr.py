@@ -161,7 +161,7 @@ def test_contacts_are_read_and_written(frame_id: str, patch: str, count: int) ->
         stamp_uncertainty=0.5,
         absent=rng.sample(NAMES, count % 4),
         taxels_in_service=2**32 - 1,
-        taxels_valid=5,
+        taxels_valid=5 if count else 2**32 - 1,
         touched=count > 0,
         untouched=count == 0,
         area=0.125,

@@ -47,11 +47,14 @@ def body_status(
         text = f"{listed(list(wrong))}: {next(iter(wrong.values()))}"
     elif not any(feed.is_followed for feed in feeds.values()):
         text = "nobody subscribes to the body's topics"
-    values: dict[str, object] = {
-        patch: complaint or state for patch, (complaint, state) in judged.items()
-    }
-    values[FAILED] = FAILURES.count
+    values = {patch: complaint or state for patch, (complaint, state) in judged.items()}
     return diagnostic(f"{name.lstrip('/')}: patches", level, text, values)
+
+
+def host_status(name: str) -> DiagnosticStatus:
+    """The entry `<node>: host`."""
+    values = {FAILED: FAILURES.count}
+    return diagnostic(f"{name.lstrip('/')}: host", DiagnosticStatus.OK, "ok", values)
 
 
 def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:

@@ -54,7 +54,7 @@ class Running(Generic[N]):
     """A node that its program spins itself, between other work."""
 
     def __init__(
-        self, node: N, told_to_end: Callable[[], bool], fatal: tuple[type[Exception], ...]
+        self, node: N, told_to_end: Callable[[], bool], fatal: tuple[type[Exception], ...] = ()
     ) -> None:
         self.node = node
         self.executor = LeanExecutor(fatal)

@@ -273,11 +273,26 @@ def test_sums_need_half_of_the_taxels_in_service() -> None:
             assert sums == pytest.approx([PITCH_M**2, -force_n, contacts.position_m[0, 0]])
 
 
-@pytest.mark.parametrize("status", [Status.STALE, Status.FAULTY, Status.MASKED])
-def test_the_force_beside_a_taxel_without_a_reading_is_a_lower_bound(status: Status) -> None:
-    """Every place of the blind taxel, against the definition: it is beside the contact, or not."""
+@pytest.mark.parametrize(
+    ("status", "reads_pa"),
+    [
+        (Status.STALE, np.nan),
+        (Status.FAULTY, np.nan),
+        (Status.MASKED, np.nan),
+        (Status.SATURATED, 0.0),
+        (Status.OK, -1100.0),
+    ],
+)
+def test_the_force_beside_a_taxel_that_may_carry_more_is_a_lower_bound(
+    status: Status, reads_pa: float
+) -> None:
+    """Every place of that taxel, against the definition: it is beside the contact, or not.
+
+    Without a reading, tared at the end of its range, tared under load.
+    """
     for unread in set(range(ROWS * COLUMNS)) - {18, 19, 36}:
         touch = blind(pressed({(2, 2): 3.0, (2, 3): 2.0, (4, 4): 1.5}), unread, status=status)
+        touch.pressure_pa[unread] = reads_pa
         contacts = ContactTracker(GRID, THRESHOLDS).update(touch, 0.0)
         row, column = divmod(unread, COLUMNS)
         beside = 1 <= row <= 3 and 1 <= column <= 4, abs(row - 4) <= 1 and abs(column - 4) <= 1
