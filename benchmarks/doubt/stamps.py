@@ -31,9 +31,10 @@ class StampCondition:
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
         """Count the stamps that are off by more than they say."""
         sent = reads(self.clock, FRAMES * frames, zlib.crc32(self.name.encode()) + seed)
-        off = [one for one in stamped(*silent_pipeline(), sent) if abs(one.off_s) > one.claimed_s]
+        found = stamped(*silent_pipeline(), sent)
+        off = [one for one in found if abs(one.off_s) > one.claimed_s]
         return Tally(stamps_off=len(off)), [
-            f"  at {one.true_s:.3f} s: {1e3 * one.off_s:+.2f} ms off, {1e3 * one.claimed_s:.2f} told"
+            f"  at {one.true_s:.3f} s: {1e3 * one.off_s:+.2f} ms off, of {1e3 * one.claimed_s:.2f}"
             for one in off
         ]
 
@@ -47,9 +48,7 @@ def conditions() -> Iterator[StampCondition]:
             steps=tuple((2.0 + at, 0.02) for at in range(10))
         ),
         **{f"stands still for {s:g} s": Clock(halts=((4.0, s),)) for s in (0.02, 0.5, 5.0)},
-        "stands still for 0.5 s ten times": Clock(
-            halts=tuple((2.0 + at, 0.5) for at in range(10))
-        ),
+        "stands still for 0.5 s ten times": Clock(halts=tuple((2.0 + at, 0.5) for at in range(10))),
         **{f"clock {100 * e:+.1f} %": Clock(error=e) for e in ERRORS},
         "clock -0.3 %, 10 ms of delay": Clock(error=-0.003, delay_s=0.01),
         "bus stalls for 1 and 3 s": Clock(stalls=((4.0, 1.0), (9.0, 3.0))),
@@ -60,5 +59,3 @@ def conditions() -> Iterator[StampCondition]:
         "a replay at half the pace": Clock(pace=2.0),
     }.items():
         yield StampCondition(f"stamps: {name}", clock)
-
-

@@ -522,9 +522,7 @@ def _filtered(volts: Floats, skin: Skin, line: Line, cells: int) -> Floats:
     return volts
 
 
-def _sampling(
-    skin: Skin, digitizer: Digitizer, starts: Floats, length: int
-) -> tuple[Floats, Ints]:
+def _sampling(skin: Skin, digitizer: Digitizer, starts: Floats, length: int) -> tuple[Floats, Ints]:
     """Instants of all samples, chips, and which of them begin frames.
 
     Integrated: (frames · chips, m) instants, of the samples that are averaged into each value.
