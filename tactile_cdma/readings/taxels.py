@@ -25,7 +25,7 @@ from .dynamics import Compensator
 from .pressure import PressureChain
 from .readout import DOUBTFUL, LEFT, ODD, Conditions, Readout
 from .stages import Kept, Trust, finish, hear
-from .status import Status, is_in_service
+from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
 
@@ -33,9 +33,9 @@ from .tare import take_tare
 class Coverage:
     """How much of a patch is read.
 
-    valid: taxels with a valid reading. in_service: taxels with a node that the layout does not
-    mask. doubtful: valid ones whose word, or whose silence since, is uncertain, or whose zero is
-    none: below it by as much as a contact is above, or none at the end of the range.
+    valid: taxels with a valid, certain reading. in_service: taxels with a node that the layout does
+    not mask. doubtful: valid ones whose zero is none: they read below it by as much as a contact is
+    above, or none at the end of the range.
     """
 
     valid: int = 0
@@ -51,25 +51,24 @@ class Coverage:
         contact_pa: pressure from which on there is a contact, Pa.
         """
         in_service = is_in_service(status)
-        valid = in_service & np.isfinite(pressure_pa)
-        doubtful = (status & _LOW_SNR != 0) | (pressure_pa < -contact_pa)
-        doubtful |= (status & _SATURATED != 0) & (pressure_pa <= contact_pa)
-        doubtful &= valid
+        valid = in_service & is_certain(status) & np.isfinite(pressure_pa)
+        doubtful = (status & _SATURATED != 0) & (pressure_pa <= contact_pa)
+        doubtful = valid & (doubtful | (pressure_pa < -contact_pa))
         return cls(*(int(np.count_nonzero(some)) for some in (valid, in_service, doubtful)))
 
     @property
     def is_whole(self) -> bool:
-        """Whether every taxel in service has a reading."""
+        """Whether every taxel in service has a certain reading."""
         return self.valid == self.in_service > 0
 
     @property
     def is_certain(self) -> bool:
-        """Whether all of these readings are certain: only then nothing found is no touch."""
+        """Whether all of these mean what they say: only then nothing found is no touch."""
         return self.is_whole and not self.doubtful
 
     @property
     def is_most(self) -> bool:
-        """Whether at least half of the taxels in service have a reading.
+        """Whether at least half of the taxels in service have a certain reading.
 
         With fewer, more of the skin is blind than seen: an equal load there would more than double
         every sum over the patch, and move its centre to taxels that were not read.
@@ -99,7 +98,8 @@ class Taxels:
     """Keeps the last word of every node.
 
     A silent node has not changed by more than its own threshold, so its last value stands (flag
-    SILENT). Nodes also transmit at a slow heartbeat; one that was not heard for stale_after_s, or
+    SILENT), as long as no frame was lost in which it may have said another one: then it is UNHEARD
+    until it speaks again, be it at its heartbeat. A node that was not heard for stale_after_s, or
     never, reads NaN (flag STALE), as does one whose words contradict the code (flag FAULTY).
     Masked nodes and taxels without a node have no reading (flag MASKED).
 
@@ -156,6 +156,11 @@ class Taxels:
     def stale(self) -> list[int]:
         """The missing nodes that were heard before."""
         return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
+
+    def miss(self) -> None:
+        """Note that a frame was not heard, in which any node may have spoken."""
+        self._kept.flags[:] = Status.LOW_SNR
+        self._silence = None
 
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
@@ -329,7 +334,7 @@ class Taxels:
         return Readings(pressure_pa, voltage_v, status)
 
 
-_LOW_SNR, _SATURATED = np.uint8(Status.LOW_SNR), np.uint8(Status.SATURATED)
+_SATURATED = np.uint8(Status.SATURATED)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY
