@@ -20,14 +20,13 @@ from ..base.listing import listed
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import naming
 from ..base.whole_file import replace_file
-from .calibration import AdcScale, Calibration, PressureCurve
+from .calibration import MOST_PA, AdcScale, Calibration, PressureCurve
 
 SCHEMA = "tactile_cdma/calibration"
 VERSION = 1
 UNITS = {"pressure": "Pa", "voltage": "V"}
 # Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
-MOST_PA = 1e9
 HEADROOM = 1.25
 """Highest voltage of a curve's first corner in multiples of vref; chosen: that corner is
 extrapolated to no load."""
@@ -45,7 +44,8 @@ class CalibrationContent:
     """The content of a calibration file.
 
     skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
-    uncalibrated. adc: of the calibrated nodes. source: what the calibration was made from, for people.
+    uncalibrated. adc: of the calibrated nodes. source: what the calibration was made from, for
+    people.
     """
 
     skin: str
@@ -87,7 +87,7 @@ class CalibrationContent:
                     str(node): [curve.pressure_pa, curve.voltage_v]
                     for node, curve in self.curves.items()
                 },
-                "dynamics": None,  # of files before 0.3; without it, theirs would not be valid
+                "dynamics": None,  # there once; kept, so that files stay valid
             },
             sort_keys=True,
         )
@@ -205,7 +205,12 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
     pressure_pa, voltage_v = list[float](), list[float]()
     for corner, (pressure, voltage) in enumerate(zip(pressures, voltages, strict=True), 1):
         here, most_v = f"{what}, corner {corner}", vref_v if corner > 1 else HEADROOM * vref_v
-        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, MOST_PA, "Pa"))
+        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, np.inf, "Pa"))
+        if pressure_pa[-1] > MOST_PA:
+            raise pressure.refuse(
+                f"{here}: pressure is {pressure_pa[-1]:g} Pa, more than skins bear ({MOST_PA:g}): "
+                "was it in kPa, or were grams of a gauge read as newtons (column force_g)?"
+            )
         voltage_v.append(voltage.number(f"{here}: voltage", 0.0, most_v, "V"))
         if corner == 1 and pressure_pa[0]:
             raise pressure.refuse(f"{what} begins at {pressure_pa[0]:g} Pa, not at 0")
