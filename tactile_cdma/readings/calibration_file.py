@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -205,7 +206,7 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
     pressure_pa, voltage_v = list[float](), list[float]()
     for corner, (pressure, voltage) in enumerate(zip(pressures, voltages, strict=True), 1):
         here, most_v = f"{what}, corner {corner}", vref_v if corner > 1 else HEADROOM * vref_v
-        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, np.inf, "Pa"))
+        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, math.inf, "Pa"))
         if pressure_pa[-1] > MOST_PA:
             raise pressure.refuse(
                 f"{here}: pressure is {pressure_pa[-1]:g} Pa, more than skins bear ({MOST_PA:g}): "
