@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from tactile_cdma.sim.options import SimOptions
 from test.support.spinning import spinning
 
 from ..outcome import Outcome, Tally
-from ..process_watch import memory_kb
+from ..process_watch import memory_kb, waited_s
 from .known_digitizer import KnownDigitizer, on_a_socket, on_a_tty
 from .message_judge import MessageJudge
 
@@ -132,6 +133,7 @@ class LoadedSkin:
             port = stack.enter_context(plugged)
             stack.enter_context(self._listening())
             self.process = stack.enter_context(self._driver(port))
+            self.judge.waited_s = partial(waited_s, self.process.pid)
             self._stack = stack.pop_all()
         return self
 
