@@ -15,22 +15,21 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import cycle, repeat
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ..outcome import Outcome, Plan
+from .liar import are_done, lied_to
 from .loaded_skin import LoadedSkin, frames_missing, stamps_off
 from .simulated_time import SimulatedTime
 
@@ -70,6 +69,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
             yield _starved(skin, plan)
             yield _growth(skin, skin.rss_kb - before_kb)
         yield _full_recording(Path(folder), plan)
+        yield lied_to(plan, Path(folder))
     if not plan.quick:
         with (
             TemporaryDirectory(prefix="load-") as folder,
@@ -159,7 +159,7 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
     while answered and time.monotonic() < end_s:
         calls = [client.call_async(next(requests)) for client, requests in clients * AT_ONCE]
         asked += len(calls)
-        answered = skin.waits_for(partial(_all_done, calls))
+        answered = skin.waits_for(partial(are_done, calls))
         for answer in (call.result() for call in calls[:: len(clients)] if call.done()):
             refused += not answer.results[0].successful
     skin.streams_on()
@@ -169,10 +169,6 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
         f"{refused} refused as they should be",
         wrong=abs(refused - asked // len(clients) // 3) > 1,
     )
-
-
-def _all_done(calls: Sequence[Future[Any]]) -> bool:
-    return all(call.done() for call in calls)
 
 
 def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
@@ -191,7 +187,9 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
         wrong += gap > passed_s / period_s + SLACK_FRAMES
     uncounted = _uncounted(skin)
     said = f"{lost} frames missing, {skin.digitizer.packets_dropped} packets dropped and counted"
-    return skin.outcome("the driver is stopped, 10 ms to 20 s", len(stops_s), said, uncounted, wrong)
+    return skin.outcome(
+        "the driver is stopped, 10 ms to 20 s", len(stops_s), said, uncounted, wrong
+    )
 
 
 def _uncounted(skin: LoadedSkin) -> int:
