@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..report import QUICK, Report
-from . import lines
+from . import lines, touches
 from .tally import Condition, Tally, total
 
-SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (lines.conditions,)
+SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (lines.conditions, touches.conditions)
 """Where conditions come from."""
 ONLY = os.environ.get("ONLY", "")
 FRAMES = 60 if QUICK else 250
@@ -94,7 +94,7 @@ def picture(tallies: dict[str, Tally]) -> Figure:
         share = np.array([getattr(tally, kind) for tally in tallies.values()]) / sums
         axes.barh(list(tallies), share, left=left, color=colour, label=kind.replace("_", " "))
         left += share
-    axes.set_ylim(len(tallies) - 0.5, -0.5)
+    axes.set_ylim(max(len(tallies), 1) - 0.5, -0.5)
     axes.tick_params(axis="y", labelsize=7)
     axes.set_xlabel("share of the words")
     axes.legend(ncols=len(kinds), fontsize=7, loc="lower center", bbox_to_anchor=(0.4, 1.0))

@@ -10,14 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from test.support.independent_line import Digitizer, Line, Skin, Talk
+from test.support.independent_line import Line, Skin, Talk
 
+from .words import BLIND, TIMINGS
 from .words import LineCondition as Condition
 
-RAW = Digitizer()
-MEANS = Digitizer(integrated=True, samples_per_chip=8)
-BLIND = Digitizer(marked=False)
-TIMINGS = {"marks": RAW, "means": MEANS, "gap": BLIND}
 ORDERS = {
     12: Skin(nodes=11, order=12, period_chips=160),
     16: Skin(nodes=15, order=16, period_chips=208),

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.places.layout import Layout
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words
 from test.support.independent_line import (
@@ -34,6 +36,10 @@ from .tally import Tally, total
 
 Bools: TypeAlias = NDArray[np.bool_]
 
+RAW = Digitizer()
+MEANS = Digitizer(integrated=True, samples_per_chip=8)
+BLIND = Digitizer(marked=False)
+TIMINGS = {"marks": RAW, "means": MEANS, "gap": BLIND}
 AT_RAIL = 0.5
 """Share of a frame's samples at a rail beyond which nobody can tell who was silent."""
 LEARNING = 30
@@ -54,7 +60,7 @@ class LineCondition:
     line: Line = Line()  # noqa: RUF009  (frozen)
     talk: Talk = Talk()  # noqa: RUF009
     skin: Skin = Skin()  # noqa: RUF009
-    digitizer: Digitizer = Digitizer()  # noqa: RUF009
+    digitizer: Digitizer = RAW
     learnt: bool = False
     rough: bool = False
 
@@ -75,18 +81,29 @@ class Decoded(NamedTuple):
 
 def decode(recording: Recording, learnt: bool = False) -> list[Decoded]:
     """What the driver makes of a recording."""
+    chip_s = recording.skin.chip_s
+    played = play(recording, learnt)
+    return [Decoded(frame.t_start / chip_s, frame.words, bad) for frame, bad, _ in played]
+
+
+def play(
+    recording: Recording, learnt: bool = False, lost: float = 0.0, seed: int = 0
+) -> Iterator[tuple[TactileFrame, Bools, Layout]]:
+    """The driver's frames of a recording, which nodes count as broken, and the taxels' layout.
+
+    lost: share of the packets that do not arrive, drawn by the seed.
+    """
     config, writer = _config(recording, learnt), PacketWriter()
-    pipeline = Pipeline(config, background=False)
+    pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
         raise ValueError(pipeline.problem)
-    heard = []
     for _, t_host, data in packets(recording, writer):
-        for frame in pipeline.feed(data, t_host):
-            heard.append((frame, pipeline.health.invalid.copy()))
-    heard += [(frame, pipeline.health.invalid) for frame in pipeline.flush()]
-    chip_s = recording.skin.chip_s
-    return [Decoded(frame.t_start / chip_s, frame.words, bad) for frame, bad in heard]
+        if lots.random() >= lost:
+            for frame in pipeline.feed(data, t_host):
+                yield frame, pipeline.health.invalid.copy(), config.layout
+    for frame in pipeline.flush():
+        yield frame, pipeline.health.invalid, config.layout
 
 
 def _config(recording: Recording, learnt: bool) -> SkinConfig:
