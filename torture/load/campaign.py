@@ -31,6 +31,7 @@ from std_srvs.srv import Trigger
 from ..outcome import Outcome, Plan
 from .liar import are_done, lied_to
 from .loaded_skin import LoadedSkin, frames_missing, stamps_off
+from .places import crowded, without_room
 from .simulated_time import SimulatedTime
 
 MOST_GROWTH_KB = 50_000
@@ -70,6 +71,8 @@ def run(plan: Plan) -> Iterator[Outcome]:
             yield _growth(skin, skin.rss_kb - before_kb)
         yield _full_recording(Path(folder), plan)
         yield lied_to(plan, Path(folder))
+        yield from without_room(plan, Path(folder), PATIENCE_S)
+        yield crowded(plan, Path(folder), PATIENCE_S)
     if not plan.quick:
         with (
             TemporaryDirectory(prefix="load-") as folder,

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -92,8 +92,13 @@ class LoadedSkin:
         patience_s: float,
         networked: bool = False,
         setting: Setting = LOADED,
+        prefix: Sequence[str] = (),
     ) -> None:
-        """networked: the digitizer is behind a socket instead of a tty."""
+        """networked: the digitizer is behind a socket instead of a tty.
+
+        prefix: of the command that starts the driver, which it has to become by exec.
+        """
+        self._prefix = prefix
         options = SimOptions.from_url(f"sim://?{setting.scene}&seed={seed}")
         self.digitizer = KnownDigitizer(options)
         self.judge = MessageJudge(self.digitizer, setting.near_pa, setting.flags)
@@ -217,7 +222,7 @@ class LoadedSkin:
 
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
-        command = [sys.executable, str(SKIN_DRIVER), "--ros-args", *self._arguments]
+        command = [*self._prefix, sys.executable, str(SKIN_DRIVER), "--ros-args", *self._arguments]
         values = {"port": port, "state_folder": str(self.state_folder), **self._parameters}
         for name, value in values.items():
             command += ["-p", f"{name}:={json.dumps(value)}"]
