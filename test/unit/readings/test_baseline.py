@@ -372,7 +372,7 @@ def says(patch: Patch, readings: Readings) -> tuple[bool, bool, str]:
     contacts = ContactTracker(patch.pipeline.config.layout, thresholds).update(readings, 0.0)
     assert np.isfinite(contacts.total_force_n).all() == (len(contacts) > 0 or contacts.untouched)
     words = silent(6, 0.0)
-    frame = TactileFrame(0, 0.0, 0.0, 0.0, 50e-6, 0.0, words, readings)
+    frame = TactileFrame(0, 0.0, 0.0, 0.0, 0.0, 50e-6, 0.0, words, readings)
     found = checkup.stream(patch.pipeline, _window(patch), frame)
     return len(contacts) > 0, contacts.untouched, "; ".join(finding.text for finding in found)
 

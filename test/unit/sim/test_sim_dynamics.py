@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tactile_cdma.sim.dynamics import SCALE_PA, Dynamics, Hysteresis, Lag
-from tactile_cdma.sim.sensor import PAPER_DYNAMICS
+from tactile_cdma.sim.sensor import PAPER_DYNAMICS, SCALE_PA, Dynamics, Hysteresis, Lag
 
 RANGE_PA = 140e3
 
