@@ -116,13 +116,14 @@ class FrameTimes:
             self.origin = first_index
 
     def passed(self, packets: list[PassedPacket], rate_hz: float) -> None:
-        """Enter packets that the stream has accepted."""
-        for index, device_time_us, count, sequence, t_host, backlog in packets:
+        """Enter packets that the stream has accepted, one at least."""
+        for index, device_time_us, count, _, t_host, backlog in packets:
             t_device = device_time_us * 1e-6
-            self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
             self._anchors.append((index, t_device))
             self._counters.samples += count
             self.clock.observe(t_device + count / rate_hz, t_host, backlog)
+        index, device_time_us, count, sequence, *_ = packets[-1]
+        self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
 
     def stamp(self, heard: FrameLevels, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
@@ -147,8 +148,9 @@ class FrameTimes:
 
     def _device_time(self, index: float, rate_hz: float) -> float:
         """Device time, s, of a place in the stream of samples, by the last packet before it."""
-        at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
-        first_index, t_device = next(at_or_before, self._anchors[0])
+        for first_index, t_device in reversed(self._anchors):  # no generator: this is once a frame
+            if first_index <= index:
+                break
         return t_device + (index - first_index) / rate_hz
 
 
