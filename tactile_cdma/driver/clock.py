@@ -148,10 +148,10 @@ class FrameTimes:
 
     def _device_time(self, index: float, rate_hz: float) -> float:
         """Device time, s, of a place in the stream of samples, by the last packet before it."""
-        for first_index, t_device in reversed(self._anchors):  # no generator: this is once a frame
-            if first_index <= index:
+        for anchor in reversed(self._anchors):
+            if anchor[0] <= index:
                 break
-        return t_device + (index - first_index) / rate_hz
+        return anchor[1] + (index - anchor[0]) / rate_hz
 
 
 class DeviceClock:

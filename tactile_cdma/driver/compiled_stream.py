@@ -124,7 +124,7 @@ class CompiledStream:
         self._read = t_host, backlog
         frame: FrameLevels | None = None
         packet: Received | None = None
-        if kind == _HEARD or kind == _SILENT:
+        if kind in (_HEARD, _SILENT):
             frame = self._found(kind, *about)
         elif kind == _PACKET:
             packet = self.parser.interpret(*about)
