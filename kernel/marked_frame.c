@@ -50,7 +50,7 @@ VECTORS size_t samples_outside(const double *volts, size_t size, double low, dou
     size_t count = 0;
 
     for (size_t i = 0; i < size; i++)
-        count += volts[i] <= low || volts[i] >= high;
+        count += (size_t)(volts[i] <= low) | (size_t)(volts[i] >= high);
     return count;
 }
 

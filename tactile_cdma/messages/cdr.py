@@ -26,7 +26,7 @@ ENCAPSULATION = b"\0\1\0\0"
 PADDING = [bytes(count) for count in range(8)]
 """Zeros to the next multiple of an alignment, by their number."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
-_ARRAY, _FLOAT = Struct("<QQIHHI"), Struct("<f")
+_ARRAY, _FLOAT = Struct("<QQIfHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
 
 
@@ -101,13 +101,14 @@ def tactile_array(
     readings, header = frame.readings, heading.fields
     device_time_us = max(0, round(frame.t_middle * 1e6))
     size, count = (layout.rows, layout.columns), len(readings.status)
+    about = frame.sequence, device_time_us, info_id, frame.stamp_uncertainty_s
     # In one piece: it is what a subscriber waits for, and a CdrWriter takes 20 µs after a pause.
     return b"".join(
         (
             ENCAPSULATION,
             header,
             PADDING[-len(header) % 8],
-            _ARRAY.pack(frame.sequence, device_time_us, info_id, *size, count),
+            _ARRAY.pack(*about, *size, count),
             readings.pressure_pa.tobytes(),
             _COUNT.pack(count if with_voltage else 0),
             readings.voltage_v.tobytes() if with_voltage else b"",
