@@ -29,8 +29,9 @@ SETTLE_S = 10.0
 """Time that a node must have rested before it is followed, s; chosen. A change of less than a count
 in this time is no jump."""
 FARTHEST = 4.0
-"""Most drift since the tare that is followed, either way, in multiples of the pressure at which a
-contact begins; chosen: more than a sensor of 80 mV over temperature needs (make bench-pressure)."""
+"""Most drift since the first or a forced tare that is followed, either way, in multiples of the
+pressure at which a contact begins; chosen: more than 80 mV over temperature need (make
+bench-pressure)."""
 FOLLOW_S = 0.25
 """Least interval of following, s. Chosen: drift is seen in seconds, and following takes as long as
 reading a frame."""
