@@ -87,13 +87,17 @@ def decode(recording: Recording, learnt: bool = False) -> list[Decoded]:
 
 
 def play(
-    recording: Recording, learnt: bool = False, lost: float = 0.0, seed: int = 0
+    recording: Recording,
+    learnt: bool = False,
+    lost: float = 0.0,
+    seed: int = 0,
+    **parameters: bool,
 ) -> Iterator[tuple[TactileFrame, Bools, Layout]]:
     """The driver's frames of a recording, which nodes count as broken, and the taxels' layout.
 
-    lost: share of the packets that do not arrive, drawn by the seed.
+    lost: share of the packets that do not arrive, drawn by the seed. parameters: of the driver.
     """
-    config, writer = _config(recording, learnt), PacketWriter()
+    config, writer = _config(recording, learnt, **parameters), PacketWriter()
     pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
@@ -106,7 +110,7 @@ def play(
         yield frame, pipeline.health.invalid, config.layout
 
 
-def _config(recording: Recording, learnt: bool) -> SkinConfig:
+def _config(recording: Recording, learnt: bool, **parameters: bool) -> SkinConfig:
     skin, digitizer = recording.skin, recording.digitizer
     return SkinConfig.of(
         {
@@ -123,6 +127,7 @@ def _config(recording: Recording, learnt: bool) -> SkinConfig:
             "amplitude_mv": 0.0 if learnt else 1e3 * skin.amplitude_v,
             "timing": "line" if digitizer.marked else "gap",
             "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
+            **parameters,
         }
     )
 

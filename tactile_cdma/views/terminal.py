@@ -38,7 +38,7 @@ _STATUS_LINES = 3
 """Most lines for the lists of nodes by status; chosen: the picture needs the room."""
 _MARKS = (
     (Status.SATURATED, "!", "saturated"),
-    (Status.LOW_SNR, "?", "low SNR"),
+    (Status.LOW_SNR, "?", "uncertain"),
     (Status.WEAK, "w", "weak"),
     (Status.FAULTY, "x", "faulty"),
     (Status.STALE, "-", "stale"),
@@ -241,8 +241,9 @@ def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
     in_service = is_in_service(reading.status)
     silent = in_service & (reading.status & Status.SILENT > 0)
     items = [f"speaking {np.count_nonzero(in_service & ~silent)}"]
-    for flag, mark, word in (*_MARKS, (Status.SILENT, "", "silent")):
-        has = in_service & (reading.status & flag > 0)
+    held = (Status.UNHEARD, "", "unheard"), (Status.SILENT, "", "silent")
+    for flag, mark, word in (*_MARKS, *held):
+        has = in_service & (reading.status & flag == flag)
         if has.any():
             items.append(f"{word}{mark and ' ' + mark}: {ranges(numbers[has])}")
     masked = ~in_service & (reading.nodes > 0)

@@ -118,9 +118,10 @@ class FramePublishers:
         return self._asked
 
     def _is_news(self, frame: TactileFrame) -> bool:
-        """Whether a node spoke, or the last frame without words is long enough ago."""
-        rate_hz = float(self._live["idle_rate_hz"])
-        if not rate_hz or frame.words.active.any():
+        """Whether a node spoke, or may have, or the last frame without words is long enough ago."""
+        rate_hz, last = float(self._live["idle_rate_hz"]), self.latest
+        follows = last is not None and frame.sequence == last[0].sequence + 1
+        if not rate_hz or not follows or (frame.words.active | frame.words.doubtful).any():
             self._silence_due_s = 0.0  # the first silent frame tells who fell silent
             return True
         # Device time may start again, from nearly zero.
