@@ -341,8 +341,10 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
                              (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
                              rest->level, rest->noise, flag(rest->known));
     case STREAM_BLOCK:
-        return Py_BuildValue("(Ly#)", (long long)about->start, (const char *)about->volts,
-                             (Py_ssize_t)(about->count * sizeof *about->volts));
+        return Py_BuildValue("(LN)", (long long)about->start, /* not copied: until stream_look is called */
+                             PyMemoryView_FromMemory((char *)about->volts,
+                                                     (Py_ssize_t)(about->count * sizeof *about->volts),
+                                                     PyBUF_READ));
     default:
         return Py_NewRef(Py_None);
     }

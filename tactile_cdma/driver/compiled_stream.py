@@ -146,6 +146,7 @@ class CompiledStream:
             frame = self._decide(*about)
         elif kind == _Kind.BLOCK:
             self._look(*about)
+            frame = self._frames.popleft() if self._frames else None
         elif kind == _Kind.NEEDS_BYTES and self._ending:
             self._conclude()
         needs_bytes = kind == _Kind.NEEDS_BYTES and not self._frames
@@ -234,12 +235,11 @@ class CompiledStream:
                 self._reason = reason
         return verdict.frame
 
-    def _look(self, start: int, volts: bytes) -> None:
-        """Find frames in samples that are not marked."""
+    def _look(self, start: int, volts: memoryview) -> None:
+        """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        samples = np.frombuffer(volts).astype(np.float32)
-        self._add(timing.feed(SampleBlock(start, samples)))
+        self._add(timing.feed(SampleBlock(start, np.frombuffer(volts))))
         self._kernel.look(timing.due)
 
     def _conclude(self) -> None:
