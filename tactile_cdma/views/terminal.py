@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
-from ..readings.status import Status, is_in_service
+from ..readings.status import Status, is_certain, is_in_service
 from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
@@ -117,7 +117,8 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
     for taxel, places in parts.items():
         if taxel >= 0:
             labels |= _labels(reading, look, taxel, places)
-    paint = np.vstack([colours(reading.pressure_pa, look.max_pa), [NO_TAXEL_RGB]]).tolist()
+    rgb = colours(reading.pressure_pa, look.max_pa, ~is_certain(reading.status))
+    paint = [*rgb.tolist(), NO_TAXEL_RGB]
     unread = np.isnan(reading.pressure_pa).tolist()
     shades = [
         _NO_READING if is_unread else shade
