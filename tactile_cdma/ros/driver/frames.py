@@ -120,12 +120,13 @@ class FramePublishers:
     def _is_news(self, frame: TactileFrame) -> bool:
         """Whether a node spoke, or may have, or the last frame without words is long enough ago."""
         rate_hz, last = float(self._live["idle_rate_hz"]), self.latest
-        follows = last is not None and frame.sequence == last[0].sequence + 1
-        if not rate_hz or not follows or (frame.words.active | frame.words.doubtful).any():
+        if not rate_hz or frame.words.active.any():
             self._silence_due_s = 0.0  # the first silent frame tells who fell silent
             return True
+        follows = last is not None and frame.sequence == last[0].sequence + 1
+        is_sure = follows and not frame.words.doubtful.any()
         # Device time may start again, from nearly zero.
-        if 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
+        if is_sure and 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
             return False
         self._silence_due_s = frame.t_middle + 1 / rate_hz
         return True
