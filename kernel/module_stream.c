@@ -107,10 +107,10 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, gap_size),                  FIELD(stream_rules, least_rest),
     FIELD(stream_rules, gap_weight),                FIELD(stream_rules, rise),
     FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
-    FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, behind_s),
-    FIELD(stream_rules, ahead_s),                   FIELD(stream_rules, ahead),
-    FIELD(stream_rules, most_device_us),            FIELD(stream_rules, most_quiet),
-    FIELD(stream_rules, most_quiet_v2),
+    FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
+    FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
+    FIELD(stream_rules, gaps),                      FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
 };
 
 static const struct field timing_fields[] = {

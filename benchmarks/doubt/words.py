@@ -97,7 +97,7 @@ def play(
 
     lost: share of the packets that do not arrive, drawn by the seed. parameters: of the driver.
     """
-    config, writer = _config(recording, learnt, **parameters), PacketWriter()
+    config, writer = config_of(recording, learnt, **parameters), PacketWriter()
     pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
@@ -110,7 +110,8 @@ def play(
         yield frame, pipeline.health.invalid, config.layout
 
 
-def _config(recording: Recording, learnt: bool, **parameters: bool) -> SkinConfig:
+def config_of(recording: Recording, learnt: bool = False, **more: float) -> SkinConfig:
+    """What a user sets for a recording; more: other parameters."""
     skin, digitizer = recording.skin, recording.digitizer
     return SkinConfig.of(
         {
@@ -127,7 +128,7 @@ def _config(recording: Recording, learnt: bool, **parameters: bool) -> SkinConfi
             "amplitude_mv": 0.0 if learnt else 1e3 * skin.amplitude_v,
             "timing": "line" if digitizer.marked else "gap",
             "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
-            **parameters,
+            **more,
         }
     )
 

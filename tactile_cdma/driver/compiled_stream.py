@@ -39,7 +39,7 @@ from ..wire.packets import PacketParser
 from ..wire.reader import NO_FILE
 from .description import Description
 from .stream import Decisions, Event
-from .timeline import CLOCK_SLACK_S, MAX_DEVICE_TIME_US, Answer, Placement, Step
+from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer, Placement, Step
 
 _log = logging.getLogger(__name__)
 
@@ -315,9 +315,10 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         rise_v2=lowest_power(1e-3),
         silent_over=line.over(line.nominal),
         rate_hz=pace.rate_hz,
-        behind_s=CLOCK_SLACK_S,
-        ahead_s=pace.ahead_s,
-        ahead=pace.ahead,
+        slack_s=CLOCK_SLACK_S,
+        slack=CLOCK_TOLERANCE,
+        gap_s=pace.gap_s,
+        gaps=pace.gaps,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,
