@@ -130,6 +130,24 @@ def conditions() -> Iterator[Condition]:
             skin = Skin(nodes=order - 1, order=order, period_chips=13 * order, amplitude_v=0.2)
             yield Condition(f"{name}: order {order}", talk=CHURN, skin=skin, digitizer=digitizer)
     yield from gap_conditions()
+    yield from mark_conditions()
+
+
+def mark_conditions() -> Iterator[Condition]:
+    """Few nodes speak, and marks or samples are where they should not be."""
+    moved = {
+        "marks 1 or 2 chips late": {"mark_shifts": (1.0, 2.0)},
+        "marks 1 or 2 chips early": {"mark_shifts": (-1.0, -2.0)},
+        "a sample dropped or doubled": {"slip_share": 0.3},
+    }
+    for order in (8, 12, 16, 24, 64):
+        skin = Skin(nodes=order - 1, order=order, period_chips=13 * order)
+        for words, speak in (("random", 1), ("random", 2), ("random", 3), ("extreme", 1)):
+            for timing, digitizer in (("marks", RAW), ("means", MEANS)):
+                for how, change in moved.items():
+                    name = f"{timing}: order {order}, {speak} speak, {words} words, {how}"
+                    talk, shifted = Talk(together=speak, words=words), replace(digitizer, **change)
+                    yield Condition(name, Line(), talk, skin, shifted, rough=True)
 
 
 def gap_conditions() -> Iterator[Condition]:
