@@ -192,7 +192,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     seen->fit = fit_refine(code, &line, &refining, (struct fit){expected->start, expected->chip}, -INFINITY,
                            INFINITY, scratch);
     double end = seen->fit.start + (double)code->span * seen->fit.chip;
-    if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > 0.5 * expected->chip))
+    if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > rules->least_chip * expected->chip))
         return true;
     find_shifts(code, rules, burst, &seen->fit, &earliest, &latest);
     seen->proven = end + latest * seen->fit.chip;

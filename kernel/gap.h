@@ -16,7 +16,7 @@
 struct gap_rules {
     double shortest, longest, bit, period;
     double beyond, carried_noise, carried_misfit, doubt, disturbed, wide, ruled_out, settled_chips;
-    double uneven, spread, left, misfit;
+    double least_chip, uneven, spread, left, misfit;
     size_t spare, spare_count;
 };
 

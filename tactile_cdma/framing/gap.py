@@ -59,6 +59,9 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
+_LEAST_CHIP = 0.5
+"""Share of an expected chip duration below which a refined one fits no frame: most edges were out
+of view. Chosen."""
 _MOST_CARRIED = 16
 """Candidates that the kernel weighs: GAP_MOST in kernel/gap.h."""
 _SILENT, _BURST, _FRAME = 0, 2, 3
@@ -155,6 +158,7 @@ class GapSearch(BurstSearch):
             wide=WIDE,
             ruled_out=RULED_OUT,
             settled_chips=SETTLED_CHIPS,
+            least_chip=_LEAST_CHIP,
             uneven=UNEVEN,
             spread=LIMITS.spread,
             left=LIMITS.left,
@@ -189,7 +193,8 @@ class GapSearch(BurstSearch):
         if expected is None or not self.is_sure(expected):
             return None
         fit = refine(line, Fit(expected.start, expected.chip), self.spec)
-        return fit if fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size else None
+        within = fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size
+        return fit if within and fit.chip > _LEAST_CHIP * expected.chip else None
 
     def explained(
         self, line: Line, burst: Burst, fit: Fit, expected: Expected | None

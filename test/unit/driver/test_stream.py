@@ -39,6 +39,7 @@ from tactile_cdma.wire.messages import (
     Status,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.same_frames import assert_same
 from test.support.simulated import stream
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
@@ -68,18 +69,6 @@ def outcome(pipeline: Pipeline, data: bytes, chunk: int) -> tuple[list[TactileFr
     learnt = health.invalid.tolist(), health.suspect.tolist(), str(health.swing_v)
     counted = pipeline.counters, pipeline.packet_counts, pipeline.rejections
     return frames, (*counted, pipeline.digitizer, pipeline.clocks, learnt)
-
-
-def assert_same(some: list[TactileFrame], others: list[TactileFrame]) -> None:
-    assert len(some) == len(others)
-    for one, other in zip(some, others, strict=True):
-        for name in ("sequence", "t_start", "t_middle", "t_host", "chip_s", "clipped"):
-            assert getattr(one, name) == getattr(other, name), name
-        for part in ("words", "readings"):
-            mine, theirs = getattr(one, part), getattr(other, part)
-            for item in fields(mine):
-                values = getattr(mine, item.name), getattr(theirs, item.name)
-                np.testing.assert_array_equal(*values, err_msg=f"{part}.{item.name}")
 
 
 def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Pipeline:
@@ -161,15 +150,17 @@ def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     assert pipeline.decisions.python_share < 0.05
 
 
+@pytest.mark.parametrize("options", ["scene=moving", "scene=idle&heartbeat=8"])  # all, two nodes
 @pytest.mark.parametrize("parameters", [SMALL, {"drive": "unipolar"}, SCRAMBLED, FULL])
 def test_words_of_a_sound_skin_are_read_in_one_call(
-    parameters: dict[str, object], monkeypatch: pytest.MonkeyPatch
+    parameters: dict[str, object], options: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Of few words Python is asked where they leave energy over; those of sound nodes do not."""
     looked: list[object] = []
     monkeypatch.setattr(taxels, "displaced", lambda *arguments: looked.append(arguments))
     config = SkinConfig.of(parameters)
     pipeline = Pipeline(config)
-    frames = pipeline.feed(sent(tuple(parameters.items()), "sim://?seed=1&scene=moving"), 0.0)
+    frames = pipeline.feed(sent(tuple(parameters.items()), f"sim://?seed=1&{options}"), 0.0)
     assert sum(frame.words.active.any() for frame in frames) > 20
     assert not looked
 
