@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 from test.support.independent_line import Line, Skin, Talk
 
@@ -135,19 +136,22 @@ def conditions() -> Iterator[Condition]:
 
 def mark_conditions() -> Iterator[Condition]:
     """Few nodes speak, and marks or samples are where they should not be."""
-    moved = {
+    moved: dict[str, dict[str, Any]] = {
         "marks 1 or 2 chips late": {"mark_shifts": (1.0, 2.0)},
         "marks 1 or 2 chips early": {"mark_shifts": (-1.0, -2.0)},
         "a sample dropped or doubled": {"slip_share": 0.3},
     }
-    for order in (8, 12, 16, 24, 64):
+    few = [(order, speak, "random") for order in (8, 16, 24) for speak in (1, 2, 3)]
+    for order, speak, words in [*few, (64, 1, "extreme")]:
         skin = Skin(nodes=order - 1, order=order, period_chips=13 * order)
-        for words, speak in (("random", 1), ("random", 2), ("random", 3), ("extreme", 1)):
-            for timing, digitizer in (("marks", RAW), ("means", MEANS)):
-                for how, change in moved.items():
-                    name = f"{timing}: order {order}, {speak} speak, {words} words, {how}"
-                    talk, shifted = Talk(together=speak, words=words), replace(digitizer, **change)
-                    yield Condition(name, Line(), talk, skin, shifted, rough=True)
+        for timing in ("marks", "means"):
+            for how, change in moved.items():
+                name = f"{timing}: order {order}, {speak} speak, {how}"
+                talk, shifted = (
+                    Talk(together=speak, words=words),
+                    replace(TIMINGS[timing], **change),
+                )
+                yield Condition(name, Line(), talk, skin, shifted, rough=True)
 
 
 def gap_conditions() -> Iterator[Condition]:

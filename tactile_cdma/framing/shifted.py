@@ -18,7 +18,7 @@ loses sync edges, and counts them."""
 
 
 def may_be_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
-    """Whether few nodes, an odd number of them or faint, leave the first or last chip of a bit at rest.
+    """Whether few nodes, an odd number or faint, leave a bit's first or last chip at rest.
 
     There even clear words may be the opposite ones, as those of Sylvester's rows 1 to 3 that are
     the same in all bits, or be several of part of the amplitude: all that tells is the chip that is
