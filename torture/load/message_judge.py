@@ -74,8 +74,7 @@ class MessageJudge:
         self._count(known, message.sequence)
         if known is not None:
             self._held.hear(known.frame.active, known.frame.codes)
-        excused_s = self._digitizer.lag_s + self._longest_wait_s()
-        if wrong or not -LATE_S < off_s < LATE_S + excused_s:
+        if wrong or not -LATE_S < off_s < LATE_S + self.excused_s():
             tally.wrong_values += 1
             age_s = time.monotonic() - middle_s
             tally.example = tally.example or (
@@ -86,13 +85,14 @@ class MessageJudge:
         self.last_middle_s = middle_s
         tally.frames += 1
 
-    def _longest_wait_s(self) -> float:
-        """Of the driver between two messages, lately."""
+    def excused_s(self) -> float:
+        """Delay of the digitizer, and the driver's longest wait between two messages, lately, s."""
         now_s = time.monotonic()
         self._waits.append((now_s, self.waited_s()))
         while self._waits[1][0] < now_s - WAIT_WINDOW_S:
             self._waits.popleft()
-        return max(after - before for (_, before), (_, after) in pairwise(self._waits))
+        waits_s = (after - before for (_, before), (_, after) in pairwise(self._waits))
+        return self._digitizer.lag_s + max(waits_s)
 
     def _best(self, message: TactileArray, t_start: float) -> tuple[Known | None, int]:
         """The true frame that fits best, and how many taxels differ: all if there is none."""
