@@ -30,6 +30,11 @@ class Groups(LoadGroupScheduling):
             self._reschedule(other)
         return lethal
 
+    def _reschedule(self, node: WorkerController) -> None:
+        """One that took a dead one's place is served once it has collected its tests."""
+        if node in self.registered_collections:
+            super()._reschedule(node)
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling | None:
