@@ -191,10 +191,12 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     double power = power_of(rules, rest, volts, &found->level);
     if (isnan(power))
         return FRAME_ABSURD;
-    if (power <= rules->least_power) {
+    if (power <= rules->silent_power) {
         found->clipped = share_clipped(rules, volts, rules->size);
         return silent(rules, rest, power, found);
     }
+    if (sqrt(rest->noise) > rules->sure_noise)
+        return FRAME_NOISY;
     if (!rules->integrated && !rest->known)
         return FRAME_UNKNOWN_REST;
     if (!(rules->integrated || timing))

@@ -226,9 +226,17 @@ class Pipeline:
         levels, config, taxels = heard.levels, self.config, self.taxels
         if levels is None:
             words = silent(config.spec.nodes, heard.noise_rms_v)
+            if heard.doubtful is not None:
+                words = words.doubted(heard.doubtful)
+                return words, taxels.update(words, t_device, self.health)
             held = taxels.try_hold(t_device)
             return words, held or taxels.update(words, t_device, self.health)
-        is_odd = levels.rows is None or levels.unresolved or heard.doubtful is not None
+        is_odd = (
+            levels.rows is None
+            or levels.unresolved
+            or levels.level_unknown
+            or heard.doubtful is not None
+        )
         if kernel.compiled is not None and not is_odd and not config.roll_call:
             read = taxels.read(levels, config.spec, config.threshold, t_device, self.health)
             if read is not None:

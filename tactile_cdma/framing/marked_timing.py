@@ -16,9 +16,10 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
+from ..code.amplitude import ACTIVE_SHARE, rises
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
-from .fit import ChipEdges, Fit, least_power, lowest_power
+from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
 from .limits import LIMITS
 from .timing import (
     ABSURD,
@@ -31,6 +32,7 @@ from .timing import (
     Rejections,
     SampleBlock,
     Timing,
+    guessed_silence,
     share_clipped,
     silence_hidden,
 )
@@ -134,7 +136,7 @@ class MarkedLine:
         self.nominal = Fit(-0.5, self.chip)  # sample i stands for i − ½ … i + ½
         length = spec.chips if self.integrated else spec.span_chips
         self.size = math.ceil(length * self.chip - 0.5)
-        self.least_power = least_power(spec)
+        self.least_power, self.silent_power = least_power(spec), silent_power(spec)
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset. So
         # it is, nearly, where rows are scrambled: off by √(n/kN)·A, of which a row shows a √N-th.
         self.mean_is_offset = (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR
@@ -185,7 +187,7 @@ class MarkedLine:
         if math.isnan(power):
             return Verdict(rejected=ABSURD)
         # Chips are means of samples, so they have no more power than the samples.
-        return None if power > self.least_power else self.silent(frame, power)
+        return None if power > self.silent_power else self.silent(frame, power)
 
     def sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
@@ -203,10 +205,11 @@ class MarkedLine:
         strongest = float(amplitude.max())
         return strongest**2 <= max(self.least_power, LIMITS.loud**2 * self.noise / self.spec.order)
 
-    def silent(self, frame: MarkedFrame, power: float) -> Verdict:
+    def silent(self, frame: MarkedFrame, power: float, levels: NodeLevels | None = None) -> Verdict:
         """A frame in which no node spoke; rejected where one that did might not show.
 
-        power: mean power of its samples, V², all of it noise.
+        power: mean power of its samples, V², all of it noise. levels: of the nodes, which hold
+        words that are too faint, or noise; None where the power excludes these.
         """
         clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
         if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
@@ -214,7 +217,29 @@ class MarkedLine:
         if self.spec.scramble and power > self.most_silent_power:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
-        return self._decided(frame.start, self.nominal, None, noise_v, clipped)
+        faint, doubtful = self._faint(levels, power / self.chip)
+        if levels is not None:
+            everybody = np.ones(self.spec.nodes, bool)
+            doubtful = guessed_silence(everybody, math.sqrt(self.noise), self.spec, doubtful)
+        return self._decided(frame.start, self.nominal, faint, noise_v, clipped, doubtful)
+
+    def _faint(
+        self, levels: NodeLevels | None, power: float
+    ) -> tuple[NodeLevels | None, Bools | None]:
+        """Levels that are more than noise; and whose silence is a guess, if they explain nothing.
+
+        power: mean power of the frame's chips, V².
+        """
+        if levels is None:
+            return None, None
+        squares = np.einsum("kn,kn->n", levels.values, levels.values)
+        expected = np.float32(self.spec.node_swing_v or 0.0)
+        if rises(squares, expected, levels.noise_v, self.spec.line_bits).any():
+            return levels, None
+        known = not self.integrated and self.level_known
+        if known and power > LIMITS.carried_noise * self.noise + self.silent_power:
+            return None, np.ones(self.spec.nodes, bool)
+        return None, None
 
     @property
     def most_silent_power(self) -> float:
@@ -235,6 +260,9 @@ class MarkedLine:
             return Verdict(over=frame.start + frame.volts.size, rejected=AT_RAIL)
         if clipped > LIMITS.deafened:
             doubtful = np.ones(self.spec.nodes, bool)
+        swing_v = self.spec.node_swing_v or 0.0
+        silent = np.abs(levels.values).mean(axis=0) <= ACTIVE_SHARE * swing_v
+        doubtful = guessed_silence(silent, math.sqrt(self.noise), self.spec, doubtful)
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
         return self._decided(frame.start, fit, levels, noise_rms_v, clipped, doubtful)
 

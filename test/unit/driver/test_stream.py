@@ -166,7 +166,7 @@ def test_words_of_a_sound_skin_are_read_in_one_call(
     parameters: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked: list[object] = []
-    monkeypatch.setattr(taxels, "displaced", lambda *arguments: looked.append(arguments))
+    monkeypatch.setattr(taxels, "out_of_place", lambda *arguments: looked.append(arguments))
     config = SkinConfig.of(parameters)
     pipeline = Pipeline(config)
     frames = pipeline.feed(sent(tuple(parameters.items()), "sim://?seed=1&scene=moving"), 0.0)

@@ -64,7 +64,7 @@ def decoded(config: SkinConfig, received: list[object]) -> tuple[Pipeline, list[
 @pytest.mark.parametrize("name", CONFIGS)
 def test_the_host_reads_the_same_with_and_without_the_silence(name: str, scene: str) -> None:
     config = SkinConfig.of(CONFIGS[name])
-    query = f"scene={scene}&seed=2&noise=0.008&offset=0.3&heartbeat=150"
+    query = f"scene={scene}&seed=2&noise=0.004&offset=0.3&heartbeat=150"
     everything = packets(config, query, 3.0, 0)
     audible = packets(config, query, 3.0, quiet_uv(config.spec))
     assert not any(isinstance(packet, Quiet) for packet in everything)
