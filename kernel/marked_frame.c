@@ -195,8 +195,6 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         found->clipped = share_clipped(rules, volts, rules->size);
         return silent(rules, rest, power, found);
     }
-    if (sqrt(rest->noise) > rules->sure_noise)
-        return FRAME_NOISY;
     if (!rules->integrated && !rest->known)
         return FRAME_UNKNOWN_REST;
     if (!(rules->integrated || timing))

@@ -59,7 +59,6 @@ struct frame_rules {
     double least_power;        /* of a frame in which somebody speaks, V² */
     double silent_power;       /* below which nobody does, however faintly, V² */
     double most_noise;         /* of a chip, V, in which no word is missed; infinite if unknown */
-    double sure_noise;         /* the same, in which silence is certain */
     double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
     double deafened, carried_noise, carried_misfit, loud;
     double spread, misfit, left;

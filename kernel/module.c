@@ -47,6 +47,7 @@ static const struct field readout_fields[] = {
     OF_READOUT(reading.loud_squares),
     OF_READOUT(reading.hiding_rho),
     OF_READOUT(reading.tone_share),
+    OF_READOUT(reading.moved_share),
     OF_READOUT(reading.sound_share),
     OF_READOUT(reading.most_square),
     OF_READOUT(reading.a_chip),

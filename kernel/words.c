@@ -424,9 +424,6 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
     const size_t from = frame->first > 0, end = frame->first + frame->nodes;
     double sum = 0, moved = 0;
     double total = spoken->rows_power, share = spoken->words <= reading->few ? (double)reading->few_share : 1;
-
-    if (!spoken->words)
-        return WORDS_ARE_PLAIN;
     double common = offset ? common_energy(frame, rows, offset, amplitude, active, from) : 0;
     for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
         total += power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
@@ -435,7 +432,12 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
     }
     total = total / (double)frame->bits - spoken->power;
     sum /= (double)frame->bits;
-    moved = from ? moved / (double)frame->bits - sum * sum : 0; /* of what is no offset */
+    moved = from && !offset ? moved / (double)frame->bits - sum * sum : 0; /* of what is no offset */
+    double most_moved = (double)reading->moved_share * (double)spoken->expected;
+    if (moved > most_moved * most_moved && spoken->words < frame->nodes)
+        return WORDS_NEED_STAGES;
+    if (!spoken->words)
+        return WORDS_ARE_PLAIN;
     double least = (double)spoken->least * (double)spoken->least;
     if (!offset && total + moved >= (double)reading->tone_share * least)
         return WORDS_LEAVE_MUCH;

@@ -47,7 +47,7 @@ double words_noise(const struct words_frame *frame, const float *rows, size_t sp
 
 /* What words are read by, besides: see decode.py and stages.py. a_chip, few, few_share: lateness.py. */
 struct words_reading {
-    float threshold, faint_share, sound_share, most_square, a_chip, few_share, tone_share;
+    float threshold, faint_share, sound_share, most_square, a_chip, few_share, tone_share, moved_share;
     /* A silent row's squares over expected² and noise², and expected over noise: see find_active. */
     float least_squares, loud_squares, hiding_rho;
     size_t few;

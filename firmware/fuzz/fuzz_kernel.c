@@ -386,6 +386,7 @@ static void read_frames(struct input *input)
                     .loud_squares = 32,
                     .hiding_rho = 12,
                     .tone_share = 0.1f,
+                    .moved_share = 0.5f,
                     .sound_share = 0.8f,
                     .most_square = (float)bits + 0.04f,
                     .a_chip = order > 4 ? 1 : INFINITY,

@@ -16,7 +16,7 @@ between silence and speech."""
 FAINT_SHARE = 0.25
 """Share of a node's amplitude below which nothing is taken for a node: half of it may be one, a
 quarter is none. Chosen."""
-LEAST_SHARE = 0.125
+LEAST_SHARE = 0.1
 """Share of a node's amplitude below which nothing is asked of what is on its row. Chosen: what
 sound lines leave there (edges, hum of a third of an amplitude, droop) stays below."""
 BY_CHANCE = 3.3

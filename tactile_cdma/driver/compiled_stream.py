@@ -300,7 +300,6 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         least_power=line.least_power,
         silent_power=line.silent_power,
         most_noise=blinding_noise_v(spec),
-        sure_noise=blinding_noise_v(spec, LIMITS.guess_rho),
         rail_low=rail_low,
         rail_high=rail_high,
         integrated=line.integrated,

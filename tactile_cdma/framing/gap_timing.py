@@ -38,7 +38,6 @@ from .timing import (
     Rejections,
     SampleBlock,
     Timing,
-    guessed_silence,
     share_clipped,
     silence_hidden,
 )
@@ -366,8 +365,6 @@ class GapTiming(Timing):
         self._gap = gap
         if spec.node_swing_v is None:
             self._search.least_power = lowest_power(float(words.amplitude.max()))
-        doubtful = guessed_silence(words.amplitude[0] == 0, math.sqrt(noise), spec, found.doubtful)
-        found = replace(found, doubtful=doubtful)
         if clipped > LIMITS.deafened:
             found = replace(found, doubtful=np.ones(spec.nodes, bool))
         return self._emit(found, words, beside.level, clipped)
@@ -441,16 +438,10 @@ class GapTiming(Timing):
         levels = node_levels(rows, spec)
         squares = np.einsum("kn,kn->n", levels.values, levels.values)
         least = math.sqrt(search.least_power) / FAINT_SHARE
-        doubtful = guessed_silence(np.ones(spec.nodes, bool), noise, spec, None)
         if not rises(squares, np.float32(least), levels.noise_v, spec.line_bits).any():
-            return replace(silent, doubtful=doubtful)
-        return replace(
-            silent,
-            start=begin + expected.start,
-            chip_samples=expected.chip,
-            levels=levels,
-            doubtful=doubtful,
-        )
+            return silent
+        place = begin + expected.start
+        return replace(silent, start=place, chip_samples=expected.chip, levels=levels)
 
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""

@@ -79,8 +79,6 @@ class Limits:
         3·√n·A has 0.3 % there (Gaussian).
     blind_rho: ρ below which words are not found reliably, so that their absence says nothing.
         Chosen; at ρ = 3 one frame in 5,000 is missed at order 20 (make bench-error).
-    guess_rho: ρ by the gap's noise below which silence is a guess. Chosen: words are doubtful
-        there, too (LOW_RHO of words/limits.py), and hum may have moved the frame.
     lone: factor by which a lone node's power must exceed what a burst needs that is no noise, for a
         slot without one to be silent in timing by gaps. Chosen: the noise of a gap comes out up to
         a third too low.
@@ -121,7 +119,6 @@ class Limits:
     clipped: float = 0.5
     deafened: float = 0.25
     blind_rho: float = 2.5
-    guess_rho: float = 5.0
     lone: float = 1.5
     doubt: float = 6e-6
     alike: float = 0.25

@@ -16,7 +16,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
-from ..code.amplitude import ACTIVE_SHARE, rises
+from ..code.amplitude import rises
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
 from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
@@ -32,7 +32,6 @@ from .timing import (
     Rejections,
     SampleBlock,
     Timing,
-    guessed_silence,
     share_clipped,
     silence_hidden,
 )
@@ -217,29 +216,21 @@ class MarkedLine:
         if self.spec.scramble and power > self.most_silent_power:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
-        faint, doubtful = self._faint(levels, power / self.chip)
-        if levels is not None:
-            everybody = np.ones(self.spec.nodes, bool)
-            doubtful = guessed_silence(everybody, math.sqrt(self.noise), self.spec, doubtful)
-        return self._decided(frame.start, self.nominal, faint, noise_v, clipped, doubtful)
+        doubtful = None
+        if levels is not None and self._is_unexplained(levels, power / self.chip):
+            doubtful = np.ones(self.spec.nodes, bool)
+        return self._decided(frame.start, self.nominal, levels, noise_v, clipped, doubtful)
 
-    def _faint(
-        self, levels: NodeLevels | None, power: float
-    ) -> tuple[NodeLevels | None, Bools | None]:
-        """Levels that are more than noise; and whose silence is a guess, if they explain nothing.
+    def _is_unexplained(self, levels: NodeLevels, power: float) -> bool:
+        """Whether a frame without words holds more than the gap's noise, though no row does.
 
-        power: mean power of the frame's chips, V².
+        power: mean power of its chips, V².
         """
-        if levels is None:
-            return None, None
+        if self.integrated or power <= LIMITS.carried_noise * self.noise + self.silent_power:
+            return False
         squares = np.einsum("kn,kn->n", levels.values, levels.values)
         expected = np.float32(self.spec.node_swing_v or 0.0)
-        if rises(squares, expected, levels.noise_v, self.spec.line_bits).any():
-            return levels, None
-        known = not self.integrated and self.level_known
-        if known and power > LIMITS.carried_noise * self.noise + self.silent_power:
-            return None, np.ones(self.spec.nodes, bool)
-        return None, None
+        return not rises(squares, expected, levels.noise_v, self.spec.line_bits).any()
 
     @property
     def most_silent_power(self) -> float:
@@ -260,9 +251,6 @@ class MarkedLine:
             return Verdict(over=frame.start + frame.volts.size, rejected=AT_RAIL)
         if clipped > LIMITS.deafened:
             doubtful = np.ones(self.spec.nodes, bool)
-        swing_v = self.spec.node_swing_v or 0.0
-        silent = np.abs(levels.values).mean(axis=0) <= ACTIVE_SHARE * swing_v
-        doubtful = guessed_silence(silent, math.sqrt(self.noise), self.spec, doubtful)
         noise_rms_v = levels.noise_v * math.sqrt(self.spec.order)
         return self._decided(frame.start, fit, levels, noise_rms_v, clipped, doubtful)
 

@@ -221,24 +221,11 @@ def silence_hidden(clipped: float, noise_rms_v: float, spec: FrameSpec) -> Rejec
     return NOISY if noise_rms_v > blinding_noise_v(spec) else None
 
 
-def blinding_noise_v(spec: FrameSpec, rho: float = LIMITS.blind_rho) -> float:
+def blinding_noise_v(spec: FrameSpec) -> float:
     """Noise of one chip's level, V RMS, beyond which words may be missed; infinite if unknown."""
     if spec.node_swing_v is None:
         return math.inf
-    return spec.node_swing_v * math.sqrt(spec.order) / rho
-
-
-def guessed_silence(
-    silent: Bools, noise_rms_v: float, spec: FrameSpec, doubtful: Bools | None
-) -> Bools | None:
-    """Whose words or silence are guesses: those of doubtful nodes, and in noise all silence.
-
-    silent: (n,) nodes that did not speak. noise_rms_v: of one chip's level in the gap, V. doubtful:
-    (n,) or None for nobody.
-    """
-    if noise_rms_v <= blinding_noise_v(spec, LIMITS.guess_rho) or not silent.any():
-        return doubtful
-    return silent if doubtful is None else silent | doubtful
+    return spec.node_swing_v * math.sqrt(spec.order) / LIMITS.blind_rho
 
 
 def share_clipped(volts: Floats, rails_v: Rails) -> float:

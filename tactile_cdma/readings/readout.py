@@ -15,7 +15,7 @@ from ..code.amplitude import FAINT_SHARE, LEAST_SHARE, hiding_rho, most_noise_po
 from ..code.frame import FrameSpec
 from ..code.separate import frame_fields
 from ..words import lateness, limits, tones
-from ..words.decode import nobody
+from ..words.decode import MOVED_SHARE, nobody
 from ..words.health import NodeHealth
 from ..words.stages import most_square
 from .calibration import Calibration
@@ -110,6 +110,7 @@ def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
         "threshold": threshold,
         "faint_share": FAINT_SHARE,
         "least_squares": spec.line_bits * LEAST_SHARE**2,
+        "moved_share": MOVED_SHARE,
         "tone_share": tones.least_left(spec),
         "hiding_rho": hiding_rho(spec.line_bits),
         "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),

@@ -39,6 +39,9 @@ UNLIKE_OTHERS = 5.0
 """A level is also uncertain if it is off by more than UNLIKE of the word's amplitude, and by more
 than UNLIKE_OTHERS times the typical deviation of its bit and of most bits: something else is on
 that row. Chosen on disturbed lines (make torture)."""
+MOVED_SHARE = 0.3
+"""Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
+may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
 HIT, HIT_OTHERS, HIT_LEVEL = 1.0, 4.0, 0.3
 """Something has hit the line in a bit whose levels are off, all nodes together, by HIT squares of a
 node's amplitude more than those of most bits and by HIT_OTHERS times as much, one of them by
@@ -191,6 +194,10 @@ def decode(
             doubtful |= explained
         if levels.level_unknown and active[0]:  # an offset may be that word
             active[0], doubtful[0] = False, True
+    if levels.rows is not None and spec.first_row > 0 and not spec.scramble:
+        moved = float(levels.rows[:, 0].var())
+        if moved > (MOVED_SHARE * float(expected.min())) ** 2:
+            doubtful |= ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active

@@ -21,16 +21,16 @@ from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import correlate
-from .limits import LOW_RHO
 
 Complexes: TypeAlias = NDArray[np.complexfloating]
 
-TONE_SHARE = 0.1
-"""Energy per bit that words leave over, of that of the weakest, from which on tones are looked for.
-Derived: a row holds 0.87 of a tone at most, so a word that is one leaves 0.15 of its energy."""
-MOST_PERIODS, STEP, MOST_LEVELS = 16.0, 0.04, 4096
+TONE_SHARE, MOST_HELD = 0.7, 0.87
+"""Of a tone a row holds a share u, 0.87 at most of one that is not the chips' own turn; so a word
+that is one leaves over 1/u − 1 of its energy per bit. Tones are looked for from TONE_SHARE of that
+on. Chosen: the rest for noise."""
+MOST_PERIODS, STEP, MOST_LEVELS = 8.0, 0.02, 4096
 """Periods per bit up to which tones are looked for, their steps, and the levels of rows that each
-may cost. Chosen: half a step turns a tone of ten bits by a fifth of a period; rows of more periods
+may cost. Chosen: half a step turns a tone of ten bits by a tenth of a period; rows of more periods
 are few."""
 TONES = 3
 """Tones that are looked for, the strongest first. Chosen: mains and two harmonics."""
@@ -58,9 +58,13 @@ class _Tones(NamedTuple):
     holds: Floats32
 
 
+@lru_cache(maxsize=8)
 def least_left(spec: FrameSpec) -> float:
     """Energy per bit left over, of the weakest word's, from which on tones are looked for."""
-    return TONE_SHARE if not spec.scramble and _at_risk(spec).any() else math.inf
+    if spec.scramble:  # there a tone is noise
+        return math.inf
+    holds = float(_tones(spec.book).holds[spec.node_slice].max())
+    return TONE_SHARE * (1 / min(holds, MOST_HELD) - 1)
 
 
 def toned(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools | None:
@@ -70,7 +74,7 @@ def toned(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpe
     frame, and explain what is on rows where nobody spoke.
     """
     rows = levels.rows
-    if rows is None or not (_at_risk(spec) & active).any():
+    if rows is None or spec.scramble:
         return None
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits
@@ -78,8 +82,20 @@ def toned(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpe
     offset_v = float(rows[:, 0].mean()) if spec.first_row > 0 else 0.0
     if left - offset_v**2 < least_left(spec) * float(spoken.min()) ** 2:
         return None
+    words = active
+    while words.any():  # those that are none show the tones, too
+        told = _told(rows, offset_v, words, spec)
+        explained = words & (np.square(told).mean(axis=0) > np.square(HALF * amplitude))
+        if not explained.any():
+            break
+        words = words & ~explained
+    return None if words is active else active & ~words
+
+
+def _told(rows: Floats32, offset_v: float, words: Bools, spec: FrameSpec) -> Floats32:
+    """What the tones are on the nodes' rows, (k, n) V; rows: (k, N) V. words: (n,)."""
     free = np.ones(spec.order, np.float32)
-    free[spec.node_slice] = ~active
+    free[spec.node_slice] = ~words
     seen = rows * free
     if spec.first_row > 0:
         seen[:, 0] -= offset_v
@@ -96,8 +112,7 @@ def toned(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpe
         tone -= np.outer(turned.imag, tones.waves[1, best])
         seen -= (tone * free).astype(np.float32)
         told += tone[:, spec.node_slice].astype(np.float32)
-    explained: Bools = active & (np.square(told).mean(axis=0) > np.square(HALF * amplitude))
-    return explained if explained.any() else None
+    return told
 
 
 def _strongest(
@@ -128,15 +143,6 @@ def _strongest(
 
 
 @lru_cache(maxsize=8)
-def _at_risk(spec: FrameSpec) -> Bools:
-    """Nodes on whose rows a tone may look like a word, (n,): not if other rows show as noise."""
-    if spec.scramble:  # there a tone is noise
-        return np.zeros(spec.nodes, np.bool_)
-    at_risk: Bools = _tones(spec.book).holds[spec.node_slice] > 1 / (1 + spec.order / LOW_RHO**2)
-    return at_risk
-
-
-@lru_cache(maxsize=8)
 def _tones(book: CodeBook) -> _Tones:
     most = min(MOST_PERIODS, book.order / 4, MOST_LEVELS / book.order)
     periods = np.arange(STEP, most + STEP, STEP)
@@ -145,4 +151,8 @@ def _tones(book: CodeBook) -> _Tones:
     real, imaginary = waves
     power = np.square(real) + np.square(imaginary)
     products = np.stack((power, np.square(real) - np.square(imaginary), 2 * real * imaginary))
-    return _Tones(periods, waves, products, power.max(axis=0))
+    holds = np.zeros(book.order, np.float32)
+    for turn in np.exp(1j * np.pi * np.arange(8) / 8).astype(np.complex64):
+        seen = np.square(turn.real * real - turn.imag * imaginary)
+        holds = np.maximum(holds, (seen / seen.sum(axis=1, keepdims=True)).max(axis=0))
+    return _Tones(periods, waves, products, holds)
