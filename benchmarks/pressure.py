@@ -390,7 +390,7 @@ def swallowed(report: Report) -> int:
         sensor = Sensor(model, len(place))
         for t_s in np.arange(0.0, STEADY_S, LOOK_S):
             voltage_v = quantised(sensor.step(load_pa * (t_s > 15.0), t_s)).astype(np.float32)
-            read_pa, _ = chain.update(voltage_v, np.ones(len(place), dtype=bool), t_s)
+            read_pa = chain.update(voltage_v, np.ones(len(place), dtype=bool), t_s)[0]
         lost = pressed & (read_pa < 0.5 * load_pa)
         total += int(np.count_nonzero(lost))
         left = [np.median(read_pa[pressed & (load_pa == load)]) for load in CONTACTS_PA]

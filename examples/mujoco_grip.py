@@ -25,6 +25,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeAlias
 
 import mujoco
@@ -143,7 +144,8 @@ class Controller:
         if dead_after_s is not None:
             dead = ",".join(map(str, range(1, 17)))
             port += f"&dead={dead}&dead_after={dead_after_s:g}"
-        parameters = {"port": port, "stale_after_s": 0.3}
+        self.state = TemporaryDirectory()  # no tare of another simulation, nor for one
+        parameters = {"port": port, "stale_after_s": 0.3, "state_folder": self.state.name}
         self.processes = [
             started("-m", "tactile_cdma.ros.driver.node", **parameters),
             started(str(Path(__file__).with_name("grip.py")), slip_m_s=slip_m_s),
@@ -193,6 +195,7 @@ class Controller:
         for process in self.processes:
             process.terminate()
             process.wait()
+        self.state.cleanup()
 
 
 def started(*command: str, **parameters: object) -> subprocess.Popen[bytes]:

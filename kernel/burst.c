@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "fit.h"
+#include "vectors.h"
 
 static double least_of(double some, double other)
 {
@@ -16,9 +17,9 @@ static double most_of(double some, double other)
     return some > other ? some : other;
 }
 
-size_t burst_scratch(const struct burst_search *search, size_t size)
+size_t burst_scratch(size_t count)
 {
-    return 3 * (size / search->half + 1);
+    return 2 * (count + 1);
 }
 
 /* Mean of a half chip. */
@@ -31,21 +32,35 @@ static inline double mean_of(const double *volts, size_t half)
     return sum * (1.0 / (double)half);
 }
 
-bool burst_gap(const struct burst_search *search, const double *volts, size_t size,
-               const struct burst_gap *known, struct burst_gap *gap, double *scratch)
+INLINE void find_halves(const double *restrict volts, size_t count, const size_t half,
+                        double *restrict means)
 {
-    size_t count = size / search->half, width = search->window < count ? search->window : count;
+    for (size_t i = 0; i < count; i++)
+        means[i] = mean_of(volts + i * half, half);
+}
+
+VECTORS void burst_halves(const struct burst_search *search, const double *volts, size_t size,
+                          double *means)
+{
+    if (search->half == 2) /* of four samples per chip: a constant, so that it is done for many at once */
+        find_halves(volts, size / 2, 2, means);
+    else
+        find_halves(volts, size / search->half, search->half, means);
+}
+
+VECTORS bool burst_gap(const struct burst_search *search, const double *means, size_t count,
+                       const struct burst_gap *known, struct burst_gap *gap, double *scratch)
+{
+    size_t width = search->window < count ? search->window : count;
     double *sums = scratch, *squares = scratch + count + 1, least = INFINITY, level = 0;
 
     if (width < 4)
         return false;
-    sums[0] = squares[0] = 0;
     gap->begin = 0;
-    for (size_t i = 0; i < count; i++) {
-        double off = mean_of(volts + i * search->half, search->half) - known->level;
-        sums[i + 1] = sums[i] + off;
-        squares[i + 1] = squares[i] + off * off;
-    }
+    for (size_t i = 0; i < count; i++)
+        squares[i + 1] = (means[i] - known->level) * (means[i] - known->level);
+    fit_sums(squares + 1, count, 0, squares);
+    fit_sums(means, count, known->level, sums);
     for (size_t i = 0; i + width <= count; i++) {
         double power = squares[i + width] - squares[i];
         if (power < least) {
@@ -99,40 +114,44 @@ static void cut_frame(const struct burst_search *search, const struct view *view
 }
 
 /* Where the frame is first silent for longer than one would be: every bit has the same energy, and `width`
- * holds a whole one. */
-static size_t pause_of(const struct burst_search *search, const double *energy, size_t count, size_t first,
-                       size_t last, double power, double variance, double limit)
+ * holds a whole one. half_power: what the cells' gain lacks. */
+static size_t pause_of(const struct burst_search *search, const struct view *view, size_t first, size_t last,
+                       double half_power, double power, double variance, double limit)
 {
-    double sum = 0;
+    double least = (double)search->width * (0.2 * power + variance), sum = 0;
+    size_t cells = search->width / search->group, cell = first / search->group;
 
+    cells -= cells > 0; /* whole ones of a window; mostly they hold enough */
+    while (cell + cells <= last / search->group &&
+           (view->gain[cell + cells] - view->gain[cell] + (double)cells * half_power) *
+                   (double)search->group > 1.001 * least)
+        cell++;
+    if (cell + cells > last / search->group)
+        return last;
     for (size_t i = first; i < last; i++) {
-        sum += energy[i] - (i - first < search->width ? 0 : energy[i - search->width]);
-        if (i + 1 - first < search->width)
+        sum += view->energy[i] - (i - first < search->width ? 0 : view->energy[i - search->width]);
+        if (i + 1 - first < search->width || sum >= least)
             continue;
-        if (sum / (double)search->width - variance < 0.2 * power) {
-            size_t begin = i + 1 - search->width, stop = begin + search->width, pause = begin;
-            for (size_t next = begin; next < stop && next < count; next++)
-                pause = energy[next] > limit ? next + 1 : pause;
-            return pause;
-        }
+        size_t begin = i + 1 - search->width, stop = begin + search->width, pause = begin;
+        for (size_t next = begin; next < stop && next < view->count; next++)
+            pause = view->energy[next] > limit ? next + 1 : pause;
+        return pause;
     }
     return last;
 }
 
-bool burst_find(const struct burst_search *search, const double *volts, size_t size, double least_power,
-                double variance, struct burst_found *found, double *scratch)
+bool burst_find(const struct burst_search *search, const double *means, size_t count, double least_power,
+                const struct burst_gap *gap, struct burst_found *found, double *scratch)
 {
-    size_t count = size / search->half, group = search->group, begin = 0, end = 0;
+    size_t group = search->group, begin = 0, end = 0;
     struct view view = {count, count / group, scratch, scratch + count};
     size_t low = search->low < view.cells ? search->low : view.cells;
-    double sum = 0, peak = 0;
+    double sum = 0, peak = 0, variance = gap->variance;
 
     if (low < 8)
         return false;
-    for (size_t i = 0; i < count; i++) {
-        double mean = mean_of(volts + i * search->half, search->half);
-        view.energy[i] = mean * mean;
-    }
+    for (size_t i = 0; i < count; i++)
+        view.energy[i] = (means[i] - gap->level) * (means[i] - gap->level);
     for (size_t cell = 0; cell < view.cells; cell++) {
         view.gain[cell + 1] = mean_of(view.energy + cell * group, group);
         sum += view.gain[cell + 1] - (cell < low ? 0 : view.gain[cell + 1 - low]);
@@ -165,7 +184,7 @@ bool burst_find(const struct burst_search *search, const double *volts, size_t s
     double snr = power / variance;
     size_t pause = last;
     if (snr > 8 && last > first + search->width)
-        pause = pause_of(search, view.energy, count, first, last, power, variance, limit);
+        pause = pause_of(search, &view, first, last, half_power, power, variance, limit);
     found->slack = search->chip * (1.5 + 60.0 / snr);
     if (!sharp)
         found->slack += (double)(search->half * (group - 1));
@@ -178,12 +197,15 @@ bool burst_find(const struct burst_search *search, const double *volts, size_t s
 }
 
 /* One side of a frame: half chips, nearest first, of `count` samples from `volts` on. */
-static size_t side_of(const double *volts, size_t count, size_t half, bool backwards, float *side)
+static size_t side_of(const double *volts, size_t count, double level, size_t half, bool backwards,
+                      float *side)
 {
     size_t halves = count / half;
 
-    for (size_t i = 0; i < halves; i++)
-        side[i] = (float)mean_of(backwards ? volts + count - (i + 1) * half : volts + i * half, half);
+    for (size_t i = 0; i < halves; i++) {
+        const double *from = backwards ? volts + count - (i + 1) * half : volts + i * half;
+        side[i] = (float)(mean_of(from, half) - level);
+    }
     return halves;
 }
 
@@ -202,13 +224,14 @@ static bool is_quiet(const struct burst_search *search, const float *side, size_
 }
 
 struct burst_beside burst_beside(const struct burst_search *search, const double *volts, size_t size,
-                                 size_t first, size_t end, double variance, double power,
+                                 double level, size_t first, size_t end, double variance, double power,
                                  float *scratch)
 {
     size_t begin = first > search->gap_size ? first - search->gap_size : 0;
     size_t stop = end + search->gap_size < size ? end + search->gap_size : size;
-    size_t before = side_of(volts + begin, first - begin, search->half, true, scratch);
-    size_t after = end < stop ? side_of(volts + end, stop - end, search->half, false, scratch + before) : 0;
+    size_t before = side_of(volts + begin, first - begin, level, search->half, true, scratch);
+    size_t after =
+        end < stop ? side_of(volts + end, stop - end, level, search->half, false, scratch + before) : 0;
     struct burst_beside found = {0, variance, true};
     float *steps = scratch + before + after;
     size_t count = 0;

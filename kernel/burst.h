@@ -36,20 +36,24 @@ struct burst_beside {
     bool quiet;
 };
 
-/* Values of scratch that so many samples take. */
-size_t burst_scratch(const struct burst_search *search, size_t size);
+/* Means of half chips: size / half. */
+void burst_halves(const struct burst_search *search, const double *volts, size_t size, double *means);
 
-/* The quietest window about the known level. False where the samples are too few for one. */
-bool burst_gap(const struct burst_search *search, const double *volts, size_t size,
+/* Values of scratch that so many half chips take. */
+size_t burst_scratch(size_t count);
+
+/* The quietest window of half chips about the known level. False where they are too few for one. */
+bool burst_gap(const struct burst_search *search, const double *means, size_t count,
                const struct burst_gap *known, struct burst_gap *gap, double *scratch);
 
-/* Whether there is a burst. volts: the gap's level removed. least_power: of a node, V². */
-bool burst_find(const struct burst_search *search, const double *volts, size_t size, double least_power,
-                double variance, struct burst_found *found, double *scratch);
+/* Whether there is a burst, beside this gap. least_power: of a node, V². */
+bool burst_find(const struct burst_search *search, const double *means, size_t count, double least_power,
+                const struct burst_gap *gap, struct burst_found *found, double *scratch);
 
-/* The gaps before sample `first` and from sample `end` on. variance, power: of the burst between. */
+/* The gaps before sample `first` and from sample `end` on, of a level. variance, power: of the burst
+ * between. */
 struct burst_beside burst_beside(const struct burst_search *search, const double *volts, size_t size,
-                                 size_t first, size_t end, double variance, double power,
+                                 double level, size_t first, size_t end, double variance, double power,
                                  float *scratch);
 
 #endif

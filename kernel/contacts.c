@@ -8,8 +8,8 @@
 #include <string.h>
 
 /* Bits of contacts_kept.unread: the taxel has no reading; it had one in the frame before and has none, or
- * the other way round. */
-enum { UNREAD = 1, CHANGED = 2 };
+ * the other way round; it may carry more than it reads. */
+enum { UNREAD = 1, CHANGED = 2, DIM = 4 };
 
 static int32_t root_of(int32_t *root, int32_t taxel)
 {
@@ -93,14 +93,17 @@ static size_t rank(const struct contacts_skin *skin, float contact_pa, const flo
     return count;
 }
 
-/* Notes which taxels have a reading; returns the bits that any of them has. */
-static uint8_t note_unread(size_t taxels, const float *pressure_pa, uint8_t *unread)
+/* Notes what is to be said of each taxel's reading; returns the bits that any of them has. */
+static uint8_t note_unread(size_t taxels, const struct contacts_limits *limits,
+                           const float *pressure_pa, const uint8_t *status, uint8_t *unread)
 {
     uint8_t any = 0;
 
     for (size_t i = 0; i < taxels; i++) {
         bool now = isnan(pressure_pa[i]), before = unread[i] & UNREAD;
-        unread[i] = (uint8_t)((now ? UNREAD : 0) | (now != before ? CHANGED : 0));
+        bool dim = now || (status[i] & limits->saturated) || pressure_pa[i] < -limits->contact_pa;
+        unread[i] =
+            (uint8_t)((now ? UNREAD : 0) | (now != before ? CHANGED : 0) | (dim ? DIM : 0));
         any |= unread[i];
     }
     return any;
@@ -138,7 +141,7 @@ size_t contacts_gather(const struct contacts_skin *skin, const struct contacts_l
                        const struct contacts_kept *kept, const struct contacts_scratch *scratch,
                        const struct contacts_found *found)
 {
-    uint8_t any = note_unread(skin->taxels, pressure_pa, kept->unread);
+    uint8_t any = note_unread(skin->taxels, limits, pressure_pa, status, kept->unread);
     bool is_touched = false;
     for (size_t i = 0; i < skin->taxels; i++)
         is_touched |= (pressure_pa[i] > limits->contact_pa) | (kept->place[i] >= 0);
@@ -183,7 +186,7 @@ size_t contacts_gather(const struct contacts_skin *skin, const struct contacts_l
         for (size_t n = 0; any && n < skin->near; n++)
             bits |= kept->unread[skin->neighbours[i * skin->near + n]];
         bits |= kept->unread[i];
-        found->lower_bound[c] |= found->saturated[c] | (bits & UNREAD);
+        found->lower_bound[c] |= (bits & DIM) != 0;
         found->torn[c] |= (bits & CHANGED) != 0;
     }
     return add_rim(skin, limits->rim_pa, pressure_pa, kept->place, found->sums) ? count : SIZE_MAX;

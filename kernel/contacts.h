@@ -45,7 +45,7 @@ struct contacts_scratch {
 /* taxels, before: (taxels,) those in contact, contact by contact, and their contacts in the frame before.
  * starts: (taxels + 1,) where each contact begins among these, and where the last ends. Of each contact:
  * sums, (taxels, CONTACTS_SUMS), and (taxels,) greatest pressure, whether a taxel is saturated, whether
- * one is or a taxel in it or beside it has no reading, whether one there lost or got its reading. */
+ * one in it or beside it may carry more than it reads, whether one there lost or got its reading. */
 struct contacts_found {
     int32_t *taxels, *before, *starts;
     double *sums;

@@ -5,44 +5,67 @@
 #include <math.h>
 #include <string.h>
 
-struct place {
-    ptrdiff_t whole; /* signed: what converts such to a double is one instruction */
-    double share;
-};
+#include "vectors.h"
 
-/* The sample that an instant lies in, and the share of it that has passed. */
-static inline struct place place_of(const struct fit_line *line, double time)
+#define BLOCK 64 /* instants that are looked at together */
+#define LANES 4 /* sums that are kept apart, so that they can be added at once */
+
+/* By fours, because an addition that waits for the one before takes four times as long. */
+void fit_sums(const double *values, size_t size, double level, double *sums)
 {
-    double size = (double)line->size, shifted = time + 0.5;
+    double sum = sums[0] = 0;
+    size_t i = 0;
 
-    shifted = shifted > 0 ? shifted : 0;
-    shifted = shifted < size ? shifted : size;
-    ptrdiff_t whole = (ptrdiff_t)shifted, last = (ptrdiff_t)line->size - 1;
-    whole = whole < last ? whole : last;
-    return (struct place){whole, shifted - (double)whole};
+    for (; i + 4 <= size; i += 4) {
+        double a = values[i] - level, b = values[i + 1] - level;
+        double c = values[i + 2] - level, d = values[i + 3] - level;
+        double ab = a + b, cd = c + d;
+        sums[i + 1] = sum + a;
+        sums[i + 2] = sum + ab;
+        sums[i + 3] = sum + (ab + c);
+        sums[i + 4] = sum += ab + cd;
+    }
+    for (; i < size; i++)
+        sums[i + 1] = sum += values[i] - level;
 }
 
-static inline double sum_before(const struct fit_line *line, struct place place)
+/* The line's integral up to `count` instants, `step` samples apart, and the number of samples that went by. An
+ * instant passes the sample that it lies in within `blur` of it. */
+INLINE void integrate(const struct fit_line *line, double first, double step, double blur, size_t count,
+                      double *restrict sums, double *restrict numbers)
 {
-    return line->sums[place.whole] + place.share * line->volts[place.whole];
+    double size = (double)line->size, last = size - 1, sharp = 1 / blur;
+    int32_t place[BLOCK + 1];
+
+    for (int32_t i = 0; i < (int32_t)count; i++) {
+        double time = first + step * (double)i + 0.5;
+        time = time > 0 ? time : 0;
+        time = time < size ? time : size;
+        double whole = (double)(int32_t)time;
+        whole = whole < last ? whole : last;
+        double share = (time - whole - 0.5) * sharp + 0.5;
+        share = share < 0 ? 0 : share > 1 ? 1 : share;
+        place[i] = (int32_t)whole;
+        numbers[i] = whole + share;
+        sums[i] = share;
+    }
+    for (size_t i = 0; i < count; i++)
+        sums[i] = line->sums[place[i]] + sums[i] * (line->volts[place[i]] - line->level);
 }
 
-void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
-                size_t count, float *levels)
+VECTORS void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
+                        size_t count, float *levels)
 {
-    double before = 0, number_before = 0;
+    double sums[BLOCK + 1], numbers[BLOCK + 1];
 
-    for (ptrdiff_t i = 0; i <= (ptrdiff_t)count; i++) {
-        struct place place = place_of(line, fit->start + fit->chip * (double)(i - (ptrdiff_t)lead));
-        double share = (place.share - 0.5) / blur + 0.5;
-        place.share = share < 0 ? 0 : share > 1 ? 1 : share;
-        double sum = sum_before(line, place), number = (double)place.whole + place.share;
-        if (i) {
-            double size = number - number_before;
-            levels[i - 1] = (float)((sum - before) / (size < 0.5 ? 0.5 : size));
+    for (size_t done = 0; done < count; done += BLOCK, levels += BLOCK) {
+        size_t size = count - done < BLOCK ? count - done : BLOCK;
+        double first = fit->start + fit->chip * (double)((ptrdiff_t)done - (ptrdiff_t)lead);
+        integrate(line, first, fit->chip, blur, size + 1, sums, numbers);
+        for (size_t i = 0; i < size; i++) {
+            double number = numbers[i + 1] - numbers[i];
+            levels[i] = (float)((sums[i + 1] - sums[i]) / (number < 0.5 ? 0.5 : number));
         }
-        before = sum;
-        number_before = number;
     }
 }
 
@@ -84,25 +107,42 @@ void fit_model(const struct fit_code *code, size_t bits, float pedestal, float *
 
 /* Weighted least squares of how late edges come: of `count` edges, edge i between level i and i + 1 of the
  * model. */
-static struct fit moved(const struct fit_line *line, struct fit fit, double reach, size_t count,
-                        const float *levels, double earliest, double latest)
+VECTORS static struct fit moved(const struct fit_line *line, struct fit fit, double reach, size_t count,
+                                const float *levels, double earliest, double latest)
 {
-    double w0 = 0, w1 = 0, w2 = 0, m0 = 0, m1 = 0, most = (double)line->size - 0.5;
+    double left[BLOCK + 1], other[BLOCK], unused[BLOCK + 1], all[5][LANES] = {{0}};
+    double least = reach - 0.5, most = (double)line->size - 0.5 - reach;
+    const double *right = 2 * reach == fit.chip ? left + 1 : other; /* where the next edge's left is */
 
-    for (ptrdiff_t i = 0; i < (ptrdiff_t)count; i++) {
-        double number = (double)i, edge = fit.start + fit.chip * number;
-        double before = (double)levels[i], after = (double)levels[i + 1], step = before - after;
-        if (step == 0 || edge < reach - 0.5 || edge + reach > most)
-            continue;
-        double area = sum_before(line, place_of(line, edge + reach)) -
-                      sum_before(line, place_of(line, edge - reach)) - reach * (before + after);
-        double weight = step * step, moment = step * area;
-        w0 += weight;
-        w1 += weight * number;
-        w2 += weight * (number * number);
-        m0 += moment;
-        m1 += moment * number;
+    for (size_t done = 0; done < count; done += BLOCK, levels += BLOCK) {
+        size_t size = count - done < BLOCK ? count - done : BLOCK;
+        double first = fit.start + fit.chip * (double)done, place[BLOCK];
+        double weights[BLOCK] = {0}, moments[BLOCK] = {0};
+        integrate(line, first - reach, fit.chip, 1, size + 1, left, unused);
+        if (right == other)
+            integrate(line, first + reach, fit.chip, 1, size, other, unused);
+        for (int32_t i = 0; i < (int32_t)size; i++) {
+            double edge = first + fit.chip * (double)i;
+            double before = (double)levels[i], after = (double)levels[i + 1];
+            double step = edge >= least && edge <= most ? before - after : 0;
+            weights[i] = step * step;
+            moments[i] = step * (right[i] - left[i] - reach * (before + after));
+        }
+        for (int32_t i = 0; i < BLOCK; i++)
+            place[i] = (double)done + (double)i;
+        for (size_t i = 0; i < BLOCK; i += LANES)
+            for (size_t lane = 0; lane < LANES; lane++) {
+                double number = place[i + lane], weight = weights[i + lane], moment = moments[i + lane];
+                all[0][lane] += weight;
+                all[1][lane] += weight * number;
+                all[2][lane] += weight * (number * number);
+                all[3][lane] += moment;
+                all[4][lane] += moment * number;
+            }
     }
+    for (size_t i = 0; i < 5; i++)
+        all[i][0] += all[i][1] + all[i][2] + all[i][3];
+    double w0 = all[0][0], w1 = all[1][0], w2 = all[2][0], m0 = all[3][0], m1 = all[4][0];
     double determinant = w0 * w2 - w1 * w1, start = fit.start;
     if (determinant > 1e-9 * w0 * w2)
         start += (w2 * m0 - w1 * m1) / determinant;

@@ -14,10 +14,12 @@
 #include "transform.h"
 #include "words.h"
 
-/* Samples of a line without its level of rest, V, and their sums: sums[i] is that of the first i. */
+/* Samples of a line, V, its level of rest, and sums of the samples without that: sums[i] is that of the first
+ * i. At most 2³¹ − 1 samples. */
 struct fit_line {
     size_t size;
     const double *volts, *sums;
+    double level;
 };
 
 /* How frames are sent and read. flips: (k, N) of the scrambler, or NULL. places: (k·N) of the coded chips
@@ -40,6 +42,9 @@ struct fit_refining {
     size_t turns;
     const double *reaches;
 };
+
+/* Running sums of `size` values without a level: size + 1, from 0 on. `sums` may be one before `values`. */
+void fit_sums(const double *values, size_t size, double level, double *sums);
 
 /* Mean level, V, of `count` chips on end, of which number `lead` is the first of the fit. */
 void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,

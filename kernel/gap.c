@@ -7,7 +7,9 @@
 
 size_t gap_values(const struct burst_search *search, size_t samples)
 {
-    return 2 * samples + 1 + burst_scratch(search, samples);
+    size_t halves = samples / search->half;
+
+    return samples + 1 + halves + burst_scratch(halves);
 }
 
 /* Chips of the longest view of GAP_MOST candidates a chip apart. */
@@ -19,7 +21,7 @@ static size_t most_chips(const struct fit_code *code)
 size_t gap_scratch(const struct fit_code *code, const struct burst_search *search)
 {
     size_t order = code->frame.order, each = code->frame.bits * order + 2 * code->frame.nodes + 4;
-    size_t judge = (GAP_MOST + 2) * most_chips(code) + (code->frame.bits + GAP_MOST * (code->frame.bits / 2 + 1)) * order;
+    size_t judge = (GAP_MOST + 2) * most_chips(code) + GAP_MOST * code->frame.bits * order;
     size_t beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
 
     judge = judge < beside ? beside : judge;
@@ -129,19 +131,16 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
               double least_power, const struct burst_gap *known, const struct gap_expected *expected,
               struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
 {
-    double *shifted = values, *sums = shifted + size, *rest = sums + size + 1, earliest, latest;
+    size_t halves = size / search->half;
+    double *sums = values, *means = sums + size + 1, *rest = means + halves, earliest, latest;
     struct burst_found *burst = &seen->burst;
 
     *look = GAP_SILENT;
     seen->proven = 0;
-    if (!burst_gap(search, volts, size, known, &seen->gap, rest))
+    burst_halves(search, volts, size, means);
+    if (!burst_gap(search, means, halves, known, &seen->gap, rest))
         return false;
-    sums[0] = 0;
-    for (size_t i = 0; i < size; i++) {
-        shifted[i] = volts[i] - seen->gap.level;
-        sums[i + 1] = sums[i] + shifted[i];
-    }
-    if (!burst_find(search, shifted, size, least_power, seen->gap.variance, burst, rest))
+    if (!burst_find(search, means, halves, least_power, &seen->gap, burst, rest))
         return true;
     *look = GAP_UNSURE;
     if (may_have_another(search, rules, burst, size))
@@ -153,7 +152,8 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
           loud + 2 * burst->slack >= rules->shortest - 1.5 * (double)code->frame.order * search->chip &&
           loud <= rules->longest + 2 * burst->slack))
         return true;
-    const struct fit_line line = {size, shifted, sums};
+    const struct fit_line line = {size, volts, sums, seen->gap.level};
+    fit_sums(volts, size, line.level, sums);
     const struct fit_refining refining = {limits->blur, rules->settled_chips, turns, reaches};
     seen->fit = fit_refine(code, &line, &refining, (struct fit){expected->start, expected->chip}, -INFINITY,
                            INFINITY, scratch);
@@ -168,7 +168,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
         return true;
     double first = floor(seen->fit.start - seen->fit.chip);
     end = ceil(end + seen->fit.chip);
-    seen->beside = burst_beside(search, shifted, size, first > 0 ? (size_t)first : 0, (size_t)end,
+    seen->beside = burst_beside(search, volts, size, line.level, first > 0 ? (size_t)first : 0, (size_t)end,
                                 burst->variance, burst->power, scratch);
     *look = GAP_FRAME;
     return true;

@@ -128,8 +128,8 @@ static struct judge_votes votes_by(const struct judge_limits *limits, const floa
     return (struct judge_votes){distortion, variance};
 }
 
-/* What all functions below work with. off: (c, most) what candidates leave of the chips of their views. part:
- * (c, part) chips of their first bits. */
+/* What all functions below work with. off: (c, most) what candidates leave of the chips of their views. model:
+ * chips that they say were sent, on end. */
 struct weighing {
     const struct fit_code *code;
     const struct fit_line *line;
@@ -139,22 +139,13 @@ struct weighing {
     struct judge_votes *votes;
     struct seen there; /* whose `levels` these are */
     size_t most;
-    float *levels, *off, *model, *part;
+    float *levels, *off, *model;
     double noise;
 };
 
-/* The first bits of a frame, which rule out most candidates. Chosen: half of them; what is wrong by whole chips
- * is wrong in all. */
-static size_t bits_of_part(const struct words_frame *frame)
-{
-    return (frame->bits + 1) / 2 < 2 ? 2 : (frame->bits + 1) / 2;
-}
-
 size_t judge_scratch(const struct fit_code *code, const struct judge_candidates *all)
 {
-    size_t part = all->count * bits_of_part(&code->frame) * code->frame.order;
-
-    return (all->count + 2) * judge_chips(code, all) + code->frame.bits * code->frame.order + part;
+    return (all->count + 2) * judge_chips(code, all) + all->count * code->frame.bits * code->frame.order;
 }
 
 static struct seen look_at(struct weighing *w, size_t c)
@@ -165,39 +156,65 @@ static struct seen look_at(struct weighing *w, size_t c)
     return seen;
 }
 
-/* Finds what the model's chips of the first `bits` bits leave of the levels of a candidate's view. */
-static void find_off(struct weighing *w, size_t c, const struct seen *seen, size_t bits, const float *model)
+/* Finds the words of the candidates from `first` to before `end`, and the model: by all bits of the one that is
+ * `whole`, and of the others by their first bits alone. What transforms do at once costs little more than one
+ * of them. */
+static void find_words(struct weighing *w, size_t first, size_t end, size_t whole, size_t bits)
 {
-    size_t size = bits * w->code->frame.order;
-    float *off = w->off + c * w->most, *own = off + seen->lead;
+    const struct judge_found *found = w->found;
+    const size_t order = w->code->frame.order, all = w->code->frame.bits;
+    struct words_frame frame = w->code->frame;
+    size_t total = 0;
 
-    memcpy(off, w->levels, seen->count * sizeof *off);
-    if (w->code->span == w->code->frame.bits * w->code->frame.order)
-        for (size_t i = 0; i < size; i++)
-            own[i] -= model[i];
-    else
-        for (size_t i = 0; i < size; i++)
-            own[w->code->places[i]] -= model[i];
+    for (size_t c = first; c < end; total += frame.bits, c++) {
+        frame.bits = c == whole ? all : bits;
+        struct seen seen = look_at(w, c);
+        fit_chips(w->code, w->levels + seen.lead, frame.bits, w->model + total * order);
+    }
+    transform_multiply(w->code->correlate, w->model, w->model, total);
+    float *model = w->model;
+    for (size_t c = first; c < end; model += frame.bits * order, c++) {
+        float *rows = found->rows + c * all * order, *amplitude = found->amplitude + c * frame.nodes;
+        frame.bits = c == whole ? all : bits;
+        memcpy(rows, model, frame.bits * order * sizeof *rows);
+        memset(rows + frame.bits * order, 0, (all - frame.bits) * order * sizeof *rows);
+        words_fit(&frame, rows, amplitude, found->uneven + c * frame.nodes, &found->pedestal[c],
+                  &found->power[c], &found->spread[c], &found->misfit[c]);
+        fit_symbols(w->code, frame.bits, rows, amplitude, model);
+    }
+    transform_multiply(w->code->spread, w->model, w->model, total);
+    model = w->model;
+    for (size_t c = first; c < end; model += frame.bits * order, c++) {
+        frame.bits = c == whole ? all : bits;
+        fit_model(w->code, frame.bits, found->pedestal[c], model);
+    }
 }
 
-/* Finds the words of a candidate, and what they leave over. Returns the power of that. */
-static double find_words(struct weighing *w, size_t c)
+/* Finds what the model's chips of the first bits leave of the levels of a candidate's view, and what is silent
+ * in that. Returns how many they are. */
+static size_t find_off(struct weighing *w, size_t c, size_t bits, const float *model)
 {
-    const struct words_frame *frame = &w->code->frame;
-    const struct judge_found *found = w->found;
+    const struct fit_code *code = w->code;
     struct seen seen = look_at(w, c);
-    float *rows = found->rows + c * frame->bits * frame->order;
-    float *amplitude = found->amplitude + c * frame->nodes;
+    size_t chips = bits * code->frame.order, end = seen.lead + code->span;
+    size_t coded = bits < code->frame.bits ? seen.lead + (size_t)code->places[chips - 1] + 1 : end;
+    float *off = w->off + c * w->most, *own = off + seen.lead;
 
-    fit_chips(w->code, w->levels + seen.lead, frame->bits, rows);
-    transform_multiply(w->code->correlate, rows, rows, frame->bits);
-    words_fit(frame, rows, amplitude, found->uneven + c * frame->nodes, &found->pedestal[c],
-              &found->power[c], &found->spread[c], &found->misfit[c]);
-    fit_symbols(w->code, frame->bits, rows, amplitude, w->model);
-    transform_multiply(w->code->spread, w->model, w->model, frame->bits);
-    fit_model(w->code, frame->bits, found->pedestal[c], w->model);
-    find_off(w, c, &seen, frame->bits, w->model);
-    return seen.weight * square_sum(w->off + c * w->most, seen.count);
+    memcpy(off, w->levels, coded * sizeof *off);
+    memcpy(off + coded, w->levels + end, (seen.count - end) * sizeof *off);
+    if (code->span == code->frame.bits * code->frame.order)
+        for (size_t i = 0; i < chips; i++)
+            own[i] -= model[i];
+    else
+        for (size_t i = 0; i < chips; i++)
+            own[code->places[i]] -= model[i];
+    return coded + seen.count - end;
+}
+
+/* The power of what a candidate leaves over. */
+static double left_by(const struct weighing *w, size_t c, size_t size)
+{
+    return seen_of(w->code, w->all, c).weight * square_sum(w->off + c * w->most, size);
 }
 
 /* Finds how chips vote by what a candidate leaves over, unless that is known. */
@@ -212,101 +229,71 @@ static void find_votes(struct weighing *w, size_t c)
     }
 }
 
-/* The cost of a candidate by what its words leave over. */
-static double cost_of(const struct weighing *w, size_t c)
+/* The cost of a candidate by what it leaves over. */
+static double cost_of(const struct weighing *w, size_t c, size_t size)
 {
-    struct seen seen = seen_of(w->code, w->all, c);
+    double weight = seen_of(w->code, w->all, c).weight;
 
-    return seen.weight * votes_of(w->off + c * w->most, seen.count, w->votes, w->limits->vote);
-}
-
-/* The chips (c, part) that the first bits of all candidates say by themselves, into `part`; what transforms
- * do at once costs little more than one of them. */
-static void find_parts(struct weighing *w)
-{
-    struct words_frame frame = w->code->frame;
-    const struct judge_found *found = w->found;
-    size_t count = w->all->count, size = frame.bits * frame.order;
-
-    frame.bits = bits_of_part(&frame);
-    size_t part = frame.bits * frame.order;
-    for (size_t c = 0; c < count; c++) {
-        struct seen seen = look_at(w, c);
-        fit_chips(w->code, w->levels + seen.lead, frame.bits, w->part + c * part);
-    }
-    transform_multiply(w->code->correlate, w->part, w->part, count * frame.bits);
-    for (size_t c = 0; c < count; c++) {
-        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * frame.nodes;
-        memset(rows, 0, size * sizeof *rows);
-        memcpy(rows, w->part + c * part, part * sizeof *rows);
-        words_fit(&frame, rows, amplitude, found->uneven + c * frame.nodes, &found->pedestal[c],
-                  &found->power[c], &found->spread[c], &found->misfit[c]);
-        fit_symbols(w->code, frame.bits, rows, amplitude, w->part + c * part);
-    }
-    transform_multiply(w->code->spread, w->part, w->part, count * frame.bits);
-    for (size_t c = 0; c < count; c++)
-        fit_model(w->code, frame.bits, found->pedestal[c], w->part + c * part);
-}
-
-/* The cost of a candidate by its first bits, and by what is silent in its view. */
-static double part_cost(struct weighing *w, size_t c)
-{
-    size_t bits = bits_of_part(&w->code->frame), part = bits * w->code->frame.order;
-    struct seen seen = look_at(w, c);
-    size_t coded = seen.lead + (size_t)w->code->places[part - 1] + 1, end = seen.lead + w->code->span;
-    float *off = w->off + c * w->most;
-
-    find_off(w, c, &seen, bits, w->part + c * part);
-    double cost = votes_of(off, coded, w->votes, w->limits->vote);
-    cost += votes_of(off + end, seen.count - end, w->votes, w->limits->vote);
-    return seen.weight * cost;
+    return weight * votes_of(w->off + c * w->most, size, w->votes, w->limits->vote);
 }
 
 /* Weighs the likely candidate, and of the others those that their first bits do not rule out. False where
  * one of them leaves less over than the likely one does: then it is the one by which chips vote. */
 static bool weigh_likely(struct weighing *w)
 {
-    size_t likely = w->all->likely;
+    const size_t likely = w->all->likely, count = w->all->count, all = w->code->frame.bits;
+    /* Chosen: half of them; what is wrong by whole chips is wrong in all. */
+    const size_t bits = (all + 1) / 2 < 2 ? 2 : (all + 1) / 2, part = bits * w->code->frame.order;
     double *cost = w->found->cost;
 
-    find_parts(w);
-    double left = find_words(w, likely);
+    find_words(w, 0, count, likely, bits);
+    size_t size = find_off(w, likely, all, w->model + likely * part);
+    double left = left_by(w, likely, size);
     find_votes(w, likely);
-    double least = cost[likely] = cost_of(w, likely);
-    for (size_t c = 0; c < w->all->count; c++) {
-        if (c == likely || (cost[c] = part_cost(w, c)) > least + w->all->margin)
+    double least = cost[likely] = cost_of(w, likely, size);
+    const float *model = w->model;
+    for (size_t c = 0; c < count; c++) {
+        if (c != likely)
+            cost[c] = cost_of(w, c, find_off(w, c, bits, model));
+        model += (c == likely ? all : bits) * w->code->frame.order;
+    }
+    for (size_t c = 0; c < count; c++) {
+        if (c == likely || cost[c] > least + w->all->margin)
             continue;
-        if (find_words(w, c) < left)
+        find_words(w, c, c + 1, c, all);
+        size = find_off(w, c, all, w->model);
+        if (left_by(w, c, size) < left)
             return false;
-        cost[c] = cost_of(w, c);
+        cost[c] = cost_of(w, c, size);
     }
     return true;
 }
 
 static void weigh_all(struct weighing *w)
 {
+    const size_t count = w->all->count, all = w->code->frame.bits;
     double *cost = w->found->cost;
     size_t best = 0;
 
-    for (size_t c = 0; c < w->all->count; c++) {
-        cost[c] = find_words(w, c);
+    find_words(w, 0, count, count, all);
+    for (size_t c = 0; c < count; c++) {
+        cost[c] = left_by(w, c, find_off(w, c, all, w->model + c * all * w->code->frame.order));
         best = cost[c] < cost[best] ? c : best;
     }
     find_votes(w, best);
-    for (size_t c = 0; c < w->all->count; c++)
-        cost[c] = cost_of(w, c);
+    for (size_t c = 0; c < count; c++)
+        cost[c] = cost_of(w, c, seen_of(w->code, w->all, c).count);
 }
 
 void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                  const struct judge_limits *limits, const struct judge_candidates *all, double noise,
                  const struct judge_found *found, struct judge_votes *votes, float *scratch)
 {
-    size_t most = judge_chips(code, all), size = code->frame.bits * code->frame.order;
-    float *model = scratch + (all->count + 2) * most;
+    size_t most = judge_chips(code, all);
     struct judge_votes given = *votes;
     struct weighing w = {.code = code, .line = line, .limits = limits, .all = all, .found = found,
                          .votes = votes, .noise = noise, .most = most, .levels = scratch,
-                         .off = scratch + most, .model = model, .part = model + size};
+                         .off = scratch + most, .model = scratch + (all->count + 2) * most};
 
     if (all->likely < all->count && weigh_likely(&w))
         return;

@@ -14,7 +14,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 14 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 16 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -69,6 +69,7 @@ static const struct field readout_fields[] = {
     OF_READOUT(bits.saturated),
     OF_READOUT(bits.uncalibrated),
     OF_READOUT(bits.masked),
+    OF_READOUT(bits.faulty),
     OF_READOUT(scrambled),
     OF_READOUT(spare),
     OF_READOUT(spare_count),

@@ -61,7 +61,8 @@ CONSTRUCTOR(Code, SETTINGS(words_frame), OBJECT("correlate", "Transform"), OBJEC
 /* The line of the arguments `volts` (m) and `sums`; refused unless there is one more of these. */
 static bool is_line(struct call *call, size_t volts, struct fit_line *line)
 {
-    *line = (struct fit_line){length(call, volts), call->value[volts].data, call->value[volts + 1].data};
+    *line = (struct fit_line){length(call, volts), call->value[volts].data, call->value[volts + 1].data,
+                              0};
     if (line->size && length(call, volts + 1) == line->size + 1)
         return true;
     refuse(call, "volts: some, and one more of sums, expected");

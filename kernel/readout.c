@@ -125,7 +125,7 @@ VECTORS static void count(size_t nodes, const struct readout_frame *out,
 struct block {
     size_t at, size;
     float volts[BLOCK], pressure_pa[BLOCK];
-    uint8_t beyond[BLOCK], stale[BLOCK];
+    uint8_t hiding[BLOCK], beyond[BLOCK], off_rest[BLOCK], stale[BLOCK], readable[BLOCK];
 };
 
 /* Takes words into what is kept of the nodes: `hear` in readings/stages.py. */
@@ -151,7 +151,7 @@ VECTORS static void keep_words(const struct readout_skin *skin, const struct rea
         stale[i] = now_s - heard_s[i] > stale_after_s;
 }
 
-/* Looks up voltages; raised_v: at rest at least, for the highest code. */
+/* Looks up voltages; raised_v: at rest at least, for the highest code, which may hide a contact. */
 static void look_up(const struct readout_skin *skin, int32_t highest, float *raised_v,
                     struct block *block)
 {
@@ -161,22 +161,27 @@ static void look_up(const struct readout_skin *skin, int32_t highest, float *rai
         int32_t code = skin->kept_codes[block->at + i];
         float volts = skin->table_v[code], rest_v = skin->rest_v[block->at + i];
         block->volts[i] = volts;
+        block->hiding[i] = code == highest && rest_v - volts > skin->margin_v[block->at + i];
         raised_v[block->at + i] = code == highest && volts < rest_v ? rest_v : volts;
     }
 }
 
-/* Pressures, and which are beyond the curves' range: `convert` there. */
+/* Pressures, which are beyond the curves' range, and which are off rest: `convert` there, and
+ * PressureChain.update. */
 VECTORS static void convert(const struct readout *readout, const float *restrict raised_v,
                             const float *restrict drift_v, float *restrict node_pa, struct block *block)
 {
     const size_t at = block->at, size = block->size, nodes = readout->settings.frame.nodes;
     const float *restrict pieces = readout->skin.pieces + at, *restrict end_v = readout->skin.end_v + at;
+    const float *restrict rest_v = readout->skin.rest_v + at;
+    const float *restrict margin_v = readout->skin.margin_v + at;
     float *restrict pressure_pa = block->pressure_pa;
-    uint8_t *restrict beyond = block->beyond;
+    uint8_t *restrict beyond = block->beyond, *restrict off_rest = block->off_rest;
 
     for (size_t i = 0; i < size; i++) {
         pressure_pa[i] = 0;
         beyond[i] = raised_v[at + i] + drift_v[at + i] < end_v[i];
+        off_rest[i] = raised_v[at + i] + drift_v[at + i] - rest_v[i] > margin_v[i];
     }
     for (size_t piece = 0; piece < readout->settings.pieces; piece++, pieces += 3 * nodes)
         for (size_t i = 0; i < size; i++) {
@@ -191,7 +196,7 @@ VECTORS static void convert(const struct readout *readout, const float *restrict
 
 /* Readings and their status: the rest of `hear`, and `finish`. */
 VECTORS static void finish(const struct readout *readout, const struct readout_frame *out,
-                           const float *restrict tare_pa, const struct block *block,
+                           const float *restrict tare_pa, struct block *block,
                            float *restrict pressures_pa, float *restrict voltages_v,
                            uint8_t *restrict statuses)
 {
@@ -202,6 +207,8 @@ VECTORS static void finish(const struct readout *readout, const struct readout_f
     const uint8_t *restrict state = skin->state + at, *restrict invalid = skin->invalid + at;
     const uint8_t *restrict masked = skin->masked + at, *restrict bare = skin->uncalibrated + at;
     const uint8_t *restrict beyond = block->beyond, *restrict stale = block->stale;
+    const uint8_t *restrict hiding = block->hiding, *restrict off_rest = block->off_rest;
+    uint8_t *restrict readable = block->readable;
     uint8_t *restrict flags = skin->kept_flags + at, *restrict valid = out->valid + at;
     uint8_t *restrict status = statuses + at;
     float *restrict pressure_pa = pressures_pa + at, *restrict voltage_v = voltages_v + at;
@@ -213,16 +220,18 @@ VECTORS static void finish(const struct readout *readout, const struct readout_f
         uint8_t flag = (flags[i] & (uint8_t)~is_new) | (bits.low_snr & (uint8_t)-doubtful[i]);
         uint8_t known = flag | state[i] | (bits.silent & (uint8_t)(active[i] - 1));
         uint8_t all = (known & (uint8_t)~old) | ((bits.silent | bits.stale) & old);
-        all |= bits.saturated & (uint8_t)-(beyond[i] & is_valid);
+        all |= bits.saturated & (uint8_t)-((beyond[i] | hiding[i]) & is_valid);
+        all |= bits.faulty & (uint8_t)-(off_rest[i] & is_valid);
         all |= bits.uncalibrated & (uint8_t)-bare[i];
         flags[i] = flag;
-        valid[i] = is_valid;
+        valid[i] = is_valid; /* a tare may make a rest of it */
+        readable[i] = is_valid & !off_rest[i];
         status[i] = (all & (uint8_t)~out_of_use) | (bits.masked & out_of_use);
     }
     for (size_t i = 0; i < size; i++) {
         float reading_pa = block->pressure_pa[i] - tare_pa[at + i], volts = block->volts[i];
-        pressure_pa[i] = valid[i] ? reading_pa : NAN;
-        voltage_v[i] = valid[i] ? volts : NAN;
+        pressure_pa[i] = readable[i] ? reading_pa : NAN;
+        voltage_v[i] = readable[i] ? volts : NAN;
     }
 }
 

@@ -12,8 +12,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from .base.arrays import Counts, Floats, Floats32, Int32s
 from .driver.clock import PassedPacket
 from .wire.packets import Found
+
+Settings = NDArray[np.void]
 
 VERSION: int
 """Of these functions."""
@@ -27,13 +30,7 @@ class Transform:
     """Product with a Kronecker product of Hadamard matrices, the first varying slowest."""
 
     def __new__(
-        cls,
-        twos: int,
-        orders: NDArray[np.uintc],
-        signs: NDArray[np.int8],
-        scale: float,
-        lanes: int,
-        /,
+        cls, twos: int, orders: NDArray[np.uintc], signs: NDArray[np.int8], scale: float, lanes: int
     ) -> Transform:
         """twos: factors of order 2, which come first. orders: of the others, P ≤ 512.
 
@@ -41,108 +38,53 @@ class Transform:
         or 8; 0 for what the processor has. The result is the same bits for any number of lanes.
         """
 
-    def multiply(self, source: NDArray[np.float32], out: NDArray[np.float32], /) -> None:
+    def multiply(self, source: Floats32, out: Floats32, /) -> None:
         """Vectors (…, N) times the transposed matrix, into out of the same size, or in place."""
 
 def fit_words(
-    frame: NDArray[np.void],
-    rows: NDArray[np.float32],
-    amplitude: NDArray[np.float32],
-    uneven: NDArray[np.float32],
-    pedestal: NDArray[np.float32],
-    power: NDArray[np.float32],
-    spread: NDArray[np.float32],
-    misfit: NDArray[np.float32],
-    /,
+    frame: Settings, rows: Floats32, amplitude: Floats32, uneven: Floats32, *more: Floats32
 ) -> None:
     """As numpy_fit_words in framing/fit.py, into those after rows."""
 
-def word_noise(
-    frame: NDArray[np.void], spare: int, spare_count: int, rows: NDArray[np.float32], /
-) -> float:
+def word_noise(frame: Settings, spare: int, spare_count: int, rows: Floats32, /) -> float:
     """As numpy_noise_of in code/separate.py."""
 
 @final
 class Readout:
     """Words and readings of plain frames at once; see kernel/readout.h and readings/readout.py."""
 
-    def __new__(cls, settings: NDArray[np.void], /, *arrays: NDArray[np.generic]) -> Readout:
+    def __new__(cls, settings: Settings, /, *arrays: NDArray[np.generic]) -> Readout:
         """arrays: as struct readout_skin; source: int32 (t,), or empty where taxels are nodes.
 
         It keeps them, and writes to those that are kept.
         """
 
-    def read(
-        self,
-        rows: NDArray[np.float32],
-        per_noise: float,
-        least_usual: float,
-        in_place: bool,
-        now_s: float,
-        stale_after_s: float,
-        drift_v: NDArray[np.float32],
-        tare_pa: NDArray[np.float32],
-        /,
-        *out: NDArray[np.generic],
-    ) -> int:
+    def read(self, rows: Floats32, *given: Any) -> int:
         """Enum readout_look.
 
-        out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
+        given: per_noise, least_usual, in_place, now_s, stale_after_s; drift V, tare Pa; out.
+        Out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
         pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
         """
 
 def gather_contacts(
-    contact_pa: float,
-    release_pa: float,
-    rim_pa: float,
-    saturated: int,
-    neighbours: NDArray[np.int32],
-    moments: NDArray[np.float64],
-    pressure_pa: NDArray[np.float32],
-    status: NDArray[np.uint8],
-    place: NDArray[np.int32],
-    unread: NDArray[np.uint8],
-    /,
-    *out: NDArray[np.generic],
+    contact_pa: float, release_pa: float, rim_pa: float, saturated: int, *arrays: Any
 ) -> int:
     """As NumpyGatherer in readings/gather.py; returns the number of contacts.
 
-    place, unread: (t,), kept from frame to frame. out: int32 (3, t) and float64 (2, t) scratch;
-    taxels, places (t,), starts (t + 1,) int32; sums (t, 11) float64; peak_pa (t,) float32; bool
-    (3, t): saturated, lower_bound, torn. Raises ValueError for a neighbour that is no taxel.
+    arrays: neighbours, moments, pressure, status; place, unread: (t,), kept from frame to frame;
+    int32 (3, t) and float64 (2, t) scratch; taxels, places (t,), starts (t + 1,) int32; sums
+    (t, 11) float64; peak_pa (t,) float32; bool (3, t): saturated, lower_bound, torn. Raises
+    ValueError for a neighbour that is no taxel.
     """
 
-def to_volts(
-    zero: float, per_count: float, counts: NDArray[np.int16], volts: NDArray[np.float32], /
-) -> None:
+def to_volts(zero: float, per_count: float, counts: Counts, volts: Floats32, /) -> None:
     """As numpy_volts in base/sums.py."""
 
-def copy_samples(most_v: float, volts: NDArray[np.float32], copy: NDArray[np.float64], /) -> None:
-    """As numpy_copy there."""
-
-def add_samples(volts: NDArray[np.float64], /) -> tuple[float, float]:
-    """As numpy_sums there."""
-
-def count_outside(low_v: float, high_v: float, volts: NDArray[np.float64], /) -> int:
-    """As numpy_outside there."""
-
-def mean_chips(
-    level_v: float,
-    received: NDArray[np.float64],
-    whole: NDArray[np.int32],
-    share: NDArray[np.float64],
-    number: NDArray[np.float64],
-    places: NDArray[np.int32],
-    chips: NDArray[np.float32],
-    /,
-) -> None:
+def mean_chips(level_v: float, received: Floats, whole: Int32s, *more: NDArray[Any]) -> None:
     """As numpy_mean_chips in framing/fit.py, into chips; whole must rise within the samples."""
 
-def read_packets(file: int, timeout_ms: int, /) -> tuple[bytes, bool]:
-    """Bytes up to a delimiter or later, fewer after the time; whether the last ones had waited.
-
-    Raises OSError where nothing can be read.
-    """
+# add_samples, copy_samples, count_outside and read_packets are taken by kernel.either.
 
 @final
 class Scanner:
@@ -172,24 +114,13 @@ class Stream:
         """scanner: shared with the parser."""
 
     def describe(
-        self,
-        stream_rules: NDArray[np.void],
-        transform: object,
-        flips: NDArray[np.float32],
-        rows: NDArray[np.float32],
-        /,
+        self, stream_rules: Settings, transform: object, flips: Floats32, rows: Floats32
     ) -> None:
         """flips: (k, N), or empty. rows: (k, N), written to with every frame."""
 
     def forget(self) -> None: ...
     def carry(
-        self,
-        stream_timing: NDArray[np.void],
-        whole: NDArray[np.int32],
-        share: NDArray[np.float64],
-        number: NDArray[np.float64],
-        places: NDArray[np.int32],
-        /,
+        self, stream_timing: Settings, whole: Int32s, share: Floats, number: Floats, places: Int32s
     ) -> None:
         """Arrays: of ChipEdges.within; empty where there is no frame."""
 
@@ -219,33 +150,23 @@ class Code:
 
     def __new__(
         cls,
-        frame: NDArray[np.void],
+        frame: Settings,
         correlate: Transform,
         spread: Transform,
-        flips: NDArray[np.float32],
-        places: NDArray[np.int32],
+        flips: Floats32,
+        places: Int32s,
         span: int,
         /,
     ) -> Code:
         """flips: (k·N) of the scrambler, or none. places: (k·N) of coded chips among `span`."""
 
     def refine(
-        self,
-        volts: NDArray[np.float64],
-        sums: NDArray[np.float64],
-        blur: float,
-        settled_chips: float,
-        reaches: NDArray[np.float64],
-        start: float,
-        chip: float,
-        earliest: float,
-        latest: float,
-        scratch: NDArray[np.float32],
-        /,
+        self, volts: Floats, sums: Floats, blur: float, settled_chips: float, *more: Any
     ) -> tuple[float, float]:
         """Start and chip duration as numpy_refine in framing/fit.py finds them.
 
-        sums: (m + 1,) of the first 0 to m volts. scratch: of any size, if that is enough.
+        sums: (m + 1,) of the first 0 to m volts. more: reaches (chips), start, chip, earliest and
+        latest (samples), and float32 scratch, of any size, if that is enough.
         """
 
     def weigh(self, *given: Any) -> tuple[float, float, int]:

@@ -15,6 +15,14 @@ from typing import Never
 import pytest
 from hypothesis import settings
 
+from test.support.workers import (
+    pytest_sessionfinish,
+    pytest_testnodedown,
+    pytest_xdist_make_scheduler,
+)
+
+__all__ = ["pytest_sessionfinish", "pytest_testnodedown", "pytest_xdist_make_scheduler"]  # hooks
+
 # Workers share the cores: more threads of matrix products would only wait for each other. Before
 # numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

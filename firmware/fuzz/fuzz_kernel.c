@@ -372,11 +372,11 @@ static void read_frames(struct input *input)
     float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
     float *rows = malloc(bits * order * sizeof *rows), *edges = malloc(4 * order * sizeof *edges);
     float *offset = malloc(bits * order * sizeof *offset);
-    float *floats = calloc((15 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
+    float *floats = calloc((16 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
     int32_t *ints = calloc(3 * nodes + taxels, sizeof *ints);
     uint8_t *flags = calloc(10 * nodes + taxels, 1);
     double *heard_s = malloc(nodes * sizeof *heard_s);
-    float *pieces = floats + 15 * nodes, *of_taxels = pieces + 3 * PIECES * nodes;
+    float *pieces = floats + 16 * nodes, *of_taxels = pieces + 3 * PIECES * nodes;
     float *table = of_taxels + 2 * taxels;
     const struct readout_settings settings = {
         .frame = {bits, order, first, nodes, false, swing, 0.25f, 0.5f, 2.2},
@@ -395,7 +395,7 @@ static void read_frames(struct input *input)
                     .parity = parity,
                     .limits = {5, 0.4f, 1.25f, 1.6f, 8, 0.5f}},
         .lateness = {0.35f, 0.3f, 4},
-        .bits = {1, 4, 8, 2, 16, 32},
+        .bits = {1, 4, 8, 2, 16, 32, 128},
         .scrambled = scrambled,
         .spare = first + nodes,
         .spare_count = order - first - nodes,
@@ -412,8 +412,9 @@ static void read_frames(struct input *input)
                                       flags + 2 * nodes,
                                       flags + 3 * nodes,
                                       floats + nodes,
-                                      pieces,
+                                      floats + 15 * nodes,
                                       floats + 2 * nodes,
+                                      pieces,
                                       moved ? ints + 3 * nodes : NULL,
                                       ints + nodes,
                                       flags + 4 * nodes,
@@ -450,6 +451,7 @@ static void read_frames(struct input *input)
         for (size_t f = 1; f < 4; f++)
             flags[f * nodes + i] = some >> f & 1;
         floats[nodes + i] = (float)some * 0.01f;
+        floats[15 * nodes + i] = (float)(some >> 3) * 0.01f;
         drift_v[i] = level_of(some);
         for (size_t f = 0; f < 3 * PIECES; f++)
             pieces[f * nodes + i] = (float)(some >> f & 7);
@@ -479,6 +481,8 @@ static void read_frames(struct input *input)
         for (size_t i = 0; i < taxels; i++) {
             int32_t node = moved ? ints[3 * nodes + i] : (int32_t)i;
             bool valid = node >= 0 && found.valid[node], masked = node < 0 || skin.masked[node];
+            valid = valid && !(found.node_v[node] + drift_v[node] - skin.rest_v[node] >
+                               skin.margin_v[node]);
             MUST(valid || (isnan(of_taxels[i]) && isnan(of_taxels[taxels + i])), WRONG_VALUE);
             MUST(masked ? found.status[i] == 32 : !(found.status[i] & 32), WRONG_VALUE);
         }
@@ -588,7 +592,7 @@ static void look_for_frame(struct input *input)
     sums[0] = 0;
     for (size_t i = 0; i < size; i++)
         sums[i + 1] = sums[i] + volts[i];
-    const struct fit_line line = {size, volts, sums};
+    const struct fit_line line = {size, volts, sums, 0};
     MUST(judge_chips(&code, &all) >= chips, WRONG_VALUE);
     judge_weigh(&code, &line, &limits, &all, noise, &found, &votes, more);
     for (size_t c = 0; c < COUNT; c++)

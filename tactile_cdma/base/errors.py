@@ -100,6 +100,13 @@ class RestError(TactileError):
     """
 
 
+class MessageError(TactileError, ValueError):
+    """A message whose fields contradict each other, or that is none of its type.
+
+    Example: 16 pressures, and the status of 15 taxels.
+    """
+
+
 class TransformError(TactileError, LookupError):
     """Coordinate frames that are not connected, or that form a cycle.
 

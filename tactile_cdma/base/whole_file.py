@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import glob
 import logging
 import os
 import secrets
@@ -17,40 +19,65 @@ from typing import BinaryIO
 
 _log = logging.getLogger(__name__)
 
+MOST_ASIDE = 99
+"""Files of one name that are kept aside. Chosen: more than anybody exchanges skins unnoticed."""
 
-def replace_file(path: Path, text: str) -> None:
+
+def replace_file(path: Path, text: str, follow: bool = True) -> None:
     """Replace a file by text in UTF-8; see replacing."""
-    with replacing(path) as file:
+    with replacing(path, follow) as file:
         file.write(text.encode())
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def replacing(path: Path, follow: bool = True) -> Iterator[BinaryIO]:
     """A file to write, in an existing folder; it takes its place when the context ends.
 
     A new file has the permissions of the umask, a replaced one keeps its own; a link keeps
-    pointing to the file that is replaced. Raises OSError. After that, or any exception in the
-    context, the old file is untouched.
+    pointing to the file that is replaced, unless `follow` is False. Raises OSError. After that, or
+    any exception in the context, the old file is untouched. What programs that were killed left
+    unfinished is removed.
     """
-    path = Path(os.path.realpath(path))
+    path = _real(path) if follow else path
     if path.exists() and not path.is_file():  # root could replace /dev/null
         raise OSError(errno.EINVAL, "not a file")
-    # "x" and a random name: in a shared folder somebody could have left a link there.
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    unfinished = _unfinished(path)
     file = unfinished.open("x+b")
     try:
         with file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # it has a writer, see _unfinished
             with suppress(FileNotFoundError):
                 os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
             yield file
             file.flush()
             os.fsync(file.fileno())  # or the new name may be an empty file after a power cut
-        os.replace(unfinished, path)
+            os.replace(unfinished, path)
+        _sync(path.parent)
         _log.debug("wrote %s", path)
     except BaseException:
         with suppress(OSError):
             unfinished.unlink()
         raise
+
+
+def keep_aside(path: Path) -> Path | None:
+    """Give what is to be replaced another name, too, of its own: NAME.old, NAME.old2 and so on.
+
+    Returns that name; None if there is no such file. Raises OSError.
+    """
+    for number in range(1, MOST_ASIDE + 1):
+        aside = path.with_name(f"{path.name}.old{number if number > 1 else ''}")
+        if os.path.lexists(aside):
+            continue
+        try:
+            os.link(path, aside, follow_symlinks=False)  # so that it is never away
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError:  # a folder, or a file system without links
+            os.rename(path, aside)
+        _sync(path.parent)
+        return aside
+    raise OSError(errno.EEXIST, f"remove some of {path.name}.old…, there are {MOST_ASIDE}")
 
 
 @contextmanager
@@ -60,8 +87,8 @@ def whole_folder(path: Path) -> Iterator[Path]:
     What was there is replaced; a link keeps pointing to the folder that is replaced. Raises
     OSError. After that, or any exception in the context, nothing has changed.
     """
-    path = Path(os.path.realpath(path))
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    path = _real(path)
+    unfinished = _unfinished(path)
     replaced = path.with_name(f"{unfinished.name}.old")
     unfinished.mkdir()
     try:
@@ -74,5 +101,37 @@ def whole_folder(path: Path) -> Iterator[Path]:
         if replaced.exists() and not path.exists():
             os.rename(replaced, path)
         raise
+    _sync(path.parent)
     _log.debug("wrote the folder %s", path)
     shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _real(path: Path) -> Path:
+    """What a path leads to; raises OSError for a link into a folder that is not there."""
+    real = Path(os.path.realpath(path))
+    if path.is_symlink() and not real.parent.is_dir():
+        raise OSError(errno.ENOENT, f"it is a link to {real}, whose folder is not there")
+    return real
+
+
+def _unfinished(path: Path) -> Path:
+    """A name beside a path to write at first; names of killed writers' files are removed.
+
+    They are those that nobody has locked. Random: in a shared folder somebody could have left a
+    link there.
+    """
+    for left in path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 8}"):
+        with suppress(OSError), left.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            left.unlink()
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+
+
+def _sync(folder: Path) -> None:
+    """Have the names in a folder outlast a power cut, where the file system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

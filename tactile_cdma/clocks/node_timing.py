@@ -10,6 +10,7 @@ least squares.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -114,7 +115,11 @@ class NodeRecogniser:
             if node < line.spec.nodes:
                 volts = (frame.volts - line.level_v).astype(np.float32)
                 self._clocks.hear(node, volts, line.sample_noise_v)
-        return line.silent(frame, line.sample_noise_v**2)._replace(over=frame.start + samples)
+        verdict = line.silent(frame, line.sample_noise_v**2)
+        if verdict.frame is not None:  # who was not called was silent in any case
+            every = np.ones(line.spec.nodes, dtype=bool)
+            verdict = verdict._replace(frame=replace(verdict.frame, doubtful=every))
+        return verdict._replace(over=frame.start + samples)
 
     def _decorrelate(self, frame: MarkedFrame, decorrelator: Decorrelator) -> Verdict:
         """Decode a frame by least squares, and follow the clocks."""

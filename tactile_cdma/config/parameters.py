@@ -67,6 +67,8 @@ class Parameter:
         Raises ParameterError, which names the value, the limit and the unit.
         """
         kind = type(self.default)
+        if type(value) is int and value.bit_length() > 63:
+            raise ParameterError(f"{self.name} is an integer of {value.bit_length()} bits")
         if kind is float and type(value) is int:
             value = float(value)
         elif kind is tuple and isinstance(value, list | array):

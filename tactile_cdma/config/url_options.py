@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from typing import Any
 from urllib.parse import parse_qsl
@@ -48,5 +49,7 @@ def _typed(option: Parameter, text: str) -> Value:
         value: Value = _TRUTH[text.lower()] if kind is bool else kind(text)
     except (ValueError, KeyError):
         wanted = {bool: "true or false (0 or 1)", int: "an integer", float: "a number"}[kind]
-        raise SpecError(f"option {option.name} is {text!r}; it must be {wanted}") from None
+        raise SpecError(
+            f"option {option.name} is {reprlib.repr(text)}; it must be {wanted}"
+        ) from None
     return value

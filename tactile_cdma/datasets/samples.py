@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
 from ..base.listing import listed
-from ..readings.status import is_in_service
+from ..readings.status import is_certain, is_in_service
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
 """Elements of a sample of contacts; x, y, z: centre of pressure in the patch's frame."""
@@ -81,6 +81,11 @@ class SkinFrame:
     pressure_pa: Floats32
     voltage_v: Floats32
     status: NDArray[np.uint8]
+
+    @property
+    def valid(self) -> Bools:
+        """(t,), taxels with a reading that is certain."""
+        return np.isfinite(self.pressure_pa) & is_certain(self.status)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +188,7 @@ class Completeness:
     def take(self, frame: SkinFrame) -> None:
         if self.is_complete:
             return
-        known = np.isfinite(frame.pressure_pa)
+        known = frame.valid
         self._read = known if self._read is None else self._read | known
         self._wanted = is_in_service(frame.status)
         self.is_complete = not self.missing

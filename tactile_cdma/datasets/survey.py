@@ -44,7 +44,7 @@ class FrameSurvey:
         self._frames += 1
         self._last_s, self._sequence = time_s, frame.sequence
         in_service = is_in_service(frame.status)
-        invalid = in_service & ~np.isfinite(frame.pressure_pa)
+        invalid = in_service & ~frame.valid
         self._readings += int(np.count_nonzero(in_service))
         self._invalid += int(np.count_nonzero(invalid))
         for bit, name in ((Status.SILENT, "_held"), (Status.SATURATED, "_saturated")):
@@ -67,7 +67,7 @@ class FrameSurvey:
         yield "gaps", "; ".join(self._said_gaps()) or "none"
         yield (
             "readings",
-            f"{_share(self._invalid, self._readings)} invalid (NaN), "
+            f"{_share(self._invalid, self._readings)} invalid, "
             f"{_share(self._held, self._readings)} held, "
             f"{_share(self._saturated, self._readings)} saturated",
         )

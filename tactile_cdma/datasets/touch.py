@@ -44,9 +44,9 @@ class Touch:
     """A patch at one tick.
 
     pressure_pa: (slots, t) float32 for WINDOW, the newest last, else (t,), without NaN.
-    valid: of the same shape, bool: there was a valid reading; none of a patch that stopped. age_s:
-    (slots,) or (1,) float32, how long before the tick each was measured. complete: every taxel in
-    service is valid.
+    valid: of the same shape, bool: there was a certain reading; none of a patch that stopped.
+    age_s: (slots,) or (1,) float32, how long before the tick each was measured. complete: every
+    taxel in service is valid.
     """
 
     pressure_pa: Floats32
@@ -57,12 +57,11 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sample:
-    """filled: the pressure with each taxel's last valid reading, or 0, in place of NaN."""
+    """filled_pa: each taxel's last valid reading, or 0."""
 
     stamp_ns: int
-    pressure_pa: Floats32
+    valid: Bools
     filled_pa: Floats32
-    in_service: Bools
 
 
 class TouchStream:
@@ -80,11 +79,11 @@ class TouchStream:
         self._interval: deque[_Sample] = deque()
 
     def take(self, stamp_ns: int, frame: SkinFrame) -> None:
-        pressure, known = frame.pressure_pa, np.isfinite(frame.pressure_pa)
-        self._held = np.where(known, pressure, self._held)
+        valid = frame.valid
+        self._held = np.where(valid, frame.pressure_pa, self._held)
         self._wanted = is_in_service(frame.status)
         self.completeness.take(frame)
-        sample = _Sample(stamp_ns, pressure, self._held, self._wanted)
+        sample = _Sample(stamp_ns, valid, self._held)
         self._window.append(sample)
         if self._mode == MEAN:
             self._interval.append(sample)
@@ -108,7 +107,7 @@ class TouchStream:
             samples = list(self._interval) or samples[-1:]
         ages_s = np.array([(tick_ns - sample.stamp_ns) / NANO for sample in samples])
         filled = np.array([sample.filled_pa for sample in samples])
-        valid = np.array([np.isfinite(sample.pressure_pa) for sample in samples])
+        valid = np.array([sample.valid for sample in samples])
         valid &= not has_stopped
         if self._mode == WINDOW and (missing := self._slots - len(samples)):
             # Before the first frame, or the first one after a stop: nothing was read.

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..base.listing import listed
 from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
+from ..readings.status import Status as TaxelStatus
 from ..wire.messages import Status
 from ..words.health import NodeState
 from ..words.limits import LOW_RHO
@@ -111,7 +112,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
         )
         yield Finding(text, key="clipped")
     if latest is not None:
-        yield from _below_rest(pipeline, latest)
+        yield from _off_rest(pipeline, latest)
 
 
 def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
@@ -257,14 +258,23 @@ def decibels(ratio: float) -> float:
     return 20 * math.log10(ratio)
 
 
-def _below_rest(pipeline: Pipeline, latest: TactileFrame) -> Iterator[Finding]:
-    """Taxels that read below zero, as after a tare under load."""
-    pressure_pa, config = latest.readings.pressure_pa, pipeline.config
-    below = np.flatnonzero(pressure_pa < -config.rest.contact_pa)
-    if below.size:
-        numbers = listed(np.sort(config.layout.nodes[below]).tolist(), "node")
-        text = (
-            f"up to {-pressure_pa[below].min() / 1e3:.1f} kPa below zero: {numbers}; "
-            "tare while nothing touches the skin"
-        )
-        yield Finding(text, key="below rest")
+def _off_rest(pipeline: Pipeline, latest: TactileFrame) -> Iterator[Finding]:
+    """Taxels whose zero is none, as of a torn sensor, or after a tare under load."""
+    pressure_pa, flags = latest.readings.pressure_pa, latest.readings.status
+    node, contact_pa = pipeline.config.layout.nodes, pipeline.config.rest.contact_pa
+    sound = ~np.append(True, pipeline.health.invalid)[node]
+    torn = sound & (flags & TaxelStatus.FAULTY != 0)
+    below = pressure_pa < -contact_pa
+    numb = (flags & TaxelStatus.SATURATED != 0) & (pressure_pa <= contact_pa)
+    below_kpa = -float(pressure_pa[below].min(initial=0)) / 1e3
+    for key, taxels, text in (
+        ("below rest", below,
+         f"up to {below_kpa:.1f} kPa below zero: {{}}; tare while nothing touches the skin"),
+        ("torn", torn, "farther above the voltage at rest than a contact would be below it: {}; "
+         "check sensor and wiring, or, if the skin rests like this, tare with force: true"),
+        ("numb", numb, "at the end of their range though they read no load: {}; tare while "
+         "nothing touches the skin, and check v0_v and vref_v"),
+    ):  # fmt: skip
+        if taxels.any():
+            named = listed(np.sort(node[taxels]).tolist(), "node")
+            yield Finding(text.format(named), key=key)

@@ -94,6 +94,7 @@ class Pipeline:
         self._compiled, self._frames_wanted = compiled, frames
         self._earlier_packets = Counters()
         self._description: Description | None = None  # while the digitizer can be decoded
+        self._follows = 0  # sequence of the frame that follows the last one
         self.stream = self._new_stream()
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
@@ -212,12 +213,17 @@ class Pipeline:
             placement = self.timeline.place(arrival, self._description.pace)
         if placement.step is Step.RESET:
             self.taxels.forget()
+        elif placement.step is Step.RESTART:
+            self.taxels.miss()  # how many frames there were meanwhile is a guess
         self.stream.place(placement)
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:
         assert self._description is not None
         rate_hz, spec = self._description.pace.rate_hz, self.config.spec
         stamp = self.timeline.times.stamp(heard, rate_hz, spec)
+        if stamp.sequence != self._follows:
+            self.taxels.miss()
+        self._follows = stamp.sequence + 1
         words, readings = self._read(heard, stamp.t_middle)
         return TactileFrame(*stamp, heard.clipped, words, readings)
 
@@ -228,8 +234,7 @@ class Pipeline:
             words = silent(config.spec.nodes, heard.noise_rms_v)
             if heard.doubtful is not None:
                 words = words.doubted(heard.doubtful)
-                return words, taxels.update(words, t_device, self.health)
-            held = taxels.try_hold(t_device)
+            held = taxels.try_hold(t_device) if heard.doubtful is None else None
             return words, held or taxels.update(words, t_device, self.health)
         is_odd = (
             levels.rows is None

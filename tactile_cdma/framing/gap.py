@@ -103,13 +103,12 @@ class GapSearch(BurstSearch):
         code, spec = self._code, self.spec
         if code is None:
             return None
-        size = 2 * volts.size + 1 + 3 * (volts.size // self.half + 1)
+        size = volts.size + 3 * (volts.size // self.half + 1)
         if self._values.size < size:
             self._values = np.empty(2 * size)
-            part = (spec.line_bits // 2 + 1) * spec.order
-            each = spec.chips + 2 * spec.nodes + 4 + spec.span_chips + _MOST_CARRIED + part
+            each = 2 * (spec.chips + spec.nodes + 2) + spec.span_chips + _MOST_CARRIED
             beside = 4 * (self.gap_size // self.half + 1)
-            most = (_MOST_CARRIED + 2) * each + spec.chips + beside
+            most = (_MOST_CARRIED + 2) * each + beside
             self._scratch = np.empty(most, np.float32)
         place = (0.0, 0.0, 0.0, 0.0)
         if expected is not None:

@@ -151,8 +151,7 @@ def weigh(
     pedestal, power, spread, misfit = np.empty((4, count), np.float32)
     cost = np.empty(count)
     most = int((view[1] - view[0]) / chip.min()) + 3  # chips in view, and what rounding adds
-    part = count * (spec.line_bits // 2 + 1) * spec.order  # of every candidate: see judge.c
-    scratch = np.empty((count + 2) * most + spec.chips + part, np.float32)
+    scratch = np.empty((count + 2) * most + count * spec.chips, np.float32)
     given = votes or Votes(0.0, 0.0)
     distortion, variance, chips = code.weigh(
         VOTE_SETTINGS, line.volts, line.sums, start, chip, *view, noise,

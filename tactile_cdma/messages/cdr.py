@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.errors import MessageError
 from ..driver.pipeline import TactileFrame
 from ..places.layout import Layout
 
@@ -27,10 +28,6 @@ PADDING = [bytes(count) for count in range(8)]
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
 _ARRAY, _FLOAT = Struct("<QQIHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
-
-
-class CdrError(ValueError):
-    """Bytes that are no message of the expected type."""
 
 
 class Heading(NamedTuple):
@@ -116,11 +113,11 @@ def tactile_array(
 
 
 class CdrReader:
-    """Reads the fields of one message in their order; raises CdrError where that is impossible."""
+    """Reads the fields of one message in their order; raises MessageError where it cannot."""
 
     def __init__(self, message: bytes) -> None:
         if message[:2] != ENCAPSULATION[:2]:
-            raise CdrError(
+            raise MessageError(
                 f"the message begins with {message[:4].hex(' ') or 'nothing'}, which is not plain "
                 "little-endian CDR: does its sender use another middleware?"
             )
@@ -131,7 +128,7 @@ class CdrReader:
         begin = self._end + -self._end % alignment
         self._end = end = begin + size
         if end > self._size:
-            raise CdrError(
+            raise MessageError(
                 f"the message ends after {self._size} bytes, amid a field: does its sender "
                 "have another version of this package?"
             )

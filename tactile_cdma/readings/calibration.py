@@ -160,14 +160,7 @@ class Curves:
 
     def pressure(self, voltage_v: Floats32) -> Floats32:
         """V to Pa, (n,) float32 both, clamped to each curve's ends."""
-        return self.convert(voltage_v, np.zeros_like(voltage_v))[0]
-
-    def convert(self, voltage_v: Floats32, drift_v: Floats32) -> tuple[Floats32, Bools]:
-        """V to Pa with a drift, V, added; and which are beyond the range, so that Pa are clamped.
-
-        All (n,), float32 and bool.
-        """
-        return convert(voltage_v, drift_v, self.pieces, self.end_v)
+        return convert(voltage_v, self.pieces)
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa to V, (n,) float64, clamped to each curve's ends."""
@@ -179,9 +172,18 @@ class Curves:
             result += np.clip((pressure - low_pa) / width_pa, 0.0, 1.0) * (high_v - low_v)
         return result
 
+    def fall_v(self, pressure_pa: float) -> Floats32:
+        """By how much a pressure, Pa, pulls each voltage down from its rest, V, (n,) float32."""
+        return np.asarray(self.voltage_v[0] - self.voltage(pressure_pa), dtype=np.float32)
+
+    @cached_property
+    def begin_v(self) -> Floats32:
+        """Voltage at the start of every curve, V, (n,) float32."""
+        return np.asarray(self.voltage_v[0], dtype=np.float32)
+
     @cached_property
     def end_v(self) -> Floats32:
-        """Voltage at the end of every range, V, (n,) float32."""
+        """Voltage at the end of every curve, V, (n,) float32."""
         return np.asarray(self.voltage_v[-1], dtype=np.float32)
 
     @cached_property

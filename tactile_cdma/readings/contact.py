@@ -14,6 +14,7 @@ from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
 from ..places.layout import Layout
 from .gather import Gatherer
+from .status import is_certain
 from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05
@@ -52,8 +53,8 @@ class Contacts:
     torque_nm: (c, 3) float64, of these forces about the frame's origin, N·m.
     area_m2: (c,) float64, of the taxels in contact. pressure_max_pa: (c,) float32.
     saturated: (c,) bool, a taxel is beyond its range.
-    lower_bound: (c,) bool, force, area and pressure are at least this: a taxel is beyond its range,
-        or one beside the contact has no reading.
+    lower_bound: (c,) bool, force, area and pressure are at least this: a taxel in or beside the
+        contact may carry more than it reads, or has no certain reading.
     velocity_m_s: (c, 3) float64, of the position along the skin, smoothed.
     force_rate_n_s: (c,) float64, rate of change of the force, smoothed.
     taxels: per contact the indices of its taxels, rising.
@@ -84,7 +85,7 @@ class Contacts:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing touches the patch: no contact, and all taxels in service surely read."""
+        """Whether nothing touches the patch: no contact, and all taxels surely read none."""
         return not len(self) and self.coverage.is_certain
 
     @property
@@ -123,6 +124,7 @@ class Contacts:
         return np.asarray(total if self.has_resultant else np.full_like(total, np.nan))
 
 
+_NO_READING = np.float32(np.nan)
 _NONE, _NOWHERE = np.zeros(0), np.zeros((0, 3))
 _NO_IDS, _NO_PEAKS, _NO_FLAGS = _NONE.astype(np.int64), _NONE.astype(np.float32), _NONE.astype(bool)
 NO_CONTACTS = Contacts(
@@ -137,7 +139,8 @@ class ContactTracker:
     A contact keeps its id as long as it shares taxels with itself in the frame before. Where
     contacts merge or split, the id follows the largest number of shared taxels; the others end, or
     begin with new ids, and no id is used twice. The jumps of position that this causes do not count
-    as motion, nor do those where a taxel loses its reading or gets one.
+    as motion, nor do those where a taxel loses its reading or gets one. An uncertain reading counts
+    as none: of contacts nothing is reported that might have ended unheard.
 
     thresholds may be replaced at any time, from other threads too.
     """
@@ -169,7 +172,10 @@ class ContactTracker:
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
-        coverage, last = readings.coverage, self._contacts
+        coverage, last = readings.coverage(self._used.contact_pa), self._contacts
+        if not coverage.is_whole:
+            certain_pa = np.where(is_certain(readings.status), readings.pressure_pa, _NO_READING)
+            readings = replace(readings, pressure_pa=certain_pa)
         found = self._gatherer.gather(readings, self._used.contact_pa, self._used.release_pa)
         count = len(found.starts)
         if not count:

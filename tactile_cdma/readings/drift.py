@@ -7,6 +7,7 @@ and drift is small and slow. So the drift of a node is followed once its voltage
 BAND_LSB of its voltage at rest, and of its recent voltage, for SETTLE_S. A node that leaves that
 band counts as touched; it rests again when it jumps back into the band, or comes close to rest.
 Neither touched nodes nor those beside a contact are followed, however long the touch lasts.
+A load that grows as slowly looks like drift, too, so that drift is followed only so far: FARTHEST.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ CLOSE_LSB = 0.75
 SETTLE_S = 10.0
 """Time that a node must have rested before it is followed, s; chosen. A change of less than a count
 in this time is no jump."""
+FARTHEST = 4.0
+"""Most drift since the tare that is followed, either way, in multiples of the pressure at which a
+contact begins; chosen: more than a sensor of 80 mV over temperature needs (make bench-pressure)."""
 LONGEST_S = 1.0
 """Longest step of drift, s: after a longer pause it is not caught up with at once. Chosen."""
 STRAY_S = 60.0
@@ -38,18 +42,19 @@ _NOTHING_LSB = 0.01
 class DriftTracker:
     """Moves a baseline's drift_v so that resting nodes read their voltage at rest.
 
-    rules: may be replaced at any time.
+    rules: may be replaced at any time. lsb_v: one count of the nodes' converters, V.
     """
 
     def __init__(self, lsb_v: float, beside: NDArray[np.int32], rules: RestRules) -> None:
-        """lsb_v: one count of the nodes' converters, V. beside: (n, m), see nodes_beside."""
+        """beside: (n, m), see nodes_beside."""
         self.rules = rules
-        self._lsb_v = lsb_v
+        self.lsb_v = lsb_v
         self._beside = beside
         nodes = len(beside)
         self._curves: Curves | None = None
         self._tared_v: Floats32 | None = None
-        self._rest_v = self._slope = np.zeros(nodes, dtype=np.float32)
+        self._limited: RestRules | None = None  # the rules that the next one is of
+        self._rest_v = self._slope = self._farthest_v = np.zeros(nodes, dtype=np.float32)
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
         self._trail_v = np.full(nodes, np.inf, dtype=np.float32)  # behind the voltage, at all times
@@ -85,7 +90,7 @@ class DriftTracker:
         self._last_s = t_s
         deviation_v = self._rest_v - voltage_v - baseline.drift_v
         self._deviation_v = deviation_v
-        near = valid & (np.abs(deviation_v) < BAND_LSB * self._lsb_v)
+        near = valid & (np.abs(deviation_v) < BAND_LSB * self.lsb_v)
         resting = self._untouched(voltage_v, near, valid, passed_s)
         pressed = valid & ~near & (reading_pa > self.rules.release_pa)
         resting[self._beside[pressed]] = False
@@ -94,32 +99,36 @@ class DriftTracker:
         np.copyto(self._stray_s, t_s, where=stray & ~self._stray)
         self._stray = stray
 
-        nothing_v = _NOTHING_LSB * self._lsb_v
+        nothing_v = _NOTHING_LSB * self.lsb_v
         due = resting & (np.abs(deviation_v) > nothing_v)
         now = due & (t_s - self._away_s >= SETTLE_S)
         if now.any():
             most_v = self._slope * np.float32(self.rules.drift_pa_per_min / 60 * passed_s)
-            step_v = np.clip(deviation_v, -most_v, most_v) * now
-            baseline.drift_v = baseline.drift_v + step_v
+            drift_v = baseline.drift_v + np.clip(deviation_v, -most_v, most_v) * now
+            low_v = baseline.tared_drift_v - self._farthest_v
+            high_v = baseline.tared_drift_v + self._farthest_v
+            # It stays where it is beyond that, as found on file.
+            low_v, high_v = np.fmin(low_v, baseline.drift_v), np.fmax(high_v, baseline.drift_v)
+            baseline.drift_v = np.clip(drift_v, low_v, high_v)
         change_v = np.clip(voltage_v - self._usual_v, *self._slowly(passed_s)) * resting
         self._usual_v += change_v
 
     def _untouched(self, voltage_v: Floats32, near: Bools, valid: Bools, passed_s: float) -> Bools:
         """(n,) bool, nodes near rest that were not touched since they last rested."""
-        band_v = np.float32(BAND_LSB * self._lsb_v)
+        band_v = np.float32(BAND_LSB * self.lsb_v)
         np.copyto(self._trail_v, voltage_v, where=np.isinf(self._trail_v))
         behind_v = np.clip(voltage_v - self._trail_v, -2 * band_v, 2 * band_v)
         self._trail_v = voltage_v - behind_v + np.clip(behind_v, *self._slowly(passed_s))
         np.copyto(self._usual_v, np.inf, where=~valid)
         np.copyto(self._usual_v, voltage_v, where=near & np.isinf(self._usual_v))
         home = near & (np.abs(voltage_v - self._usual_v) < band_v)
-        back = (behind_v > band_v) | (np.abs(self._deviation_v) < CLOSE_LSB * self._lsb_v)
+        back = (behind_v > band_v) | (np.abs(self._deviation_v) < CLOSE_LSB * self.lsb_v)
         self._touched = valid & np.where(home, self._touched & ~back, True)
         return np.asarray(home & ~self._touched)
 
     def _slowly(self, passed_s: float) -> tuple[np.float32, np.float32]:
         """Greatest changes of a voltage that are no jump, down and up, V."""
-        most_v = np.float32(self._lsb_v * passed_s / SETTLE_S)
+        most_v = np.float32(self.lsb_v * passed_s / SETTLE_S)
         return -most_v, most_v
 
     def strays_lsb(self, t_s: float) -> dict[int, float]:
@@ -130,15 +139,20 @@ class DriftTracker:
         if not self.rules.drift_pa_per_min:
             return {}  # drift is not watched
         strays = np.flatnonzero(self._stray & (t_s - self._stray_s > STRAY_S))
-        return {int(i) + 1: float(self._deviation_v[i] / self._lsb_v) for i in strays}
+        return {int(i) + 1: float(self._deviation_v[i] / self.lsb_v) for i in strays}
 
     def _rest_at(self, curves: Curves, baseline: Baseline) -> None:
         """Take the tare's voltages as rest; without a tare, those at which the curves begin."""
-        if curves is self._curves and baseline.rest_v is self._tared_v:
+        is_same = curves is self._curves and baseline.rest_v is self._tared_v
+        if is_same and self.rules is self._limited:
             return
         self._curves, self._tared_v = curves, baseline.rest_v
-        begin_v = curves.voltage_v[0].astype(np.float32)
-        self._rest_v = begin_v if baseline.rest_v is None else baseline.rest_v
+        self._rest_v = curves.begin_v if baseline.rest_v is None else baseline.rest_v
+        self._limited, rest_pa = self.rules, curves.pressure(self._rest_v)
+        far_v = curves.voltage(rest_pa + FARTHEST * self.rules.contact_pa).astype(np.float32)
+        self._farthest_v = np.maximum(self._rest_v - far_v, 0)
+        if is_same:
+            return
         fall_v = curves.voltage_v[0] - curves.voltage_v[1]
         self._slope = (fall_v / (curves.pressure_pa[1] - curves.pressure_pa[0])).astype(np.float32)
         self._begin()

@@ -34,8 +34,9 @@ class Gathered(NamedTuple):
     moments: (c, 10) float64, sums of load (N), load·position (N m), force of the skin (N) and its
     torque (N m), pressed taxels beside the contact included. area_m2: (c,) float64.
     pressure_max_pa: (c,) float32. saturated: (c,) bool, a taxel is. lower_bound: (c,) bool, a taxel
-    is saturated, or one in or beside the contact has no reading. torn: (c,) bool, one of these had
-    a reading in the frame before and has none, or the other way round.
+    in or beside the contact may carry more than it reads: it is saturated, has no reading, or reads
+    less than nothing by as much as a contact is more. torn: (c,) bool, one of these had a reading
+    in the frame before and has none, or the other way round.
     """
 
     taxels: Indices
@@ -77,7 +78,8 @@ class NumpyGatherer:
         if not len(starts):
             return _NOTHING
         saturated = readings.status[taxels] & _SATURATED > 0
-        at_least = saturated | self._beside_any(self._unread, taxels)
+        dim = self._unread | (readings.status & _SATURATED > 0) | (pressure_pa < -contact_pa)
+        at_least = dim[taxels] | self._beside_any(dim, taxels)
         changed = before != self._unread
         torn = changed[taxels] | self._beside_any(changed, taxels)
         felt_pa, moments = pressure_pa[taxels], self._moments.take(taxels, axis=0)

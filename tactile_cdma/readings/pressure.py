@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
 from .drift import DriftTracker
 from .dynamics import Compensator
+from .stages import Bounds
 
 
 class PressureChain:
@@ -20,7 +23,8 @@ class PressureChain:
     readings are passed on to the baseline and to the drift tracker; a drift that changes by this
     takes effect in the next update.
 
-    looked_s: device time of the last look, s; -inf: the next frame must be updated.
+    looked_s: device time of the last look, s; -inf: the next frame must be updated. bounds: where
+    voltages mean what they say.
     """
 
     def __init__(
@@ -36,24 +40,32 @@ class PressureChain:
         self.tracker = tracker
         self.compensator = compensator
         self.looked_s = -math.inf
+        self.bounds = self._found_bounds()
         self._moved = False
         # Of the last update: voltages, pressures before the tare, and whether they count.
         self._last: tuple[Floats32, Floats32, Bools] | None = None
 
-    def update(self, voltage_v: Floats32, valid: Bools, t_s: float) -> tuple[Floats32, Bools]:
-        """Pressures (n,) float32, Pa, and which are beyond the sensor's range, (n,) bool.
+    def update(
+        self, voltage_v: Floats32, valid: Bools, t_s: float
+    ) -> tuple[Floats32, Bools, Bools]:
+        """Pressures (n,) float32, Pa; which are beyond the sensor's range; which are off rest.
 
+        The latter, (n,) bool, lie so far above the start of their curve, where no pressure takes
+        them, that 0 Pa there would hide a contact, or a sensor that is torn.
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
         time, s.
         """
-        pressure_pa, saturated = self.calibration.curves.convert(voltage_v, self.baseline.drift_v)
+        bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
+        pressure_pa = self.calibration.curves.pressure(corrected_v)
+        saturated = corrected_v < bounds.end_v
+        off_rest = corrected_v - bounds.rest_v > bounds.margin_v
         if self.compensator is not None:
             pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - self.baseline.tare_pa
         self._last, self._moved = (voltage_v, pressure_pa, valid), False
         if not 0 <= t_s - self.looked_s < LOOK_S:
             self.look(*self._last, t_s)
-        return reading_pa, saturated
+        return reading_pa, saturated, off_rest
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
         """Pass a frame's readings on to tare and drift; to be called once every LOOK_S.
@@ -92,4 +104,13 @@ class PressureChain:
 
     def unsettle(self) -> None:
         """Have the next frame updated: something other than the voltages has changed."""
-        self.looked_s = -math.inf
+        self.looked_s, self.bounds = -math.inf, self._found_bounds()
+
+    def _found_bounds(self) -> Bounds:
+        """By the tracker's lightest contact and a count; without a tracker both are unbounded."""
+        curves, tracker = self.calibration.curves, self.tracker
+        if tracker is None:
+            return Bounds(curves.begin_v, np.full_like(curves.end_v, np.inf), curves.end_v)
+        # A code stands for half a count more or less, too.
+        end_v = curves.end_v + np.float32(tracker.lsb_v / 2)
+        return Bounds(curves.begin_v, curves.fall_v(tracker.rules.contact_pa), end_v)

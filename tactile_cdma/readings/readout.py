@@ -19,7 +19,7 @@ from ..words.decode import MOVED_SHARE, nobody
 from ..words.health import NodeHealth
 from ..words.stages import most_square
 from .calibration import Calibration
-from .stages import Kept, Trust
+from .stages import Bounds, Kept, Trust
 from .status import Status
 
 ODD, LEFT, DOUBTFUL = 0, 1, 2
@@ -29,12 +29,13 @@ ODD, LEFT, DOUBTFUL = 0, 1, 2
 class Conditions(NamedTuple):
     """What a readout is made for: another one is needed where any of it is another object.
 
-    swing_v, state: see NodeHealth. calibration: of the nodes. threshold: see decode.
+    swing_v, state: see NodeHealth. calibration, bounds: of the nodes. threshold: see decode.
     """
 
     swing_v: Floats32 | None
     state: NDArray[np.uint8]
     calibration: Calibration
+    bounds: Bounds
     threshold: float
 
 
@@ -81,6 +82,7 @@ class Readout:
                 saturated=Status.SATURATED,
                 uncalibrated=Status.UNCALIBRATED,
                 masked=Status.MASKED,
+                faulty=Status.FAULTY,
                 codes=len(table_v),
                 pieces=len(curves.pieces),
                 taxels=self.taxels,
@@ -94,9 +96,8 @@ class Readout:
             health.invalid,
             conditions.calibration.uncalibrated,
             masked,
-            trust.rest_v,
+            *conditions.bounds,
             curves.pieces,
-            curves.end_v,
             source,
             *kept,
             health.sums,

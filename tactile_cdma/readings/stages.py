@@ -19,7 +19,7 @@ Bytes = NDArray[np.uint8]
 _SILENT, _LOW_SNR, _SATURATED = (
     np.uint8(bit) for bit in (Status.SILENT, Status.LOW_SNR, Status.SATURATED)
 )
-_UNCALIBRATED = np.uint8(Status.UNCALIBRATED)
+_UNCALIBRATED, _FAULTY = np.uint8(Status.UNCALIBRATED), np.uint8(Status.FAULTY)
 
 
 class Kept(NamedTuple):
@@ -37,13 +37,25 @@ class Kept(NamedTuple):
 class Trust(NamedTuple):
     """What is known of every node beside its words, (n,).
 
-    state: uint8, status by its health. untrusted: bool, nodes whose words are no readings. rest_v:
-    float32, V, the least that the highest code stands for, since it means "this or more".
+    state: uint8, status by its health. untrusted: bool, nodes whose words are no readings.
     """
 
     state: Bytes
     untrusted: Bools
+
+
+class Bounds(NamedTuple):
+    """Where the voltages of every node mean what they say, (n,) float32, V.
+
+    rest_v: where its curve begins, the least that the highest code stands for, since that means
+    "this or more". margin_v: by how much the lightest contact pulls a voltage down from there:
+    one that lies higher above the rest is no reading, and a highest code that lies lower below it
+    hides contacts. end_v: below it, a word may stand for a voltage beyond the end of the curve.
+    """
+
     rest_v: Floats32
+    margin_v: Floats32
+    end_v: Floats32
 
 
 class Heard(NamedTuple):
@@ -62,7 +74,13 @@ class Heard(NamedTuple):
 
 
 def hear(
-    words: Words, kept: Kept, table_v: Floats32, trust: Trust, now_s: float, stale_after_s: float
+    words: Words,
+    kept: Kept,
+    table_v: Floats32,
+    trust: Trust,
+    bounds: Bounds,
+    now_s: float,
+    stale_after_s: float,
 ) -> Heard:
     """Take in one frame's words; `kept` is updated. table_v: (codes,) V. now_s: device time, s."""
     codes, flags, heard_s = kept
@@ -77,34 +95,38 @@ def hear(
     status[stale] = Status.SILENT | Status.STALE
     stale_from_s = float(heard_s[~stale].min(initial=np.inf)) + stale_after_s
     full = codes == len(table_v) - 1
-    raised_v = np.where(full, np.maximum(voltage_v, trust.rest_v), voltage_v)
+    raised_v = np.where(full, np.maximum(voltage_v, bounds.rest_v), voltage_v)
+    hiding = full & (bounds.rest_v - voltage_v > bounds.margin_v)
+    status |= (hiding & ~(stale | trust.untrusted)) * _SATURATED
     return Heard(voltage_v, raised_v, status, ~(stale | trust.untrusted), stale_from_s)
 
 
-def convert(
-    voltage_v: Floats32, drift_v: Floats32, pieces: Floats32, end_v: Floats32
-) -> tuple[Floats32, Bools]:
-    """Pressures (n,) float32, Pa, clamped to each curve's ends; and which are beyond its range.
+def convert(voltage_v: Floats32, pieces: Floats32) -> Floats32:
+    """Pressures (n,) float32, Pa, clamped to each curve's ends, of voltages (n,) float32, V.
 
-    voltage_v, drift_v: (n,) float32, V; their sum is converted. pieces, end_v: see Curves. Every
-    piece adds its gain times the part of the voltage drop that lies within it, so no piece has to
-    be looked up.
+    pieces: see Curves. Every piece adds its gain times the part of the voltage drop that lies
+    within it, so no piece has to be looked up.
     """
-    corrected_v = voltage_v + drift_v
-    pressure_pa = np.zeros_like(corrected_v)
+    pressure_pa = np.zeros_like(voltage_v)
     for begin_v, width_v, gain in pieces:
-        fall_v = begin_v - corrected_v
+        fall_v = begin_v - voltage_v
         np.clip(fall_v, 0.0, width_v, out=fall_v)
         fall_v *= gain
         pressure_pa += fall_v
-    return pressure_pa, corrected_v < end_v
+    return pressure_pa
 
 
 def finish(
-    heard: Heard, saturated: Bools, uncalibrated: Bools, masked: Bools, reading_pa: Floats32
+    heard: Heard,
+    saturated: Bools,
+    off_rest: Bools,
+    uncalibrated: Bools,
+    masked: Bools,
+    reading_pa: Floats32,
 ) -> None:
     """Complete heard.status, and make readings NaN that are none; reading_pa: (n,), Pa."""
-    status, invalid = heard.status, ~heard.valid
-    status |= (saturated & heard.valid) * _SATURATED | uncalibrated * _UNCALIBRATED
+    status, invalid = heard.status, ~heard.valid | off_rest
+    status |= (saturated & heard.valid) * _SATURATED | (off_rest & heard.valid) * _FAULTY
+    status |= uncalibrated * _UNCALIBRATED
     status[masked] = Status.MASKED
     reading_pa[invalid] = heard.voltage_v[invalid] = np.nan

@@ -13,7 +13,11 @@ from ..base.arrays import Bools
 
 
 class Status(IntFlag):
-    """Status bits of a taxel; the same as the constants of TactileArray.msg."""
+    """Status bits of a taxel; the same as the constants of TactileArray.msg.
+
+    UNHEARD is a pair of bits: the value is held, and not certain, for a frame was lost since its
+    node was last heard, or said something that is not believed.
+    """
 
     OK = 0
     SILENT = 1
@@ -24,8 +28,19 @@ class Status(IntFlag):
     MASKED = 32
     WEAK = 64
     FAULTY = 128
+    UNHEARD = SILENT | LOW_SNR
 
 
 def is_in_service(status: NDArray[np.uint8]) -> Bools:
     """Of the same shape: taxels with a node that the layout does not mask."""
     return np.asarray(status & np.uint8(Status.MASKED) == 0)
+
+
+def is_certain(status: NDArray[np.uint8]) -> Bools:
+    """Of the same shape: taxels whose value, if they have one, was heard and has not changed."""
+    return np.asarray(status & np.uint8(Status.LOW_SNR) == 0)
+
+
+def is_unheard(status: NDArray[np.uint8]) -> Bools:
+    """Of the same shape: taxels that are UNHEARD."""
+    return np.asarray(status & np.uint8(Status.UNHEARD) == Status.UNHEARD)

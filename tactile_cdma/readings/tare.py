@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import RestError
 from ..base.listing import listed
 from ..places.layout import Layout
@@ -38,8 +38,8 @@ def take_tare(
     Returns the numbers of the nodes without valid readings, which keep the zero they had.
 
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
-    (Pa) above its present zero, or has not been heard for a second; forced or not, if no node has
-    readings.
+    (Pa) above its present zero, rests above the start of its curve by more than that would pull it
+    down, or has not been heard for a second; forced or not, if no node has readings.
     """
     if not baseline.seen:
         raise RestError(
@@ -49,6 +49,8 @@ def take_tare(
     valid, pressure_pa = valids.all(axis=0), np.median(pressures_pa, axis=0)
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
+    begin_v, rest_v = curves.begin_v, np.median(voltages_v, axis=0) + baseline.drift_v
+    above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
     if not force:
         awaited = ~valid & (may_yet_speak | valids.any(axis=0))
         if early := (np.flatnonzero(awaited) + 1).tolist():
@@ -56,35 +58,49 @@ def take_tare(
                 f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
                 "try again, or tare the others with force: true"
             )
-        above_pa = pressure_pa - baseline.tare_pa
-        moving = valid & (np.ptp(voltages_v, axis=0) > MOVING_LSB * lsb_v)
+        above_pa, moved_v = pressure_pa - baseline.tare_pa, np.ptp(voltages_v, axis=0)
+        moving = valid & (moved_v > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
         # Where something moves over the skin, the nodes that it has left need no naming.
         named = moving & loaded if (moving & loaded).any() else moving
-        _refuse("moving", named, above_pa, layout, "wait until nothing moves them")
-        remedy = "take away what touches them, or, if this is how the skin rests, "
-        _refuse("under load", loaded, above_pa, layout, remedy + "tare with force: true")
-    begin_v = curves.voltage_v[0].astype(np.float32)
-    rest_v = np.median(voltages_v, axis=0) + baseline.drift_v
-    above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
+        # By voltage: a pressure does not move where it is clamped to 0.
+        _refuse(
+            "moving", named, 1e3 * moved_v, "mV", above_pa, layout, "wait until nothing moves them"
+        )
+        otherwise = ", or, if this is how the skin rests, tare with force: true"
+        remedy = "take away what touches them" + otherwise
+        _refuse("under load", loaded, above_pa / 1e3, "kPa", above_pa, layout, remedy)
+        torn, remedy = above_v > curves.fall_v(contact_pa), "check their sensors" + otherwise
+        _refuse(
+            "above where their curves begin", torn, 1e3 * above_v, "mV", above_v, layout, remedy
+        )
     before_v = begin_v if baseline.rest_v is None else baseline.rest_v
     baseline.drift_v = baseline.drift_v - above_v
+    baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
     baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
 
 
-def _refuse(state: str, nodes: Bools, pressure_pa: Floats32, layout: Layout, remedy: str) -> None:
-    """Raises RestError if there are nodes, naming the most loaded first."""
+def _refuse(
+    state: str,
+    nodes: Bools,
+    amounts: Floats32 | Floats,
+    unit: str,
+    ranks: Floats32 | Floats,
+    layout: Layout,
+    remedy: str,
+) -> None:
+    """Raises RestError if there are nodes, naming those of the highest ranks first."""
     numbers = np.flatnonzero(nodes)
     if not len(numbers):
         return
-    numbers = numbers[np.argsort(-pressure_pa[numbers], kind="stable")]
+    numbers = numbers[np.argsort(-ranks[numbers], kind="stable")]
     names = listed(
         numbers.tolist(),
         most=_MOST_NAMES,
-        show=lambda i: f"{_name(i, layout)} {pressure_pa[i] / 1e3:.2f} kPa",
+        show=lambda i: f"{_name(i, layout)} {amounts[i]:.2f} {unit}",
     )
     raise RestError(f"not tared, {state}: {names}; {remedy}")
 

@@ -26,7 +26,7 @@ from .dynamics import Compensator
 from .pressure import PressureChain
 from .readout import DOUBTFUL, LEFT, ODD, Conditions, Readout
 from .stages import Kept, Trust, finish, hear
-from .status import Status, is_in_service
+from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
 
@@ -34,8 +34,9 @@ from .tare import take_tare
 class Coverage:
     """How much of a patch is read.
 
-    valid: taxels with a valid reading. in_service: taxels with a node that the layout does not
-    mask. doubtful: valid ones whose word, or whose silence since, is uncertain.
+    valid: taxels with a valid, certain reading. in_service: taxels with a node that the layout does
+    not mask. doubtful: valid ones whose zero is none: they read below it by as much as a contact is
+    above, or none at the end of the range.
     """
 
     valid: int = 0
@@ -43,26 +44,32 @@ class Coverage:
     doubtful: int = 0
 
     @classmethod
-    def of(cls, pressure_pa: Floats32, status: NDArray[np.uint8]) -> Coverage:
-        """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits."""
+    def of(
+        cls, pressure_pa: Floats32, status: NDArray[np.uint8], contact_pa: float = math.inf
+    ) -> Coverage:
+        """That of one frame; pressure_pa: (t,), Pa, NaN without a reading; status: (t,) bits.
+
+        contact_pa: pressure from which on there is a contact, Pa.
+        """
         in_service = is_in_service(status)
-        valid = in_service & np.isfinite(pressure_pa)
-        doubtful = valid & (status & _LOW_SNR != 0)
+        valid = in_service & is_certain(status) & np.isfinite(pressure_pa)
+        doubtful = (status & _SATURATED != 0) & (pressure_pa <= contact_pa)
+        doubtful = valid & (doubtful | (pressure_pa < -contact_pa))
         return cls(*(int(np.count_nonzero(some)) for some in (valid, in_service, doubtful)))
 
     @property
     def is_whole(self) -> bool:
-        """Whether every taxel in service has a reading."""
+        """Whether every taxel in service has a certain reading."""
         return self.valid == self.in_service > 0
 
     @property
     def is_certain(self) -> bool:
-        """Whether all of these readings are certain: only then nothing found is no touch."""
+        """Whether all of these mean what they say: only then nothing found is no touch."""
         return self.is_whole and not self.doubtful
 
     @property
     def is_most(self) -> bool:
-        """Whether at least half of the taxels in service have a reading.
+        """Whether at least half of the taxels in service have a certain reading.
 
         With fewer, more of the skin is blind than seen: an equal load there would more than double
         every sum over the patch, and move its centre to taxels that were not read.
@@ -83,17 +90,17 @@ class Readings:
     voltage_v: Floats32
     status: NDArray[np.uint8]
 
-    @property
-    def coverage(self) -> Coverage:
+    def coverage(self, contact_pa: float) -> Coverage:
         """How much of the patch these are of."""
-        return Coverage.of(self.pressure_pa, self.status)
+        return Coverage.of(self.pressure_pa, self.status, contact_pa)
 
 
 class Taxels:
     """Keeps the last word of every node.
 
     A silent node has not changed by more than its own threshold, so its last value stands (flag
-    SILENT). Nodes also transmit at a slow heartbeat; one that was not heard for stale_after_s, or
+    SILENT), as long as no frame was lost in which it may have said another one: then it is UNHEARD
+    until it speaks again, be it at its heartbeat. A node that was not heard for stale_after_s, or
     never, reads NaN (flag STALE), as does one whose words contradict the code (flag FAULTY).
     Masked nodes and taxels without a node have no reading (flag MASKED).
 
@@ -117,7 +124,7 @@ class Taxels:
         self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
-        self._trust: Trust | None = None  # by the last verdict on the nodes, for these curves
+        self._trust: Trust | None = None  # by the last verdict on the nodes
         self._verdict: tuple[object, ...] = ()
         self._silence: Readings | None = None  # readings of silent frames, until a node transmits
         self._stale_from_s = -np.inf  # when the next node goes stale, device time
@@ -151,6 +158,11 @@ class Taxels:
         """The missing nodes that were heard before."""
         return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
 
+    def miss(self) -> None:
+        """Note that a frame was not heard, in which any node may have spoken."""
+        self._kept.flags[:] = Status.LOW_SNR
+        self._silence = None
+
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
         self._heard_s[:], self._began_s = -np.inf, np.inf
@@ -173,7 +185,12 @@ class Taxels:
         self.refresh()
         return [number for number in unheard if not self._masked[number - 1]]
 
-    def restore(self, rest_v: Floats32 | None = None, drift_v: Floats32 | None = None) -> None:
+    def restore(
+        self,
+        rest_v: Floats32 | None = None,
+        drift_v: Floats32 | None = None,
+        tared_drift_v: Floats32 | None = None,
+    ) -> None:
         """Restore tare and drift, (n,) float32, V, each as in Baseline; None: no tare, no drift.
 
         The tare is the curves' pressure at rest_v; a compensator that has seen no load agrees.
@@ -184,6 +201,8 @@ class Taxels:
             self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
         if drift_v is not None:
             self.baseline.drift_v = drift_v
+        if tared_drift_v is not None:
+            self.baseline.tared_drift_v = tared_drift_v
         self.refresh()
 
     def calibrate(self, calibration: Calibration, compensator: Compensator | None = None) -> bool:
@@ -195,7 +214,7 @@ class Taxels:
         baseline, chain = self.baseline, self.chain
         stay = calibration.curves.checksum == chain.calibration.curves.checksum
         chain.calibration, chain.compensator = calibration, compensator
-        self.restore(*(baseline.rest_v, baseline.drift_v) if stay else ())
+        self.restore(*(baseline.rest_v, baseline.drift_v, baseline.tared_drift_v) if stay else ())
         return stay
 
     def refresh(self) -> None:
@@ -219,7 +238,9 @@ class Taxels:
         chain = self.chain
         if chain.compensator is not None or health.any_suspect or health.frames_to_verdict == 1:
             return None
-        conditions = Conditions(health.swing_v, health.state, chain.calibration, threshold)
+        conditions = Conditions(
+            health.swing_v, health.state, chain.calibration, chain.bounds, threshold
+        )
         readout = self._readout
         if readout is None or any(map(is_not, conditions, readout.conditions)):
             readout = self._readout = Readout(
@@ -286,20 +307,22 @@ class Taxels:
 
     def _read(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
         trust = self._trusted(health)
-        heard = hear(words, self._kept, self._voltage_of, trust, t_device, self.stale_after_s)
+        heard = hear(
+            words, self._kept, self._voltage_of, trust, self.chain.bounds, t_device,
+            self.stale_after_s,
+        )  # fmt: skip
         self._stale_from_s = heard.stale_from_s
-        pressure_pa, saturated = self.chain.update(heard.raised_v, heard.valid, t_device)
-        finish(heard, saturated, self.chain.calibration.uncalibrated, self._masked, pressure_pa)
+        pressure_pa, saturated, off_rest = self.chain.update(heard.raised_v, heard.valid, t_device)
+        uncalibrated = self.chain.calibration.uncalibrated
+        finish(heard, saturated, off_rest, uncalibrated, self._masked, pressure_pa)
         return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))
 
     def _trusted(self, health: NodeHealth) -> Trust:
         """What is known of the nodes beside their words."""
-        curves = self.chain.calibration.curves
-        verdict = health.state, health.invalid, curves
+        verdict = health.state, health.invalid
         if self._trust is None or any(map(is_not, verdict, self._verdict)):
-            rest_v = curves.voltage_v[0].astype(np.float32)
             untrusted = health.invalid | self._masked
-            self._trust = Trust(_FLAGS_OF[health.state], untrusted, rest_v)
+            self._trust = Trust(_FLAGS_OF[health.state], untrusted)
             self._verdict = verdict
         return self._trust
 
@@ -316,7 +339,7 @@ class Taxels:
         return Readings(pressure_pa, voltage_v, status)
 
 
-_LOW_SNR = np.uint8(Status.LOW_SNR)
+_SATURATED = np.uint8(Status.SATURATED)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

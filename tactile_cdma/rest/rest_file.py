@@ -15,7 +15,7 @@ from ..base.arrays import Floats32
 from ..base.errors import RestError
 from ..base.marked_yaml import Keys, read_marked
 from ..base.named_file import expanded, naming
-from ..base.whole_file import replace_file
+from ..base.whole_file import keep_aside, replace_file
 
 SCHEMA = "tactile_cdma/rest"
 VERSION = 1
@@ -31,15 +31,17 @@ _HEAD = "# Written by the driver: what it takes off readings. Delete it to start
 class RestState:
     """What a skin reads at rest, and which skin that is.
 
-    skin: its name; may be empty. simulated: it is not hardware. nodes: their number. calibration:
-    identity of the calibration, empty for the default one; for people. curves: checksum of its
-    curves, without which tare and drift mean nothing. written: when, in ISO 8601. tared: when the
-    tare was taken; empty: never, or unknown. rest_v, drift_v: (n,) float32, V, see Baseline; None:
-    no tare, no drift.
+    skin: its name; may be empty. simulated: it is not hardware. scene: the sim:// URL by which the
+    driver simulates it, or empty. nodes: their number. calibration: identity of the calibration,
+    empty for the default one; for people. curves: checksum of its curves, without which tare and
+    drift mean nothing. written: when, in ISO 8601. tared: when the tare was taken; empty: never, or
+    unknown. rest_v, drift_v, tared_drift_v: (n,) float32, V, see Baseline; None: no tare, no drift,
+    none when it was tared.
     """
 
     skin: str
     simulated: bool
+    scene: str
     nodes: int
     calibration: str
     curves: str
@@ -47,8 +49,11 @@ class RestState:
     tared: str
     rest_v: Floats32 | None
     drift_v: Floats32 | None
+    tared_drift_v: Floats32 | None = None
 
-    def misfit(self, skin: str, simulated: bool | None, nodes: int, curves: str) -> str | None:
+    def misfit(
+        self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str = ""
+    ) -> str | None:
         """Why this is not the state of such a skin, or None.
 
         An empty name fits every name, and simulated is None as long as that is not known.
@@ -56,6 +61,8 @@ class RestState:
         if simulated is not None and self.simulated != simulated:
             kinds = ("a real", "a simulated") if simulated else ("a simulated", "a real")
             return f"it is of {kinds[0]} skin, this is {kinds[1]} one"
+        if scene and self.scene != scene:
+            return f"it is of {self.scene or 'another simulation'}, this is {scene}"
         if self.skin and skin and self.skin != skin:
             return f"it is of skin {self.skin!r}, this is {skin!r}"
         if self.nodes != nodes:
@@ -99,27 +106,21 @@ def write_rest(path: Path, state: RestState) -> None:
         "simulated": _YES if state.simulated else _NO,
         "rest_v": _numbers(state.rest_v),
         "drift_v": _numbers(state.drift_v),
+        "tared_drift_v": _numbers(state.tared_drift_v),
     }
     text = _HEAD + yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     with naming(path, RestError, "tare and drift are not kept"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink():  # its target is not ours
-            path.unlink()
-        replace_file(path, text)
+        replace_file(path, text, follow=False)  # the target of a link is not ours
 
 
 def set_aside(path: Path) -> Path | None:
-    """Rename a file that must not be overwritten; returns its new name, None if there is no file.
+    """Keep a file that is to be overwritten under another name, which is returned; None: no file.
 
     Raises RestError.
     """
-    aside = path.with_name(f"{path.name}.old")
     with naming(path, RestError, "cannot be set aside"):
-        try:
-            os.replace(path, aside)
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-    return aside
+        return keep_aside(path)
 
 
 def read_rest(path: Path) -> RestState | None:
@@ -132,11 +133,14 @@ def read_rest(path: Path) -> RestState | None:
     file = read_marked(path, RestError).mapping("the file")
     file.check_schema(SCHEMA, VERSION)
     nodes = file["nodes"].whole("nodes", 1, 65_535)
+    since = "tared_drift_v" if "tared_drift_v" in file.entries else "drift_v"  # of older files
     return RestState(
         nodes=nodes,
         simulated=file.text("simulated") == _YES,
+        scene=file.text("scene", default=""),
         rest_v=_array(file, "rest_v", nodes),
         drift_v=_array(file, "drift_v", nodes),
+        tared_drift_v=_array(file, since, nodes),
         **{name: file.text(name) for name in _TEXTS},
     )
 

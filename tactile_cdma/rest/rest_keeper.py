@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,9 +77,11 @@ class RestKeeper:
         self._log, self._on_change = log, on_change
         # Other ports, too, may lead to a simulator or an emulator: the digitizer says it.
         self._simulated = True if url.lower().startswith(SIMULATION) else None
+        self._scene = url if self._simulated else ""
         self._store = RestStore(None if url.lower().startswith(REPLAY) else path, log)
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
+        self._lock, self._drops = Lock(), 0  # of _kept; how often hear() dropped it
         self._told_drift_v: NDArray[np.float32] | None = None
         self._told_s = self._saved_s = 0.0
         self._is_writable = True
@@ -94,7 +97,7 @@ class RestKeeper:
         self._driver, kept = driver, self._kept
         if kept is not None:
             taxels = driver.pipeline.taxels
-            taxels.restore(kept.rest_v, kept.drift_v)
+            taxels.restore(kept.rest_v, kept.drift_v, kept.tared_drift_v)
             if kept.rest_v is not None or kept.drift_v is not None:
                 text = (
                     f"tare and drift are those of {kept.written} in {self._store.path}: "
@@ -115,13 +118,14 @@ class RestKeeper:
         Tare and drift in force that were found on the other kind of skin are dropped, also those
         that are not on file.
         """
-        found, self._simulated = self._present(), simulated
-        nothing = found.rest_v is None and found.drift_v is None and self._kept is None
-        if self._driver is None or nothing or found.simulated == simulated:
-            return
-        self._driver.pipeline.taxels.restore()
-        self._store.disown()
-        self._kept, self.tared = None, ""
+        with self._lock:
+            found, self._simulated = self._present(), simulated
+            nothing = found.rest_v is None and found.drift_v is None and self._kept is None
+            if self._driver is None or nothing or found.simulated == simulated:
+                return
+            self._driver.pipeline.taxels.restore()
+            self._store.disown()
+            self._kept, self.tared, self._drops = None, "", self._drops + 1
         misfit = found.misfit(found.skin, simulated, found.nodes, found.curves)
         self._log.warning(f"{self._store.path}: tare and drift are dropped: {misfit}")
 
@@ -222,8 +226,9 @@ class RestKeeper:
 
     def _read(self) -> None:
         config = self.config
+        curves = config.calibration.curves.checksum
         self._kept = self._store.read(
-            config.skin, self._simulated, config.spec.nodes, config.calibration.curves.checksum
+            config.skin, self._simulated, config.spec.nodes, curves, self._scene
         )
         self.tared = self._kept.tared if self._kept else ""
 
@@ -250,26 +255,38 @@ class RestKeeper:
             self._is_writable = False
 
     def _write(self) -> Path:
-        state = self._present()
+        with self._lock:
+            state, drops = self._present(), self._drops
         path = self._store.write(state)
-        self._kept, self._is_writable, self._saved_s = state, True, time.monotonic()
+        with self._lock:
+            if self._drops == drops:
+                self._kept = state
+            else:  # what is on file now was dropped meanwhile
+                self._store.disown()
+        self._is_writable, self._saved_s = True, time.monotonic()
         return path
 
     def _present(self) -> RestState:
         """What is in force; while inactive, what was last."""
-        config, rest_v, drift_v = self.config, None, None
+        config = self.config
+        rest_v = drift_v = tared_drift_v = None
         simulated = self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated
         if self._driver is not None:
             baseline = self._driver.pipeline.taxels.baseline
             rest_v = baseline.rest_v
-            drift_v = baseline.drift_v if baseline.drift_v.any() else None
+            drift_v, tared_drift_v = (
+                some_v if some_v.any() else None
+                for some_v in (baseline.drift_v, baseline.tared_drift_v)
+            )
         elif self._kept is not None:
             rest_v, drift_v = self._kept.rest_v, self._kept.drift_v
+            tared_drift_v = self._kept.tared_drift_v
         return RestState(
             skin=config.skin,
             simulated=simulated,
+            scene=self._scene,
             nodes=config.spec.nodes,
             calibration=config.calibration.identity,
             curves=config.calibration.curves.checksum,
@@ -277,6 +294,7 @@ class RestKeeper:
             tared=self.tared,
             rest_v=rest_v,
             drift_v=drift_v,
+            tared_drift_v=tared_drift_v,
         )
 
 

@@ -27,7 +27,7 @@ class Log(Protocol):
 class RestStore:
     """A file of tare and drift, and beside it one of the calibration that they go with.
 
-    Files that do not fit the skin are never overwritten, but renamed before the next write.
+    Files that do not fit the skin are never lost, but get another name before the next write.
     """
 
     def __init__(self, path: Path | None, log: Log) -> None:
@@ -36,7 +36,9 @@ class RestStore:
         self._log = log
         self._is_others = False
 
-    def read(self, skin: str, simulated: bool | None, nodes: int, curves: str) -> RestState | None:
+    def read(
+        self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str
+    ) -> RestState | None:
         """The state on file if it is that of such a skin (see RestState.misfit), else None."""
         self._is_others = False
         if self.path is None:
@@ -47,7 +49,10 @@ class RestStore:
             self.disown()
             self._log.warning(f"no tare and drift: {error}")
             return None
-        misfit = state and state.misfit(skin, simulated, nodes, curves)
+        misfit = state and state.misfit(skin, simulated, nodes, curves, scene)
+        if misfit and scene and state and state.simulated and state.scene != scene:
+            self._log.info(f"{self.path}: tare and drift are not used, nor kept: {misfit}")
+            return None
         if misfit:
             self.disown()
             self._log.warning(f"{self.path}: tare and drift are left aside: {misfit}")
@@ -55,7 +60,7 @@ class RestStore:
         return state
 
     def disown(self) -> None:
-        """Treat what is on file as another skin's: rename it before the next write."""
+        """Treat what is on file as another skin's: keep it aside at the next write."""
         self._is_others = True
 
     def write(self, state: RestState) -> Path:
@@ -86,4 +91,4 @@ class RestStore:
 
     def _set_aside(self, path: Path) -> None:
         if aside := set_aside(path):
-            self._log.info(f"what was in {path} is in {aside} now")
+            self._log.info(f"what was in {path} is kept in {aside}")

@@ -140,7 +140,9 @@ def main() -> int:
         topics = _topics(arguments)
         with (
             Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
-            running(lambda: BagRecorder(writer, topics), arguments.seconds) as program,
+            running(
+                lambda: BagRecorder(writer, topics), arguments.seconds, (OSError, WriterError)
+            ) as program,
         ):
             print(f"recording into {arguments.folder}, Ctrl-C ends", flush=True)
             while not full and program.spin(LOOK_S):

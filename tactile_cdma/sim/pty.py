@@ -46,9 +46,9 @@ def serve(
 ) -> None:
     """Run a digitizer on a pseudo-terminal until `stop` is set.
 
-    link: a symbolic link to create to the terminal, replacing an older link. on_ready is called
-    with the path to open, the link's if there is one. Clients may come and go: the digitizer stays
-    powered and, between START and STOP, streams on; what nobody reads is dropped and counted.
+    link: a symbolic link to create to the terminal, replacing one of an earlier run. on_ready is
+    called with the path to open, the link's if there is one. Clients may come and go: the digitizer
+    stays powered and, between START and STOP, streams on; what nobody reads is dropped and counted.
     Raises PortError where there is no pseudo-terminal or the link cannot be made.
     """
     with ExitStack() as stack:
@@ -98,8 +98,10 @@ def _raw_terminal() -> Iterator[tuple[int, Path]]:
 
 @contextmanager
 def _symlink(link: Path, target: Path) -> Iterator[None]:
-    if link.exists() and not link.is_symlink():
-        raise PortError(f"{link} exists and is not a symbolic link; it is left alone")
+    if os.path.lexists(link) and not (
+        link.is_symlink() and Path(os.readlink(link)).parent == target.parent
+    ):
+        raise PortError(f"{link} exists and is no link to a pseudo-terminal; it is left alone")
     try:
         link.unlink(missing_ok=True)
         link.symlink_to(target)

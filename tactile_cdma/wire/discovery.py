@@ -122,11 +122,12 @@ def holders(device: str) -> list[str]:
     if real.startswith("/dev/pts/"):
         return []
     found: dict[str, None] = {}  # an ordered set: a program may have it open several times
-    for descriptor in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):  # the process has ended, has closed it, or is another user's
-            if os.readlink(descriptor) == real:
-                process = descriptor.parents[1]
-                found[f"{(process / 'comm').read_text().strip()} (pid {process.name})"] = None
+    for process in filter(str.isdigit, _entries("/proc")):
+        for descriptor in _entries(f"/proc/{process}/fd"):
+            with suppress(OSError):  # the process has ended, or has closed it
+                if os.readlink(f"/proc/{process}/fd/{descriptor}") == real:
+                    name = Path(f"/proc/{process}/comm").read_text().strip()
+                    found[f"{name} (pid {process})"] = None
     return list(found)
 
 
@@ -137,5 +138,12 @@ def leave_alone_if_open(url: str) -> None:
 
 
 def _links(device: str) -> tuple[str, ...]:
-    links = (link for folder in LINK_FOLDERS for link in sorted(Path(folder).glob("*")))
-    return tuple(str(link) for link in links if os.path.realpath(link) == device)
+    links = (f"{folder}/{name}" for folder in LINK_FOLDERS for name in sorted(_entries(folder)))
+    return tuple(link for link in links if os.path.realpath(link) == device)
+
+
+def _entries(folder: str) -> list[str]:
+    """The names in a folder; none where it is gone, or another user's, both at any moment."""
+    with suppress(OSError):
+        return os.listdir(folder)
+    return []

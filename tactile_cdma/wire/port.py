@@ -16,7 +16,7 @@ import serial
 
 from ..base.errors import CaptureError, PortError
 from .discovery import device_of
-from .port_failures import NETWORK, SOCKET, TerminalError, lost, why_not_open
+from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
 
 _log = logging.getLogger(__name__)
@@ -34,8 +34,14 @@ WRITE_TIMEOUT_S = 1.0
 """s; commands are shorter than 100 bytes, which any working port takes at once. Chosen."""
 HANDLERS = ("tactile_cdma.sim", "tactile_cdma.replay")
 """Packages in which pyserial finds the handlers of sim:// and replay://."""
-SPY = "spy://"
-"""pyserial then writes to any file that the URL names, which a parameter must not be able to do."""
+REFUSED = {
+    "spy://": "would write a file; tactile-cdma record keeps the bytes of a port",
+    "rfc2217://": "is read too slowly for a skin, and without a bound; have the port's server pass "
+    "the plain bytes, and use socket://host:port",
+}
+"""URLs that pyserial opens and this class does not, and why. spy:// writes to any file that the URL
+names, which a parameter must not be able to do; rfc2217:// has a queue of single bytes that grows
+with everything that waits (56 MB in 25 s), and takes no time limit for writing."""
 _LOST = (OSError, TypeError, TerminalError, CaptureError)
 """TypeError: from pyserial, reading a port that another thread has closed."""
 
@@ -56,12 +62,11 @@ class Port:
         self.url = url
         # Looked up at every opening: a board that is plugged in again may be another device.
         pyserial_url = device_of(url)
-        self.over_network = pyserial_url.startswith(NETWORK)
+        self.over_network = pyserial_url.startswith(SOCKET)
         self.had_waited = False
-        if pyserial_url.startswith(SPY):
-            raise PortError(
-                f"{url}: {SPY} would write a file; tactile-cdma record keeps the bytes of a port"
-            )
+        for scheme, reason in REFUSED.items():
+            if pyserial_url.startswith(scheme):
+                raise PortError(f"{url}: {scheme} {reason}")
         try:
             self._serial = serial.serial_for_url(pyserial_url, do_not_open=True)
             self._serial.baudrate = baud
@@ -74,7 +79,7 @@ class Port:
             _limit_wait_for_host(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # left from before this port was opened
             self._has_file = hasattr(select, "poll") and (
-                "://" not in pyserial_url or pyserial_url.startswith(SOCKET)
+                "://" not in pyserial_url or self.over_network
             )
             self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:

@@ -18,8 +18,7 @@ except ImportError:  # not a POSIX system
     TerminalError = OSError  # type: ignore[misc, assignment]
 
 SOCKET = "socket://"
-NETWORK = (SOCKET, "rfc2217://")
-"""Begin the URLs of ports on another machine."""
+"""Begins the URLs of ports on another machine."""
 NO_HOST = f"host and port (1…65535) are not named, as in {SOCKET}192.168.0.7:4000"
 _NOT_SERIAL = (errno.ENOTTY, errno.EISDIR, errno.ENXIO)
 
@@ -43,12 +42,12 @@ def why_not_open(error: Exception, device: str) -> str:
         return f"busy: another program has it open ({who})"
     if "could not configure port" in str(error).lower() or code in _NOT_SERIAL:
         return "not a serial port"
-    if device.startswith(NETWORK) and not _names_host_and_port(device):
+    if device.startswith(SOCKET) and not _names_host_and_port(device):
         return NO_HOST
     if isinstance(error, ValueError) and "protocol" in str(error):
         return (
-            "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE, "
-            "socket://host:port or rfc2217://…"
+            "unknown kind of port; use a device path, usb://SERIAL, sim://, replay://FILE or "
+            "socket://host:port"
         )
     return str(error)
 
@@ -58,7 +57,7 @@ def is_remote(url: str) -> bool:
 
     Raises PortError where a URL of such a port does not name host and port.
     """
-    if not url.lower().startswith(NETWORK):
+    if not url.lower().startswith(SOCKET):
         return False
     if not _names_host_and_port(url):
         raise PortError(f"{url}: {NO_HOST}")

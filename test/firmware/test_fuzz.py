@@ -7,6 +7,7 @@ Past finds stay fixed, and the harnesses detect planted faults.
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -18,15 +19,8 @@ from torture.fuzz.harnesses import BUILD, best_kind, build, fuzz, harnesses
 SECONDS, HANG_S = 60, 30
 MUTANTS = {"board": 20}
 """Of harnesses whose inputs take long: a whole board is emulated for each. Of others 200."""
-HARNESSES = {  # sources of firmware/fuzz and of the core
-    "framing": ("fuzz_framing framing", "packet cobs crc32"),
-    "setup": ("fuzz_setup settings", "setup"),
-    "node": ("fuzz_node framing", "discipline event sequencer node_memory crc32"),
-    "digitizer": (
-        "fuzz_digitizer commands framing host line settings",
-        "digitizer stream setup pulses packet cobs crc32",
-    ),
-}
+OBJECTS = BUILD / "fuzz" / "standalone"
+KERNEL = FIRMWARE.parent / "kernel"
 DEFECTS = {  # harness, file; what is there; what is there instead; what must be found
     "a field is read from the wrong place": (
         "framing",
@@ -109,33 +103,36 @@ def test_a_slice_of_what_libfuzzer_tries(name: str) -> None:
     assert found.inputs > 0
 
 
+def planted(name: str, sources: Path, defect: tuple[str, str, str], folder: Path) -> Path:
+    """A harness with a defect in one file of some sources; the others are as make built them."""
+    build("fuzz-standalone")
+    file, right, wrong = defect
+    text = (sources / file).read_text()
+    assert text.count(right) == 1
+    changed = folder / file
+    changed.write_text(text.replace(right, wrong))
+    if changed.suffix == ".h":
+        [user] = [path for path in sources.glob("*.c") if f'"{file}"' in path.read_text()]
+        changed = Path(shutil.copy(user, folder))
+    include = ("-I", sources, "-I", FIRMWARE / "fuzz")
+    run(need("cc"), *STRICT, *include, "-O1", "-g1", *SANITIZE, "-c", changed, cwd=folder)
+    objects = [path for path in OBJECTS.glob("fuzz/*.o") if not path.stem.startswith("fuzz_")]
+    objects += [OBJECTS / "fuzz" / f"fuzz_{name}.o", *OBJECTS.glob("core/*.o")]
+    objects += OBJECTS.glob("kernel_sources/*.o") if sources == KERNEL else ()
+    objects = [path for path in objects if path.stem != changed.stem]
+    program = folder / name
+    run(need("cc"), *SANITIZE, folder / f"{changed.stem}.o", *objects, "-lm", "-o", program)
+    return program
+
+
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
-    harness, file, right, wrong, fault = DEFECTS[defect]
-    text = (CORE / file).read_text()
-    assert text.count(right) == 1
-    (tmp_path / file).write_text(text.replace(right, wrong))
-    own, core = (names.split() for names in HARNESSES[harness])
-    sources = [FIRMWARE / "fuzz" / f"{name}.c" for name in [*own, "standalone"]]
-    sources += [(tmp_path if f"{name}.c" == file else CORE) / f"{name}.c" for name in core]
-    program = tmp_path / harness
-    run(
-        need("cc"),
-        *STRICT,
-        "-I",
-        FIRMWARE / "fuzz",
-        "-g",
-        *SANITIZE,
-        *sources,
-        "-lm",
-        "-o",
-        program,
-    )
+    name, *change, fault = DEFECTS[defect]
+    program = planted(name, CORE, (change[0], change[1], change[2]), tmp_path)
     found = fuzz(program, "standalone", 3000, 1, 3, 2)
     assert found.fault == fault, found.said
 
 
-KERNEL = FIRMWARE.parent / "kernel"
 KERNEL_DEFECTS = {
     "a butterfly subtracts the wrong way": (
         "transform_lanes.h",
@@ -225,18 +222,7 @@ STREAM_DEFECTS = {
 @pytest.mark.parametrize("defect", KERNEL_DEFECTS | STREAM_DEFECTS)
 def test_a_defect_planted_in_the_kernel_is_found(defect: str, tmp_path: Path) -> None:
     name = "stream" if defect in STREAM_DEFECTS else "kernel"
-    file, right, wrong, fault = (KERNEL_DEFECTS | STREAM_DEFECTS)[defect]
-    for path in [*KERNEL.glob("*.h"), *KERNEL.glob("*.c")]:
-        text = path.read_text().replace('"../firmware/core/', '"')
-        if path.name == file:
-            assert text.count(right) == 1
-            text = text.replace(right, wrong)
-        (tmp_path / path.name).write_text(text)
-    own = [FIRMWARE / "fuzz" / f"{part}.c" for part in (f"fuzz_{name}", "framing", "standalone")]
-    binding = {tmp_path / "binding.c", *tmp_path.glob("module*")}
-    sources = [*own, *(set(tmp_path.glob("*.c")) - binding)]
-    program = tmp_path / name
-    include = ("-I", tmp_path, "-I", FIRMWARE / "fuzz")
-    run(need("cc"), *STRICT, *include, "-g", *SANITIZE, *sources, "-lm", "-o", program)
+    *change, fault = (KERNEL_DEFECTS | STREAM_DEFECTS)[defect]
+    program = planted(name, KERNEL, (change[0], change[1], change[2]), tmp_path)
     found = fuzz(program, "standalone", 20_000, 1, 20, 10)
     assert found.fault == fault, found.said

@@ -17,6 +17,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from tactile_cdma.ros.common.executor import LeanExecutor
+from tactile_cdma.ros.common.failures import FAILURES
 from tactile_cdma.ros.common.following import Following
 from test.support.waiting import PATIENCE_S
 
@@ -114,18 +115,23 @@ def test_services_answer(world: World) -> None:
         return response
 
     world.node.create_service(Trigger, "ask", answer)
+    assert answered(world, "ask").message == "here"
+
+
+def answered(world: World, service: str) -> Trigger.Response:
+    """What a service says to a client of another executor."""
     other = rclpy.create_node("other")
-    client = other.create_client(Trigger, "ask")
+    client = other.create_client(Trigger, service)
     world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
 
-    def answered() -> bool:
+    def is_done() -> bool:
         rclpy.spin_once(other, timeout_sec=0.0)
         return bool(future.done())
 
-    world.until(answered)
-    assert future.result().message == "here"
+    world.until(is_done)
     other.destroy_node()
+    return future.result()
 
 
 def test_publishers_hear_of_subscribers_that_ask_for_more(world: World) -> None:
@@ -179,10 +185,28 @@ def test_a_callback_of_two_arguments_gets_when_a_message_was_sent_and_came(world
     assert begin_ns < info["source_timestamp"] < info["received_timestamp"] < time.time_ns()
 
 
-def test_an_error_in_a_callback_reaches_who_spins(world: World) -> None:
-    def fail() -> None:
-        raise ArithmeticError
+def fail(*_: object) -> None:
+    raise ArithmeticError("of \x1b[2J the test")
 
+
+def test_errors_in_callbacks_end_nothing_are_counted_and_logged_once(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    world.node.create_timer(0.01, fail)
+    world.node.create_subscription(Header, "said", fail, LATCHED)
+    world.publisher("one")
+    world.node.create_service(Trigger, "serve", fail)
+    failures = FAILURES.count
+    assert not answered(world, "serve").success, "its caller is told, and does not wait for ever"
+    world.until(lambda: FAILURES.count >= failures + 10)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 1 and "ArithmeticError: of \\x1b[2J the test" in said[0]
+
+
+def test_a_fatal_error_reaches_who_spins(world: World) -> None:
+    world.executor.shutdown()
+    world.executor = LeanExecutor(fatal=(OSError, ArithmeticError))
+    world.executor.add_node(world.node)
     timer = world.node.create_timer(0.01, fail)
     with pytest.raises(ArithmeticError):
         world.until(lambda: False)

@@ -133,7 +133,7 @@ def test_a_skin_that_is_not_read_says_so_where_an_untouched_one_shows_nothing() 
     [text] = of(skin.draw({3: float("nan")}), BLIND)
     assert text.text == "unread:1/23"
     [text] = of(skin.draw({3: float("nan")}, every=Status.LOW_SNR), BLIND)
-    assert text.text == "unread:1/23\ndoubtful:22/23"
+    assert text.text == "unread:23/23"
     assert [m.id for m in of(skin.draw({}), BLIND, Marker.DELETE)] == [text.id]
     assert not of(skin.draw({}), BLIND, Marker.DELETE)
 
@@ -174,7 +174,7 @@ def test_the_resultant_of_several_contacts_is_their_sum_at_the_centre_of_pressur
 
 def test_no_text_has_a_space_for_rviz_would_tear_it_apart() -> None:
     nan = float("nan")
-    drawn = Skin().draw({0: 40e3, 9: nan, 22: 30e3}, every=Status.LOW_SNR)
+    drawn = Skin().draw({0: 40e3, 9: nan, 22: 30e3, 12: -2e3})  # below its zero: doubtful
     texts = [m.text for m in drawn.markers if m.type == Marker.TEXT_VIEW_FACING]
     assert len(texts) == 4 and not any(" " in text for text in texts)
 

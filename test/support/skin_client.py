@@ -29,8 +29,10 @@ from .waiting import holds, wait_for
 class Client(Node):
     """Subscribes and calls services like any user's node."""
 
-    def __init__(self) -> None:
+    def __init__(self, asked: str = "/skin") -> None:
+        """asked: the node whose services are called."""
         super().__init__("client")
+        self._asked = asked
         self.arrays: list[TactileArray] = []
         self.images: list[Image] = []
         self.infos: list[TactileSkinInfo] = []
@@ -54,7 +56,7 @@ class Client(Node):
         return {pair.key: pair.value for pair in self.entry(entry).values}.get(key, "")
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.create_client(kind, f"/skin/{name}")
+        client = self.create_client(kind, f"{self._asked}/{name}")
         assert client.wait_for_service(10), f"no service {name}"
         future = client.call_async(request)
         wait_for(future.done)

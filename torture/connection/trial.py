@@ -16,7 +16,7 @@ import numpy as np
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
-from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.options import SimOptions
 
 from ..outcome import Outcome, Plan, Tally
@@ -56,8 +56,12 @@ class Trial:
         plug: Plug,
         faults: Callable[[Trial], Turns],
         parameters: Mapping[str, object] | None = None,
+        compiled: bool = True,
     ) -> None:
-        """fault: for the table. faults: put them in, in turns. parameters: of the driver."""
+        """fault: for the table. faults: put them in, in turns. parameters: of the driver.
+
+        compiled: see Pipeline.
+        """
         self.fault, self.plug, self._faults = fault, plug, faults
         self.said = ""
         self.hold_s = 0.0
@@ -67,20 +71,24 @@ class Trial:
         self.limit_s = 10.0 if plan.quick else 30.0
         config = SkinConfig.of(dict(parameters or {}))
         self.driver = Driver(config, plug.url, BAUD, self._consume, self._note)
+        if not compiled:
+            self.driver.pipeline = Pipeline(config, compiled=False)
 
     def run(self) -> Turns:
-        """Start the driver, put the faults in, and stop it."""
+        """Start the driver, put the faults in, and stop it, whatever the port is doing then."""
         self.driver.start()
         try:
             yield from self._faults(self)
             self.judge.settle()
             lost_frames = self.driver.pipeline.counters.lost_frames
             self.tally.uncounted_losses += self.judge.account(lost_frames)
+            self.tally.crashes += not self._lives
+            yield from self.stops()
         except HangError:
             self.tally.hangs += 1
+            self.tally.crashes += not self._lives
             self.said = f"{self.plug.url} hangs at {self.tally.times}: {self.driver.problem}"
         finally:
-            self.tally.crashes += not self._lives
             self.plug.unplug()
             self.driver.stop()
 
@@ -130,6 +138,12 @@ class Trial:
         begin_s = time.monotonic()
         yield from self.until(self._flows)
         self.resumed_s.append(time.monotonic() - begin_s)
+
+    def stops(self) -> Turns:
+        """Take turns until the driver has stopped."""
+        stopping = threading.Thread(target=self.driver.stop, daemon=True)
+        stopping.start()
+        yield from self.until(lambda: not stopping.is_alive())
 
     def counted(self, count: Callable[[], int], true: Callable[[], int]) -> Turns:
         """Take turns until a count is the true one; the difference is uncounted losses."""

@@ -34,6 +34,8 @@ SAMPLE = 10_000
 TEXT = "text received"
 NOISE = "no valid packet"
 UNKNOWN = "no description"
+NO_MORE = ("no packets any more", "fallen silent", "sends no frames", "version")
+"""Problems where something else comes from a port that was steady."""
 
 _LOG = (
     b"\x00\xf8\x9e\x1c\x00rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST_FLASH_BOOT)\r\n"
@@ -168,13 +170,14 @@ STRANGERS: dict[str, tuple[Callable[[Rng], Stranger], tuple[str, ...]]] = {
 
 
 def strange(plan: Plan, folder: Path) -> list[Trial]:
-    """Trials of every stranger, followed by the digitizer."""
+    """Trials of every stranger, before the digitizer and after it; every other one with numpy."""
     return [
         Trial(
             "wrong baud rate" if "baud" in name else "another device on the port",
             plan,
             Tty(folder / f"stranger{number}"),
             visits(name, rng_of(plan, 4, number), 1 if plan.quick else 10),
+            compiled=number % 2 == plan.seed % 2,
         )
         for number, name in enumerate(STRANGERS)
     ]
@@ -197,9 +200,19 @@ def visits(name: str, rng: Rng, times: int) -> Callable[[Trial], Turns]:
             yield from trial.resumes()
             trial.plug.unplug()
             yield from trial.told(*GONE)
+        yield from usurps(trial, make(rng), rng)
         trial.said = "named, and none of it published; then the digitizer"
 
     return faults
+
+
+def usurps(trial: Trial, stranger: Stranger, rng: Rng) -> Turns:
+    """A stranger speaks on a port that is open and steady; it must be told of, and can be left."""
+    trial.plug.plug(trial.digitizer(some_skin(rng)))
+    yield from trial.resumes()
+    trial.plug.swap(stranger)
+    trial.tally.times += 1
+    yield from trial.told(*NO_MORE)
 
 
 def unusable(plan: Plan, folder: Path) -> list[Trial]:

@@ -181,7 +181,7 @@ def _seeds_of_bodies() -> Mapping[str, bytes]:
 
 def _seeds_of_rests() -> Mapping[str, bytes]:
     rest_v = np.array([0.1, -0.2, 0], np.float32)
-    state = RestState("a", True, NODES, "", "x", "2026-01-01", "", rest_v, None)
+    state = RestState("a", True, "", NODES, "", "x", "2026-01-01", "", rest_v, None)
     return {"tared": _written(lambda path: write_rest(path, state), ".yaml")}
 
 

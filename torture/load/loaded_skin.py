@@ -71,7 +71,7 @@ SOAKED = Setting(
     parameters={},
     reliable=False,
     near_pa=30.0,  # drift is followed; a third of the smallest step between two words
-    flags=Status.STALE,
+    flags=Status.STALE | Status.UNHEARD,
 )
 
 

@@ -37,7 +37,7 @@ from .contacts import body_contacts
 from .names import body_names
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
-from .report import body_status
+from .report import body_status, host_status
 from .rounds import Rounds
 
 NODE_NAME = "body"
@@ -211,7 +211,8 @@ class BodyNode(Node):
         name, stale_after_s = self.get_fully_qualified_name(), self._values["stale_after_s"]
         status = body_status(name, self._feeds, self._faults, stale_after_s, time.monotonic())
         header = Header(stamp=self.get_clock().now().to_msg())
-        self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
+        entries = [status, host_status(name)]
+        self._diagnostics.publish(DiagnosticArray(header=header, status=entries))
 
 
 def main() -> int:

@@ -16,7 +16,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.arrays import Floats
-from ...messages.cdr import CdrError
 from ...places.poses import Pose
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
@@ -24,7 +23,6 @@ from ..common.convert import nanoseconds, rows
 from ..common.following import Following
 from ..common.qos import LATCHED
 from ..common.touches import Touches
-from ..common.transforms import COMPLAINT_S
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of arrays: points are drawn less often than arrays arrive."""
@@ -168,14 +166,7 @@ class PatchFeed:
             self._underway_s = min(self._underway_s, (received_ns - sent_ns) * 1e-9)
 
     def _take_contacts(self, message: bytes, info: MessageInfo) -> None:
-        try:
-            contacts = Touches.read(message)
-        except CdrError as error:
-            self._node.get_logger().warning(
-                f"contacts of {self.node_name} not taken: {error}",
-                throttle_duration_sec=COMPLAINT_S,
-            )
-            return
+        contacts = Touches.read(message)
         self._hear(contacts.heading.stamp_ns, info)
         self._on_contacts(self, contacts)
 

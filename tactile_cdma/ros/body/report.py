@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from ...base.listing import listed
 from ..common.convert import diagnostic
+from ..common.failures import FAILED, FAILURES
 from .patch_feed import PatchFeed
 
 STAMPS_OFF_S = 0.5
@@ -48,6 +49,12 @@ def body_status(
         text = "nobody subscribes to the body's topics"
     values = {patch: complaint or state for patch, (complaint, state) in judged.items()}
     return diagnostic(f"{name.lstrip('/')}: patches", level, text, values)
+
+
+def host_status(name: str) -> DiagnosticStatus:
+    """The entry `<node>: host`."""
+    values = {FAILED: FAILURES.count}
+    return diagnostic(f"{name.lstrip('/')}: host", DiagnosticStatus.OK, "ok", values)
 
 
 def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Header
 
-from tactile_cdma.msg import TactileSkinInfo
+from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ...base.arrays import Floats
+from ...base.arrays import Floats, Floats32
+from ...base.errors import MessageError
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
 from ...messages.cdr import CdrWriter, Heading
@@ -134,6 +135,30 @@ def diagnostic(
 def nanoseconds(stamp: Time) -> int:
     """A ROS time stamp as one number."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+MOST_PA, MOST_M, MOST_DEVICE_US = 1e12, 1e4, 1 << 62
+"""Pressures, coordinates and device times beyond are lies, on which arithmetic would choke; chosen
+far above any skin's."""
+
+
+def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
+    """Pressures, Pa, NaN without a reading, and status of a frame's taxels, (t,) each.
+
+    Raises MessageError where its fields contradict each other.
+    """
+    pressure_pa = np.array(message.pressure, dtype=np.float32)
+    status = np.array(message.status, dtype=np.uint8)
+    if not 0 < len(pressure_pa) == len(status) == message.height * message.width:
+        raise MessageError(
+            f"frame {message.sequence} has {len(pressure_pa)} pressures and {len(status)} states "
+            f"of {message.height} × {message.width} taxels"
+        )
+    if (np.abs(pressure_pa) > MOST_PA).any() or message.device_time_us > MOST_DEVICE_US:
+        raise MessageError(
+            f"frame {message.sequence} has pressures or a time that nothing measures"
+        )
+    return pressure_pa, status
 
 
 def rows(points: Sequence[Point | Point32 | Vector3]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""An executor that keeps its wait set.
+"""An executor that keeps its wait set, and that no callback ends.
 
 rclpy's own gathers all that a node has and makes a new wait set before every callback, and once
 more after it, as every callback wakes the executor. That takes 0.5 to 1 ms a message for a node
@@ -25,6 +25,8 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.utilities import timeout_sec_to_nsec
 
+from .failures import FAILURES
+
 EVENTS_S = 0.2
 """Interval of looks at event handlers, s. Chosen: they report rare things, such as incompatible QoS
 at a subscriber, and waiting for the 2 of every topic takes longer than for all else."""
@@ -45,10 +47,14 @@ class LeanExecutor(Executor):
 
     For nodes with timers, subscriptions, services and event handlers, whose callbacks are plain
     functions. Event handlers wake nobody. Guard conditions, clients and tasks are not served.
+
+    What others send may make any callback raise, rclpy's own, too: see FAILURES. fatal: exceptions
+    that reach who spins all the same.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, fatal: tuple[type[Exception], ...] = ()) -> None:
         super().__init__()
+        self._fatal = fatal
         self._held = ExitStack()  # keeps what is waited for from being destroyed
         self._add: list[tuple[Callable[[Any], None], Any]] = []
         self._event_handlers: list[Any] = []
@@ -93,13 +99,11 @@ class LeanExecutor(Executor):
             for pointer in wait_set.get_ready_entities(kind)
         ]
         for handler in happened:
-            if event := handler.take_data():
-                handler.callback(event)
+            FAILURES.survive(_call_handler, handler, self._fatal)
         for pointer in ready:
             if self._has_changed:  # perhaps destroyed by the last callback; others stay ready
                 break
-            call, entity = self._call[pointer]
-            call(entity)
+            FAILURES.survive(*self._call[pointer], self._fatal)
 
     def _gather(self) -> None:
         """Take in what the nodes have at present, but for what their callback groups exclude."""
@@ -141,6 +145,11 @@ def take_message(subscription: Any) -> None:
         subscription.callback(*taken if both else taken[:1])
 
 
+def _call_handler(handler: Any) -> None:
+    if event := handler.take_data():
+        handler.callback(event)
+
+
 def _call_timer(timer: Any) -> None:
     if timer.handle.is_timer_ready():  # rcl also reports one that was cancelled meanwhile
         timer.handle.call_timer()
@@ -149,6 +158,11 @@ def _call_timer(timer: Any) -> None:
 
 def _call_service(service: Any) -> None:
     request, header = service.handle.service_take_request(service.srv_type.Request)
-    if header is not None:  # else rcl reports one that somebody else took
+    if header is None:  # rcl also reports one that somebody else took
+        return
+    try:
         response = service.callback(request, service.srv_type.Response())
-        service.send_response(response, header)
+    except Exception:
+        service.send_response(service.srv_type.Response(), header)  # or its caller would wait
+        raise
+    service.send_response(response, header)

@@ -11,6 +11,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from .executor import Polled, take_message
+from .failures import FAILURES
 
 Topic = tuple[type, str, Callable[..., None], QoSProfile]
 """Type of the messages, name, callback (see take_message), QoS."""
@@ -49,4 +50,4 @@ class Following:
     def poll(self) -> None:
         """Call back for one message of each topic, if there is one."""
         for subscription in self._subscriptions:
-            take_message(subscription)
+            FAILURES.survive(take_message, subscription)

@@ -53,9 +53,11 @@ def run_node(make: Callable[[], N], program: str) -> int:
 class Running(Generic[N]):
     """A node that its program spins itself, between other work."""
 
-    def __init__(self, node: N, told_to_end: Callable[[], bool]) -> None:
+    def __init__(
+        self, node: N, told_to_end: Callable[[], bool], fatal: tuple[type[Exception], ...] = ()
+    ) -> None:
         self.node = node
-        self.executor = LeanExecutor()
+        self.executor = LeanExecutor(fatal)
         self.executor.add_node(node)
         self._told_to_end = told_to_end
 
@@ -68,8 +70,14 @@ class Running(Generic[N]):
 
 
 @contextmanager
-def running(make: Callable[[], N], seconds: float | None = None) -> Iterator[Running[N]]:
+def running(
+    make: Callable[[], N],
+    seconds: float | None = None,
+    fatal: tuple[type[Exception], ...] = (),
+) -> Iterator[Running[N]]:
     """A node for as long as the context lasts; raises what rcl, or the node, does not take.
+
+    fatal: see LeanExecutor.
 
     SIGINT, SIGTERM and the end of the time, s, tell it to end; they raise nothing, as that could
     come amid the conversion of a message. Everything ends in order: the executor, the node with
@@ -86,6 +94,6 @@ def running(make: Callable[[], N], seconds: float | None = None) -> Iterator[Run
         forward_logs()
         node = make()
         ends.callback(node.destroy_node)
-        program = Running(node, stop.is_set)
+        program = Running(node, stop.is_set, fatal)
         ends.callback(program.executor.shutdown)
         yield program

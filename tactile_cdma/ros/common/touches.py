@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.arrays import Floats
+from ...base.errors import MessageError
 from ...messages.cdr import CdrReader, CdrWriter, Heading
 
 ID = np.dtype([("id", "<u4"), ("age", "<f4")])
@@ -89,7 +90,7 @@ class Touches:
 
     @classmethod
     def read(cls, message: bytes) -> Touches:
-        """Take a message apart; raises CdrError if it is none."""
+        """Take a message apart; raises MessageError if it is none, or contradicts itself."""
         reader = CdrReader(message)
         heading = reader.header()
         sequence, info_id = reader.numbers(_SEQUENCE, 8)
@@ -103,6 +104,12 @@ class Touches:
             ids.append(reader.take(ID.itemsize, 4))
             states.append(reader.take(STATE.itemsize, 8))
             taxels.append(reader.take(2 * int.from_bytes(states[-1][-4:], "little")))
+        is_whole = valid == in_service
+        if touched != bool(patches) or valid > in_service or untouched > (is_whole and not touched):
+            raise MessageError(
+                f"frame {sequence} has {len(patches)} contacts and {valid} of {in_service} taxels "
+                f"valid, and claims touched={touched}, untouched={untouched}"
+            )
         return cls(
             heading,
             sequence,

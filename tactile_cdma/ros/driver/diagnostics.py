@@ -21,6 +21,7 @@ from ...driver.vitals import Window
 from ...wire.identity import shown_id
 from ...words.health import NodeState
 from ..common.convert import diagnostic
+from ..common.failures import FAILED, FAILURES
 
 STREAM, NODES, LINK, SOURCE, HOST = "stream", "nodes", "link", "source", "host"
 ENTRIES = (STREAM, NODES, LINK, SOURCE, HOST)
@@ -51,7 +52,7 @@ class SkinReport:
         judged = dict.fromkeys(ENTRIES, (Level.STALE, "not active"))
         if failure:
             judged[STREAM] = (Level.ERROR, failure)
-        return self._entries(judged, {})
+        return self._entries(judged, {HOST: {FAILED: FAILURES.count}})
 
     def of(
         self,
@@ -89,6 +90,7 @@ class SkinReport:
                 "CPU of the process (%)": f"{100 * window.process_share:.1f}",
                 "CPU of the driver's thread (%)": f"{100 * window.thread_share:.1f}",
                 "drivers of this name": drivers,
+                FAILED: FAILURES.count,
             },
         }
         if driver.problem:  # which leaves nodes and link unknown

@@ -18,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 from tactile_cdma.msg import TactileContact, TactileContacts
 
 from ...base.listing import listed
+from ...base.plain_text import plain
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import RELIABLE
 from .complaints import Complaints
@@ -73,11 +74,11 @@ def _contacts(contacts: Sequence[TactileContact]) -> str:
 
 def _patch(node: str) -> str:
     """The patch's name in the body file: left_palm of /left_palm/skin."""
-    return node.strip("/").removesuffix(f"/{NODE_NAME}")
+    return plain(node.strip("/").removesuffix(f"/{NODE_NAME}"))
 
 
 def _millimetres(place: Point) -> str:
-    return " ".join(str(round(1e3 * metres)) for metres in (place.x, place.y, place.z))
+    return " ".join(f"{1e3 * metres:z.0f}" for metres in (place.x, place.y, place.z))
 
 
 def _length(vector: Vector3) -> float:

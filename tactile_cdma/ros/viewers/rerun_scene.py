@@ -13,6 +13,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from itertools import count
 
 import numpy as np
 import rerun as rr
@@ -22,11 +23,12 @@ from numpy.typing import NDArray
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
+from ...base.errors import MessageError
 from ...places.layout import Layout
 from ...places.mesh import taxel_squares
 from ...places.poses import Pose
 from ...views.heatmap import colours, heatmap
-from ..common.convert import nanoseconds, rows
+from ..common.convert import nanoseconds, readings_of, rows
 from .complaints import LEVELS, Complaints
 from .patches import OLD_S, layout_of
 
@@ -110,11 +112,12 @@ class PatchScene:
 
     def take_frame(self, message: TactileArray) -> None:
         """Take a frame's pressures; ignored if they do not fit the layout."""
-        if self._layout is None or len(message.pressure) != len(self._layout):
+        pressure_pa, _ = readings_of(message)
+        if self._layout is None or len(pressure_pa) != len(self._layout):
             return
         self._now = nanoseconds(message.header.stamp), message.device_time_us
         self._heard_s = time.monotonic()
-        self._pressure_pa = np.array(message.pressure, dtype=np.float32)
+        self._pressure_pa = pressure_pa
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
     def take_contacts(self, message: TactileContacts) -> None:
@@ -128,6 +131,8 @@ class PatchScene:
         now = nanoseconds(message.header.stamp), self._now[1]
         position_m = rows([contact.position for contact in message.contacts])
         force_n = rows([contact.force for contact in message.contacts])
+        if not (np.isfinite(position_m).all() and np.isfinite(force_n).all()):
+            raise MessageError(f"frame {message.sequence} has contacts nowhere, or without a force")
         self._contacts = position_m, force_n, [c.lower_bound for c in message.contacts]
         # NaN, which makes a gap, where it is unknown.
         self._extend("force", now, float(np.linalg.norm(rows([message.wrench.force]))))
@@ -135,10 +140,11 @@ class PatchScene:
         present = dict(zip((contact.id for contact in message.contacts), sizes_n, strict=True))
         for ended in self._slots.keys() - present.keys():
             self._extend(f"force/contact_{self._slots.pop(ended)}", now, math.nan)
+        taken = set(self._slots.values())
+        free = (slot for slot in count(1) if slot not in taken)
         for contact, newtons in present.items():
             if contact not in self._slots:
-                free = set(range(1, len(self._slots) + 2)).difference(self._slots.values())
-                self._slots[contact] = slot = min(free)
+                self._slots[contact] = slot = next(free)
                 self._style(f"force/contact_{slot}", f"contact {slot}", 1.0)
             self._extend(f"force/contact_{self._slots[contact]}", now, newtons)
 

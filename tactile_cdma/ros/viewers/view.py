@@ -24,13 +24,14 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
+from ...base.plain_text import plain
 from ...config.arguments import positive
 from ...places.layout import Layout
 from ...readings.status import Status, is_in_service
 from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
-from ..common.convert import nanoseconds
+from ..common.convert import nanoseconds, readings_of
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
@@ -84,7 +85,8 @@ class Viewer(Node):
     def other_topics(self) -> list[str]:
         """Those of other skins that are seen."""
         kind, topics = "tactile_cdma/msg/TactileArray", self.get_topic_names_and_types()
-        return sorted(name for name, kinds in topics if kind in kinds and name != self._topic)
+        others = (name for name, kinds in topics if kind in kinds and name != self._topic)
+        return sorted(map(plain, others))
 
     def _count_drivers(self) -> None:
         drivers = self.count_publishers(self._topic)
@@ -95,12 +97,12 @@ class Viewer(Node):
         self.layout = layout_of(message)
 
     def _receive(self, message: TactileArray) -> None:
+        pressure_pa, status = readings_of(message)
         now_s = time.monotonic()
         age_ns = self.get_clock().now().nanoseconds - nanoseconds(message.header.stamp)
         self.tally.add(message.info_id, message.sequence, age_ns * 1e-9, now_s)
         self.latest = message
-        pressure_pa = np.array(message.pressure, dtype=np.float32)
-        self.coverage = Coverage.of(pressure_pa, np.array(message.status, dtype=np.uint8))
+        self.coverage = Coverage.of(pressure_pa, status)
         self.peak_pa.add(now_s, float(np.fmax.reduce(pressure_pa)))
         if self.layout is not None and len(self.layout) == len(pressure_pa):
             force_n = np.nansum(pressure_pa * self.layout.areas_m2)
@@ -116,8 +118,7 @@ class Viewer(Node):
 
         Once it is older than OLD_S, all taxels are stale.
         """
-        pressure_pa = np.array(message.pressure, dtype=np.float32)
-        status = np.array(message.status, dtype=np.uint8)
+        pressure_pa, status = readings_of(message)
         if self.silent_s(now_s):
             pressure_pa[:] = np.nan
             status[is_in_service(status)] = Status.STALE | Status.SILENT
@@ -135,7 +136,7 @@ def draw(
     now_s, columns = time.monotonic(), size.columns
     reading, silent_s = viewer.reading(message, now_s), viewer.silent_s(now_s)
     title = (
-        f"tactile_cdma  {viewer.patch}  {message.header.frame_id}  "
+        f"tactile_cdma  {viewer.patch}  {plain(message.header.frame_id)}  "
         f"{message.height} x {message.width} taxels, kPa"
     )
     complaints = [
@@ -242,9 +243,8 @@ def report(program: Running[Viewer], seconds: float) -> None:
 
 def in_use(message: TactileArray) -> NDArray[np.float32]:
     """Pressures of the taxels that are not out of service."""
-    status = np.array(message.status, dtype=np.uint8)
-    pressure = np.array(message.pressure, dtype=np.float32)
-    return np.asarray(pressure[is_in_service(status)])
+    pressure_pa, status = readings_of(message)
+    return np.asarray(pressure_pa[is_in_service(status)])
 
 
 def main() -> int:

@@ -141,6 +141,59 @@ def test_a_write_beyond_the_size_limit_leaves_the_old_file(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_link_into_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+    link = tmp_path / "table.csv"
+    link.symlink_to(tmp_path / "gone" / "table.csv")
+    with pytest.raises(
+        OSError, match=r"it is a link to .*/gone/table\.csv, whose folder is not there"
+    ):
+        replace_file(link, "text")
+    with pytest.raises(OSError, match="whose folder is not there"), whole_folder(link):
+        pass
+
+
+def test_what_killed_writers_leave_goes_with_the_next_write(tmp_path: Path) -> None:
+    """But not what another one is writing now, nor what only looks alike."""
+    path = tmp_path / "skin[1].yaml"
+    replace_file(path, "first")
+    program = (
+        "import os, sys; from pathlib import Path;"
+        "from tactile_cdma.base.whole_file import replacing\n"
+        "with replacing(Path(sys.argv[1])) as file:\n"
+        "    file.write(b'half'); file.flush(); os.kill(os.getpid(), 9)"
+    )
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", program, str(path)], timeout=60)
+    (tmp_path / ".skin[1].yaml.backup").write_text("precious")
+    [left] = tmp_path.glob(".skin*.????????")
+    assert path.read_text() == "first"
+    with replacing(path) as file:
+        file.write(b"second")
+        assert not left.exists()
+        replace_file(path, "meanwhile")
+    assert path.read_text() == "second"
+    assert {each.name for each in tmp_path.iterdir()} == {path.name, ".skin[1].yaml.backup"}
+
+
+@pytest.mark.parametrize("write", ["file", "folder"])
+def test_names_are_on_the_disk_before_a_write_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: str
+) -> None:
+    synced, fsync = [], os.fsync
+
+    def note(descriptor: int) -> None:
+        synced.append(Path(os.readlink(f"/proc/self/fd/{descriptor}")))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", note)
+    if write == "file":
+        replace_file(tmp_path / "file.txt", "text")
+    else:
+        with whole_folder(tmp_path / "folder"):
+            pass
+    assert synced[-1] == tmp_path
+
+
 def test_a_missing_folder_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         replace_file(tmp_path / "none" / "file.txt", "new")

@@ -55,7 +55,7 @@ def test_rate_gaps_invalid_readings_and_where_they_come_from(
         f"{119 * PERIOD_S:.3f} s"
     )
     unknown = sum((i + 0.5) * PERIOD_S < 0.5 for i in range(156))
-    assert lines["readings"].startswith(f"{unknown / 146 / 16:.2%} invalid (NaN), 0.00% held")
+    assert lines["readings"].startswith(f"{unknown / 146 / 16:.2%} invalid, 0.00% held")
     assert lines["complete"].startswith(f"after {unknown * PERIOD_S:.3f} s")
     assert "--from-first-complete" in lines["complete"]
     assert (lines["skin"], lines["calibration"]) == ("palm-1", "abcd1234")

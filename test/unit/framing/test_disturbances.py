@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.doubt import Tally, compare, decode
+from benchmarks.doubt.tally import Tally
+from benchmarks.doubt.words import compare, decode
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.hum import Hum
 from tactile_cdma.framing.impulses import without_impulses

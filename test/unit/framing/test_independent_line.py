@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.doubt import Tally, compare, conditions, decode, rival
+from benchmarks.doubt.lines import conditions
+from benchmarks.doubt.tally import Tally
+from benchmarks.doubt.words import compare, decode, rival
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code import codes
 from test.support.independent_line import (

@@ -2,6 +2,7 @@
 
 """Tare: the zero that it sets, when it is refused, and its effect on silent and unheard nodes."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,13 @@ import pytest
 
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.driver import checkup
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.vitals import Vitals, Window
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
+from tactile_cdma.readings.contact import ContactTracker
 from tactile_cdma.readings.dynamics import Dynamics
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
@@ -46,9 +50,11 @@ class Patch:
             silent(6, 0.0), active=active, codes=np.where(active, codes, 0).astype(np.int32)
         )
 
-    def read(self, frames: int, load_pa: object = 0.0, offset_v: float = 0.0) -> Readings:
+    def read(
+        self, frames: int, load_pa: object = 0.0, offset_v: float | np.ndarray = 0.0
+    ) -> Readings:
         """So many frames under a load; the last reading."""
-        codes = ADC.code(CURVE.voltage(np.broadcast_to(load_pa, 6)) + offset_v)
+        codes = ADC.code(CURVE.voltage(np.broadcast_to(load_pa, 6)) + offset_v)  # clamped, too
         for _ in range(frames):
             readings = self.taxels.update(self.words(codes), self.frame * FRAME_S, self.health)
             self.frame += 1
@@ -127,7 +133,7 @@ def test_a_tare_while_moving_is_refused_even_if_the_load_is_light() -> None:
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(SECOND)
     patch.read(SECOND // 3, [0, 0, 500.0, 0, 0, 0])
-    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 0\.\d\d kPa; wait"):
+    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait"):
         patch.taxels.tare(1000.0)
     patch.read(SECOND, [0, 0, 500.0, 0, 0, 0])
     patch.taxels.tare(1000.0)
@@ -149,7 +155,16 @@ def test_of_a_light_load_that_moves_beside_a_heavy_one_the_moving_node_is_named(
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(2 * SECOND, [20e3, 0, 0, 0, 0, 0])
     patch.read(SECOND // 3, [20e3, 0, 500.0, 0, 0, 0])
-    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 0\.\d\d kPa; wait"):
+    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait"):
+        patch.taxels.tare(1000.0)
+
+
+def test_a_node_that_moves_where_no_pressure_reaches_is_named_with_how_far() -> None:
+    """Its pressure is 0 all the time: the sensor rests above its curve, and hangs loose."""
+    patch = Patch(v0_v=3.2, drift_pa_per_min=0.0)
+    for part in range(10):
+        patch.read(SECOND // 8, 0.0, np.array([0, 0, 0, part % 2, 0, 0]) * 16e-3 - 0.09)
+    with pytest.raises(RestError, match=r"moving: node 4 \(row 1, column 0\) 16\.11 mV; wait"):
         patch.taxels.tare(1000.0)
 
 
@@ -390,3 +405,78 @@ def test_tares_follow_nodes_not_places() -> None:
     patch.read(SECOND, 5e3 * (np.arange(6) == 0))
     with pytest.raises(RestError, match=r"node 1 \(row 1, column 2\)"):
         patch.taxels.tare(1000.0)
+
+
+def says(patch: Patch, readings: Readings) -> tuple[bool, bool, str]:
+    """Whether the patch claims to be touched, and untouched; and what its diagnostics find."""
+    thresholds = patch.pipeline.config.contact
+    contacts = ContactTracker(patch.pipeline.config.layout, thresholds).update(readings, 0.0)
+    assert np.isfinite(contacts.total_force_n).all() == (len(contacts) > 0 or contacts.untouched)
+    words = silent(6, 0.0)
+    frame = TactileFrame(0, 0.0, 0.0, 0.0, 50e-6, 0.0, words, readings)
+    found = checkup.stream(patch.pipeline, _window(patch), frame)
+    return len(contacts) > 0, contacts.untouched, "; ".join(finding.text for finding in found)
+
+
+def _window(patch: Patch) -> Window:
+    window = Vitals().take(patch.pipeline)
+    return replace(window, frames=78, seconds=78 * FRAME_S)
+
+
+BELOW_TOP_V = -0.3
+"""Sensors that rest at 3 V, where the converter sees them rise."""
+TORN = np.array([0, 0, 0, 92, 0, 0]) * ADC.lsb_v + BELOW_TOP_V
+
+
+@pytest.mark.parametrize(
+    ("tared_pa", "pressed_pa", "offset_v", "found"),
+    [
+        (0.0, 0.0, BELOW_TOP_V, ""),
+        (0.0, [0, 0, 0, 0, 5e3, 0], BELOW_TOP_V, ""),
+        (20e3, 20e3, BELOW_TOP_V, ""),
+        ([0, 200e3, 0, 0, 0, 0], [0, 400e3, 0, 0, 0, 0], BELOW_TOP_V, "end of .* node 2;"),
+        (200e3, 200e3, BELOW_TOP_V, "end of "),
+        (30e3, 25e3, BELOW_TOP_V, "up to 5.* kPa below zero: nodes 1, 2"),
+        ([0, 0, 0, 30e3, 0, 0], 0.0, TORN, "above the voltage at rest.* node 4;"),
+        (0.0, 0.0, TORN, "above the voltage at rest.* node 4;"),
+    ],
+    ids=["rest", "touched", "preload", "end", "at its end", "under load", "torn, tared", "torn"],
+)  # fmt: skip
+def test_a_zero_is_claimed_only_where_it_is_one(
+    tared_pa: object, pressed_pa: object, offset_v: float | np.ndarray, found: str
+) -> None:
+    patch = Patch(v0_v=3.0, drift_pa_per_min=0.0)
+    patch.read(SECOND, tared_pa, BELOW_TOP_V)
+    patch.taxels.tare(1000.0, force=True)
+    readings = patch.read(SECOND, pressed_pa, offset_v)
+    touched, untouched, findings = says(patch, readings)
+    assert touched == (np.max(pressed_pa) == 5e3)
+    assert untouched == (not found and not touched)
+    assert re.search(found, findings) if found else not findings
+    torn = np.broadcast_to(offset_v, 6) > BELOW_TOP_V
+    assert np.array_equal(np.isnan(readings.pressure_pa), torn)
+    assert np.array_equal(readings.status & Status.FAULTY != 0, torn)
+
+
+def test_a_highest_code_that_hides_a_contact_is_no_zero() -> None:
+    """Curves that begin 0.2 V above what the converter reads: up to 6 kPa are 0 Pa to it."""
+    patch = Patch(v0_v=3.5)
+    readings = patch.read(SECOND, 5e3, 0.2)
+    assert not readings.pressure_pa.any() and (readings.status & Status.SATURATED).all()
+    assert says(patch, readings)[:2] == (False, False)
+    assert says(patch, patch.read(SECOND, 10e3, 0.2))[:2] == (True, False)
+
+
+def test_a_torn_sensor_is_not_tared_unless_forced() -> None:
+    """As is one whose rest the parameters do not have; then it is for a person to say."""
+    patch = Patch(v0_v=3.0)
+    patch.read(SECOND, 0.0, TORN)
+    with pytest.raises(
+        RestError, match=r"above where their curves begin: node 4 .* 29\d\.\d\d mV;"
+    ):
+        patch.taxels.tare(1000.0)
+    patch.taxels.tare(1000.0, force=True)
+    readings = patch.read(SECOND, 0.0, TORN)
+    assert says(patch, readings) == (False, True, "")
+    light = patch.read(SECOND, [0, 0, 0, 2e3, 0, 0], TORN).pressure_pa
+    assert light[3] == pytest.approx(2e3, abs=110)

@@ -56,13 +56,10 @@ def test_quantisation_alone_has_the_derived_error() -> None:
         assert rms == pytest.approx(expected_kpa, rel=0.05)
 
 
-def test_outside_the_range_is_clamped_and_flagged() -> None:
-    beyond = CURVE.voltage_v[-1] - 0.01
-    assert CURVE.pressure(beyond) == 140e3
-    volts = np.array([beyond, CURVE.voltage_v[-1], 3.0], dtype=np.float32)
-    _, beyond = Curves.of([CURVE] * 3).convert(volts, np.zeros(3, np.float32))
-    assert beyond.tolist() == [True, False, False]
-    assert CURVE.pressure(3.4) == 0
+def test_outside_the_range_is_clamped() -> None:
+    volts = np.array([CURVE.voltage_v[-1] - 0.01, CURVE.voltage_v[-1], 3.4], dtype=np.float32)
+    for pressure_pa in (CURVE.pressure(volts), Curves.of([CURVE] * 3).pressure(volts)):
+        assert pressure_pa.tolist() == pytest.approx([140e3, 140e3, 0], abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -240,22 +240,39 @@ def blind(touch: Readings, *unread: int, status: Status = Status.STALE) -> Readi
     return touch
 
 
-def test_beside_a_taxel_that_may_have_spoken_unheard_no_touch_is_not_claimed() -> None:
-    """Where something touches, the doubtful taxel's force is in the sums."""
+def doubted(touch: Readings, *doubtful: int, status: Status = Status.UNHEARD) -> Readings:
+    touch.status[list(doubtful)] |= np.uint8(status)
+    return touch
+
+
+@pytest.mark.parametrize("status", [Status.UNHEARD, Status.LOW_SNR])
+def test_beside_a_taxel_that_may_have_spoken_unheard_no_touch_is_not_claimed(
+    status: Status,
+) -> None:
     tracker = ContactTracker(GRID, THRESHOLDS)
     for doubtful in (0, ROWS * COLUMNS - 1):
-        unsure = pressed({})
-        unsure.status[doubtful] |= Status.LOW_SNR
-        contacts = tracker.update(unsure, 0.0)
+        contacts = tracker.update(doubted(pressed({}), doubtful, status=status), 0.0)
         assert claims_nothing(contacts)
-        assert contacts.coverage == Coverage(48, 48, doubtful=1)
+        assert contacts.coverage == Coverage(47, 48)
         masked = pressed({})
         masked.status[doubtful] = Status.LOW_SNR | Status.MASKED
         assert tracker.update(masked, 0.0).untouched
-    unsure = pressed({(0, 0): 2.0})
-    unsure.status[0] |= Status.LOW_SNR
-    touched = tracker.update(unsure, 0.0)
-    assert touched.total_force_n[2] == pytest.approx(-2e3 * PITCH_M**2)
+
+
+def test_a_touch_that_may_have_ended_unheard_is_not_claimed() -> None:
+    """The press is (2, 2) and (2, 3); of one of them, of both, and of a third beside is doubted."""
+    touch = {(2, 2): 3.0, (2, 3): 2.0}
+    for unheard, felt_pa in (((18,), 2e3), ((18, 19), None), ((20,), 5e3), ((36,), 5e3)):
+        contacts = ContactTracker(GRID, THRESHOLDS).update(doubted(pressed(touch), *unheard), 0.0)
+        if felt_pa is None:
+            assert claims_nothing(contacts)
+            continue
+        assert contacts.total_force_n[2] == pytest.approx(-felt_pa * PITCH_M**2)
+        assert contacts.lower_bound.tolist() == [unheard != (36,)]
+    tracker = ContactTracker(GRID, THRESHOLDS)
+    first = tracker.update(pressed(touch), 0.0).ids[0]
+    assert tracker.update(doubted(pressed(touch), 18), 0.1).ids.tolist() == [first]
+    assert claims_nothing(tracker.update(doubted(pressed(touch), 18, 19), 0.2))
 
 
 def test_sums_need_half_of_the_taxels_in_service() -> None:
@@ -273,11 +290,26 @@ def test_sums_need_half_of_the_taxels_in_service() -> None:
             assert sums == pytest.approx([PITCH_M**2, -force_n, contacts.position_m[0, 0]])
 
 
-@pytest.mark.parametrize("status", [Status.STALE, Status.FAULTY, Status.MASKED])
-def test_the_force_beside_a_taxel_without_a_reading_is_a_lower_bound(status: Status) -> None:
-    """Every place of the blind taxel, against the definition: it is beside the contact, or not."""
+@pytest.mark.parametrize(
+    ("status", "reads_pa"),
+    [
+        (Status.STALE, np.nan),
+        (Status.FAULTY, np.nan),
+        (Status.MASKED, np.nan),
+        (Status.SATURATED, 0.0),
+        (Status.OK, -1100.0),
+    ],
+)
+def test_the_force_beside_a_taxel_that_may_carry_more_is_a_lower_bound(
+    status: Status, reads_pa: float
+) -> None:
+    """Every place of that taxel, against the definition: it is beside the contact, or not.
+
+    Without a reading, tared at the end of its range, tared under load.
+    """
     for unread in set(range(ROWS * COLUMNS)) - {18, 19, 36}:
         touch = blind(pressed({(2, 2): 3.0, (2, 3): 2.0, (4, 4): 1.5}), unread, status=status)
+        touch.pressure_pa[unread] = reads_pa
         contacts = ContactTracker(GRID, THRESHOLDS).update(touch, 0.0)
         row, column = divmod(unread, COLUMNS)
         beside = 1 <= row <= 3 and 1 <= column <= 4, abs(row - 4) <= 1 and abs(column - 4) <= 1

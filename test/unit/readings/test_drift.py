@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.readings.drift import BAND_LSB, SETTLE_S, STRAY_S, DriftTracker, nodes_beside
+from tactile_cdma.readings.drift import (
+    BAND_LSB,
+    FARTHEST,
+    SETTLE_S,
+    STRAY_S,
+    DriftTracker,
+    nodes_beside,
+)
 from tactile_cdma.readings.dynamics import Compensator, Dynamics
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.sim.sensor import PAPER_DYNAMICS
@@ -145,6 +152,40 @@ def test_drift_and_creep_beyond_the_limit_are_not_followed_away() -> None:
         last = rig.run(1, load_pa)[0]
     # While it is within the band it gains 60 Pa a minute on what is followed.
     assert 4000 - last[0] < (BAND_LSB + 1) * LSB_PA
+
+
+@pytest.mark.parametrize("tared", [False, True])
+@pytest.mark.parametrize("rise", [-1.0, 1.0])
+def test_a_slow_load_and_a_slow_tear_are_followed_so_far_and_no_farther(
+    rise: float, tared: bool
+) -> None:
+    """At 50 Pa a minute, for five hours, with a start anew in between: 15 kPa of it.
+
+    It counts from the tare, before which there was as much.
+    """
+    rig = Rig(1)
+    before_v = rise * 100e-3 if tared else 0.0
+    rig.baseline.drift_v = rig.baseline.tared_drift_v = np.full(1, -before_v, np.float32)
+    offset_v = 0.0
+    for _ in range(5):
+        kept_v = rig.baseline.drift_v, rig.baseline.tared_drift_v
+        rig.tracker = rig.chain.tracker = DriftTracker(ADC.lsb_v, rig.tracker._beside, RULES)
+        rig.baseline.drift_v, rig.baseline.tared_drift_v = kept_v
+        begin_s, begin_v = rig.t_s, offset_v
+        rig.run(
+            HOUR_S,
+            0.0,
+            lambda t, s=begin_s, v=begin_v: before_v + v + rise * 33e-6 * 50 * (t - s) / 60,
+        )
+        offset_v = begin_v + rise * 0.099
+    voltage_v = rig.measure(0.0, before_v + offset_v)
+    reading_pa, _, off_rest = rig.chain.update(voltage_v, rig.valid, rig.t_s)
+    moved_v = rig.baseline.drift_v - rig.baseline.tared_drift_v
+    assert moved_v == pytest.approx(-rise * FARTHEST * 33e-3, rel=1e-3)
+    if rise < 0:
+        assert reading_pa[0] == pytest.approx(15e3 - FARTHEST * 1e3, abs=3 * LSB_PA)
+    else:
+        assert off_rest[0]
 
 
 @pytest.mark.parametrize("rise", [-1.0, 1.0])

@@ -32,7 +32,22 @@ LAYOUTS = Layout.grid(1, 1, 1, 7e-3, 5e-3), Layout.grid(60, 6, 10, 7e-3, 5e-3), 
 def frames(layout: Layout, seed: int, density: float) -> list[Readings]:
     """Twenty frames in which some pressures change, taxels fall silent, and thresholds are hit."""
     rng = np.random.default_rng(seed)
-    levels_pa = [0.0, 100.0, 150.0, 160.0, 500.0, 501.0, 999.0, 1000.0, 1001.0, 2e3, 7e4, np.nan]
+    levels_pa = [
+        -1001.0,
+        -1000.0,
+        0.0,
+        100.0,
+        150.0,
+        160.0,
+        500.0,
+        501.0,
+        999.0,
+        1000.0,
+        1001.0,
+        2e3,
+        7e4,
+        np.nan,
+    ]
     pressure_pa = np.zeros(len(layout), dtype=np.float32)
     found = []
     for _ in range(20):

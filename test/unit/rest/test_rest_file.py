@@ -28,6 +28,7 @@ from tactile_cdma.rest.rest_file import (
 STATE = RestState(
     skin="left palm",
     simulated=True,
+    scene="sim://?scene=idle",
     nodes=3,
     calibration="0123456789ab",
     curves="89abcdef",
@@ -42,19 +43,31 @@ def values(limit: float) -> st.SearchStrategy[np.ndarray | None]:
     return st.none() | arrays(np.float32, 3, elements=st.floats(-limit, limit, width=32))
 
 
-@given(rest_v=values(8.0), drift_v=values(8.0))
+@given(rest_v=values(8.0), drift_v=values(8.0), tared_drift_v=values(8.0))
 def test_what_is_written_is_read_to_far_below_a_count(
     tmp_path_factory: pytest.TempPathFactory,
     rest_v: np.ndarray | None,
     drift_v: np.ndarray | None,
+    tared_drift_v: np.ndarray | None,
 ) -> None:
     path = tmp_path_factory.mktemp("rest") / "skin.rest.yaml"
-    write_rest(path, replace(STATE, rest_v=rest_v, drift_v=drift_v))
+    state = replace(STATE, rest_v=rest_v, drift_v=drift_v, tared_drift_v=tared_drift_v)
+    write_rest(path, state)
     back = read_rest(path)
     assert back is not None
-    for name in ("skin", "simulated", "nodes", "calibration", "curves", "written", "tared"):
+    for name in (
+        "skin",
+        "simulated",
+        "scene",
+        "nodes",
+        "calibration",
+        "curves",
+        "written",
+        "tared",
+    ):
         assert getattr(back, name) == getattr(STATE, name)
-    for ours, theirs in ((rest_v, back.rest_v), (drift_v, back.drift_v)):
+    for name in ("rest_v", "drift_v", "tared_drift_v"):
+        ours, theirs = getattr(state, name), getattr(back, name)
         assert (ours is None) == (theirs is None)
         if ours is not None and theirs is not None:
             assert theirs.dtype == np.float32
@@ -123,14 +136,29 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
             write_rest(tmp_path / "skin.yaml", STATE)
 
 
-def test_a_file_set_aside_is_whole(tmp_path: Path) -> None:
+def test_files_that_are_set_aside_stay_whole_however_many(tmp_path: Path) -> None:
+    """And at no moment there is none: a kill before the next write loses nothing."""
     path = tmp_path / "skin.rest.yaml"
     assert set_aside(path) is None
-    path.write_bytes(b"\x00 anything")
-    aside = set_aside(path)
-    assert aside == tmp_path / "skin.rest.yaml.old"
-    assert aside.read_bytes() == b"\x00 anything"
-    assert not path.exists()
+    for number in range(1, 100):
+        write_rest(path, replace(STATE, skin=f"skin {number}"))
+        aside = set_aside(path)
+        assert aside == tmp_path / f"skin.rest.yaml.old{number if number > 1 else ''}"
+        for kept in (aside, path, tmp_path / "skin.rest.yaml.old"):
+            state = read_rest(kept)
+            assert state is not None and state.skin in (f"skin {number}", "skin 1")
+    with pytest.raises(
+        RestError, match=r"cannot be set aside: remove some of skin\.rest\.yaml\.old"
+    ):
+        set_aside(path)
+
+
+def test_a_link_is_replaced_not_its_target(tmp_path: Path) -> None:
+    target, path = tmp_path / "mine.yaml", tmp_path / "skin.rest.yaml"
+    target.write_text("precious")
+    path.symlink_to(target)
+    write_rest(path, STATE)
+    assert target.read_text() == "precious" and read_rest(path) is not None
 
 
 GOOD = {

@@ -15,7 +15,8 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.rest import rest_keeper
+from tactile_cdma.rest import rest_keeper, rest_store
+from tactile_cdma.rest.rest_file import RestState
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -131,6 +132,58 @@ def test_a_tare_outlives_the_run(preload: Callable[[float], None], tmp_path: Pat
         assert "tare and drift are those of" in told and "found on a simulated skin" in told
         run.keeper.deactivate()
     assert not again.log.warnings
+
+
+def test_a_tare_of_one_scene_is_not_that_of_another(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(52e3)
+    Run(tmp_path).activate().stream(TARE_S).keeper.tare(force=True)
+    other = Run(tmp_path, "sim://?scene=hand").activate().stream(0.3)
+    assert np.allclose(other.pressure_pa, 52e3, atol=300) and not other.log.warnings
+    assert other.keeper.tared == "" and "it is of sim://?scene=idle" in other.log.infos[-1]
+    other.stream(TARE_S).keeper.tare(force=True)
+    assert np.allclose(Run(tmp_path).activate().stream(0.3).pressure_pa, 52e3, atol=300)
+    assert [path.name for path in tmp_path.iterdir()] == [NAME]
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
+    preload: Callable[[float], None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    earlier: bool,
+) -> None:
+    """The digitizer says what it is, in the driver's thread, before or after the file is made."""
+    preload(PRELOAD_PA)
+    run = Run(tmp_path, port="/dev/ttyACM0").activate().stream(TARE_S)
+    write = rest_store.write_rest
+
+    def slow(path: Path, state: RestState) -> None:
+        if earlier:
+            run.keeper.hear(simulated=True)
+        write(path, state)
+        if not earlier:
+            run.keeper.hear(simulated=True)
+
+    monkeypatch.setattr(rest_store, "write_rest", slow)
+    run.keeper.tare()
+    monkeypatch.setattr(rest_store, "write_rest", write)
+    assert np.allclose(run.stream(TARE_S).pressure_pa, PRELOAD_PA, atol=15)
+    assert run.keeper.tared == ""
+    run.keeper.tare()
+    assert on_file(tmp_path)["simulated"] == "yes"
+    assert yaml.safe_load((tmp_path / f"{NAME}.old").read_text())["simulated"] == "no"
+
+
+def test_a_third_skins_tare_costs_nobody_his(
+    preload: Callable[[float], None], tmp_path: Path
+) -> None:
+    preload(PRELOAD_PA)
+    for skin in ("left", "right", "spare"):
+        Run(tmp_path, skin=skin).activate().stream(TARE_S).keeper.tare()
+    kept = [yaml.safe_load(path.read_text())["skin"] for path in sorted(tmp_path.iterdir())]
+    assert kept == ["spare", "left", "right"]
 
 
 def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(

@@ -80,12 +80,15 @@ def test_clients_come_and_go() -> None:
 
 def test_links_replace_links_only(tmp_path: Path) -> None:
     link = tmp_path / "skin"
-    link.symlink_to("/nonexistent")
+    link.symlink_to("/dev/pts/4000000")  # of a run that was killed
     with plugged(VirtualDigitizer, link):
         assert Path(os.readlink(link)).exists()
-    link.write_text("precious")
-    with pytest.raises(PortError, match="not a symbolic link"):
-        serve(VirtualDigitizer, link, threading.Event(), lambda path: None)
-    assert link.read_text() == "precious"
+    for target in (tmp_path / "precious", Path("/dev/ttyACM0"), None):
+        link.unlink(missing_ok=True)
+        link.symlink_to(target) if target else link.write_text("precious")
+        before = link.lstat()
+        with pytest.raises(PortError, match="no link to a pseudo-terminal; it is left alone"):
+            serve(VirtualDigitizer, link, threading.Event(), lambda path: None)
+        assert link.lstat() == before
     with pytest.raises(PortError, match="cannot create the link"):
         serve(VirtualDigitizer, tmp_path / "no" / "skin", threading.Event(), lambda path: None)

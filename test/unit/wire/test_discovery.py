@@ -156,6 +156,24 @@ def test_programs_that_hold_a_file_are_named(tmp_path: Path) -> None:
         other.stdin.close()
 
 
+def test_programs_that_end_during_the_look_are_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listdir = os.listdir
+
+    def vanishing(folder: str) -> list[str]:
+        if folder == "/proc":
+            return ["1000000000", *listdir(folder)]
+        if folder.endswith(f"/{os.getppid()}/fd"):
+            raise ProcessLookupError(3, "No such process")
+        return listdir(folder)
+
+    monkeypatch.setattr(os, "listdir", vanishing)
+    path = tmp_path / "port"
+    with path.open("w"):
+        assert [f"(pid {os.getpid()})" in holder for holder in holders(str(path))] == [True]
+
+
 def test_the_udev_rule_knows_the_firmwares_names() -> None:
     root = Path(__file__).resolve().parents[3]
     rule = (root / "config" / "60-tactile-cdma.rules").read_text()

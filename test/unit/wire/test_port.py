@@ -24,6 +24,7 @@ from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.port import HOST_GONE_S, Port
 from tactile_cdma.wire.reader import NO_FILE, READ_SIZE
+from test.support.boards import usb_port
 from test.support.waiting import wait_for
 
 
@@ -131,7 +132,7 @@ def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
         ("socket://", "host and port .* are not named"),
         ("socket://localhost", "host and port .* are not named"),
         ("socket://localhost:99999", "host and port .* are not named"),
-        ("rfc2217://", "host and port .* are not named"),
+        ("RFC2217://localhost:4000", "plain bytes, and use socket://host:port"),
         ("socket://localhost:1", "refused"),
     ],
 )
@@ -216,6 +217,17 @@ def test_a_url_cannot_make_a_port_write_a_file(tmp_path: Path, kind: str) -> Non
     with pytest.raises(PortError, match="would write a file"):
         Port(f"{kind}://loop://?file={path}", 9600)
     assert path.read_text() == "kept"
+
+
+def test_a_search_by_pyserial_opens_what_it_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    host, device = os.openpty()
+    tty.setraw(device)
+    found = usb_port(os.ttyname(device), "E6605838")
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda *_: [found])
+    with os.fdopen(host, "wb", buffering=0) as file, Port("hwgrep://e6605", 9600) as port:
+        os.close(device)
+        file.write(SENT[:3000])
+        assert b"".join(read_all(port, 3000)) == SENT[:3000]
 
 
 def test_a_port_without_a_file_gives_all_that_waits_at_once() -> None:

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Words of recordings of the independent line, decoded and compared with those that were sent."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.wire.packets import PacketWriter
+from tactile_cdma.words.decode import Words
+from test.support.independent_line import (
+    SILENT,
+    Digitizer,
+    Ints,
+    Line,
+    Recording,
+    Skin,
+    Talk,
+    Truth,
+    code_book,
+    render,
+    row_sign,
+)
+
+from ..line_packets import introduction, packets
+from .tally import Tally, total
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+RAW = Digitizer()
+MEANS = Digitizer(integrated=True, samples_per_chip=8)
+BLIND = Digitizer(marked=False)
+TIMINGS = {"marks": RAW, "means": MEANS, "gap": BLIND}
+AT_RAIL = 0.5
+"""Share of a frame's samples at a rail beyond which nobody can tell who was silent."""
+LEARNING = 30
+"""Frames until a decoder may know the raster of frame starts."""
+MOST_SHIFT = 4
+"""Chips by which another frame may be shifted to tie with the true one."""
+
+
+@dataclass(frozen=True)
+class LineCondition:
+    """A line and what the decoder is told about it.
+
+    learnt: the amplitude is not in the configuration. rough: so disturbed that right words may be
+    flagged, and lost.
+    """
+
+    name: str
+    line: Line = Line()  # noqa: RUF009  (frozen)
+    talk: Talk = Talk()  # noqa: RUF009
+    skin: Skin = Skin()  # noqa: RUF009
+    digitizer: Digitizer = RAW
+    learnt: bool = False
+    rough: bool = False
+
+    def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
+        """Render a recording, decode it and compare; also the first unflagged words."""
+        seeds = [zlib.crc32(self.name.encode()), seed]
+        recording = render(self.skin, self.talk, self.line, self.digitizer, frames, seeds)
+        return compare(recording, decode(recording, self.learnt), self.line)
+
+
+class Decoded(NamedTuple):
+    """A frame as published: its start, chips, its words, and which nodes count as broken."""
+
+    start_chips: float
+    words: Words
+    invalid: Bools
+
+
+def decode(recording: Recording, learnt: bool = False) -> list[Decoded]:
+    """What the driver makes of a recording."""
+    chip_s = recording.skin.chip_s
+    played = play(recording, learnt)
+    return [Decoded(frame.t_start / chip_s, frame.words, bad) for frame, bad, _ in played]
+
+
+def play(
+    recording: Recording, learnt: bool = False, lost: float = 0.0, seed: int = 0
+) -> Iterator[tuple[TactileFrame, Bools, Layout]]:
+    """The driver's frames of a recording, which nodes count as broken, and the taxels' layout.
+
+    lost: share of the packets that do not arrive, drawn by the seed.
+    """
+    config, writer = _config(recording, learnt), PacketWriter()
+    pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
+    pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
+    if pipeline.problem:
+        raise ValueError(pipeline.problem)
+    for _, t_host, data in packets(recording, writer):
+        if lots.random() >= lost:
+            for frame in pipeline.feed(data, t_host):
+                yield frame, pipeline.health.invalid.copy(), config.layout
+    for frame in pipeline.flush():
+        yield frame, pipeline.health.invalid, config.layout
+
+
+def _config(recording: Recording, learnt: bool) -> SkinConfig:
+    skin, digitizer = recording.skin, recording.digitizer
+    return SkinConfig.of(
+        {
+            "nodes": skin.nodes,
+            "bits": skin.bits,
+            "parity": skin.parity,
+            "order": skin.order,
+            "first_row": skin.first_row,
+            "sign_seed": -1 if skin.sign_seed is None else skin.sign_seed,
+            "chip_us": 1e6 * skin.chip_s,
+            "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
+            "drive": skin.drive,
+            "polarity": skin.polarity,
+            "amplitude_mv": 0.0 if learnt else 1e3 * skin.amplitude_v,
+            "timing": "line" if digitizer.marked else "gap",
+            "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
+        }
+    )
+
+
+def compare(recording: Recording, decoded: list[Decoded], line: Line) -> tuple[Tally, list[str]]:
+    """Count the words; also describe the first unflagged ones."""
+    truths, never = recording.frames, recording.never
+    starts = np.array([truth.start_chips for truth in truths])
+    nearest = [int(np.argmin(np.abs(starts - frame.start_chips))) for frame in decoded]
+    heard: dict[int, Decoded] = {}
+    extra: list[Decoded] = []
+    for number, frame in zip(nearest, decoded, strict=True):
+        near = abs(starts[number] - frame.start_chips) < recording.skin.period_chips / 2
+        other = heard.get(number)
+        if not near:
+            extra.append(frame)
+        elif other is None or (_off(frame, truths[number]) < _off(other, truths[number])):
+            extra += [other] if other else []
+            heard[number] = frame
+        else:
+            extra.append(frame)
+    moves = not recording.digitizer.marked and bool(line.start_jitter_chips or line.slip_share)
+    tallies, complaints = [], []
+    for number, truth in enumerate(truths):
+        blind = not recording.digitizer.marked and (moves or number < LEARNING)
+        tally = _count(
+            truth, heard.get(number), blind and rival(recording.skin, truth.codes) is not None
+        )
+        tallies.append(tally)
+        if tally.unflagged:
+            complaints.append(_complaint(number, truth, heard[number]))
+    for frame in extra:
+        flagged = _flags(frame)
+        invented = int(np.count_nonzero(frame.words.active & ~flagged))
+        rest = int(np.count_nonzero(frame.words.active & flagged))
+        tallies.append(Tally(invented=invented, wrong_flagged=rest))
+        if invented:
+            complaints.append(f"  no frame began near chip {frame.start_chips:.1f}")
+    phantom = sum(
+        int(np.count_nonzero(frame.words.active & never & ~_flags(frame))) for frame in decoded
+    )
+    rail_silent = sum(
+        int(np.count_nonzero(~frame.words.active & ~_flags(frame)))
+        for number, frame in zip(nearest, decoded, strict=True)
+        if truths[number].clipped > AT_RAIL
+    )
+    return total(tallies)._replace(phantom=phantom, rail_silent=rail_silent), complaints
+
+
+def _off(frame: Decoded, truth: Truth) -> tuple[bool, float]:
+    """How badly a decoded frame fits a true one: silent ones last, then by the start."""
+    spoke = bool((truth.codes != SILENT).any())
+    return bool(frame.words.active.any()) != spoke, abs(frame.start_chips - truth.start_chips)
+
+
+def _flags(frame: Decoded) -> Bools:
+    """What is published as doubtful or broken, (n,)."""
+    flags: Bools = frame.words.doubtful | frame.invalid
+    return flags
+
+
+def _count(truth: Truth, frame: Decoded | None, tie: bool) -> Tally:
+    """The words of one frame."""
+    spoke = truth.codes != SILENT
+    words = int(np.count_nonzero(spoke))
+    if frame is None:
+        return Tally(words=words, lost=words)
+    flag, active = _flags(frame), frame.words.active
+    same = spoke & active & (frame.words.codes == truth.codes)
+    other = (spoke | active) & ~same
+    count: dict[str, Any] = {
+        "right": same & ~flag,
+        "tied" if tie else "flagged": same & flag,
+        "missed": other & ~active & ~flag,
+        "wrong_flagged": other & flag,
+        "wrong": other & active & spoke & ~flag,
+        "invented": other & ~spoke & ~flag,
+        "silences": ~spoke & ~active,
+        "silent_flagged": ~spoke & ~active & flag & (not tie),
+    }
+    return Tally(words, **{name: int(np.count_nonzero(some)) for name, some in count.items()})
+
+
+def _complaint(number: int, truth: Truth, frame: Decoded) -> str:
+    """One frame's unflagged words."""
+    active, codes = frame.words.active, frame.words.codes
+    told = np.where(active, codes, SILENT)
+    wrong = np.flatnonzero((told != truth.codes) & ~_flags(frame))
+    words = ", ".join(f"node {i} sent {truth.codes[i]} told {told[i]}" for i in wrong[:4])
+    late = frame.start_chips - truth.start_chips
+    return (
+        f"  frame {number}, {late:+.2f} chips off, {np.sum(truth.codes != SILENT)} active, "
+        f"{len(wrong)} unflagged: {words}"
+    )
+
+
+def rival(skin: Skin, codes: Ints) -> tuple[int, Ints] | None:
+    """Another start, so many chips later, and the words that give exactly the same waveform there.
+
+    Bipolar nodes without parity; None where there is no such pair.
+    """
+    chips = skin.waveforms(codes).sum(axis=0) / skin.amplitude_v
+    rows = np.arange(skin.first_row, skin.first_row + skin.nodes)
+    signs = np.array([row_sign(int(row), skin.sign_seed) for row in rows])
+    sent = skin.polarity * signs[:, None] * code_book(skin.order)[rows].astype(float)
+    for shift in (*range(-MOST_SHIFT, 0), *range(1, MOST_SHIFT + 1)):
+        cut = chips[:shift] if shift > 0 else chips[shift:]
+        if not chips.any() or cut.any():
+            continue
+        moved = np.roll(chips, -shift).reshape(-1, skin.order)
+        levels = moved @ sent.T / skin.order
+        spoke = np.abs(levels).mean(axis=0) > 0.5
+        if np.allclose(np.sign(levels) * spoke @ sent, moved):
+            values = (levels > 0).T @ 2 ** np.arange(skin.bits - 1, -1, -1)
+            return shift, np.where(spoke, values, SILENT)
+    return None

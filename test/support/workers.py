@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What pytest-xdist makes of a worker that dies: the test that it was at has failed, no more."""
+
+from __future__ import annotations
+
+import pytest
+from xdist.remote import Producer
+from xdist.scheduler import LoadGroupScheduling, Scheduling
+from xdist.workermanage import WorkerController
+
+_died = pytest.StashKey[bool]()
+
+
+class Groups(LoadGroupScheduling):
+    """As --dist loadgroup, which gives a test that ended its worker to the next one.
+
+    There it ends that one, too, until all are gone and pytest waits for ever.
+    """
+
+    def remove_node(self, node: WorkerController) -> str | None:
+        units = self.assigned_work.pop(node)
+        left = [(unit, test) for unit in units.values() for test, done in unit.items() if not done]
+        if not left:
+            return None
+        unit, lethal = left[0]
+        unit[lethal] = True
+        self.workqueue.update({k: unit for k, unit in units.items() if not all(unit.values())})
+        for other in self.assigned_work:
+            self._reschedule(other)
+        return lethal
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling | None:
+    return Groups(config, log) if config.getvalue("dist") == "loadgroup" else None
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: WorkerController, error: object | None) -> None:
+    if error:
+        node.config.stash[_died] = True
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """One that dies after its last test has failed that of no other."""
+    if session.config.stash.get(_died, False) and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED

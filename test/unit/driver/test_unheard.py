@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is said of nodes that may have spoken in frames that were not heard."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from benchmarks.doubt.touches import conditions
+from tactile_cdma.base import kernel
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
+from tactile_cdma.readings.status import is_unheard
+from tactile_cdma.wire.messages import Quiet, Received, Samples
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.simulated import stream
+
+HEARTBEAT = 20
+IDLE = f"sim://?seed=1&scene=idle&heartbeat={HEARTBEAT}"
+COMPILED = [False] if kernel.compiled is None else [False, True]
+Edit = Callable[[int, Samples | Quiet], Samples | Quiet | None]
+
+
+def heard(
+    edit: Edit, compiled: bool = True, url: str = IDLE, frames: int = 80, **parameters: object
+) -> list[TactileFrame]:
+    """Frames of a stream whose packets of samples are edited, by the number of the frame."""
+    config = SkinConfig.of(parameters)  # type: ignore[arg-type]
+    pipeline, writer = Pipeline(config, background=False, compiled=compiled), PacketWriter()
+    found, number = [], -1
+    for packet in PacketParser().feed(stream(config, url, frames)):
+        kept: Received | None = packet
+        if isinstance(packet, (Samples, Quiet)):
+            number += packet.sync
+            kept = edit(number, packet)
+        data = writer.encode(packet if kept is None else kept)
+        found += [] if kept is None else pipeline.feed(data, packet_s(packet))
+    return found + pipeline.flush()
+
+
+def packet_s(packet: object) -> float:
+    return getattr(packet, "device_time_us", 0) * 1e-6
+
+
+def unheard(frame: TactileFrame) -> int:
+    return int(np.count_nonzero(is_unheard(frame.readings.status)))
+
+
+@pytest.mark.parametrize("compiled", COMPILED)
+@pytest.mark.parametrize("lost", [40, 47])
+def test_after_a_lost_frame_every_node_is_unheard_until_its_heartbeat(
+    compiled: bool, lost: int
+) -> None:
+    frames = heard(lambda n, packet: None if n == lost else packet, compiled)
+    tracker = ContactTracker(SkinConfig.of({}).layout, ContactThresholds(1000, 500))
+    untouched = {f.sequence: tracker.update(f.readings, f.t_middle).untouched for f in frames}
+    [gap] = [b.sequence for a, b in pairwise(frames) if b.sequence > a.sequence + 1]
+    spoken = np.zeros(16, bool)
+    for frame in frames:
+        status = frame.readings.status
+        if HEARTBEAT <= frame.sequence < gap:
+            assert untouched[frame.sequence]
+        if frame.sequence >= gap:
+            spoken |= frame.words.active
+            assert np.array_equal(is_unheard(status), ~spoken)
+            assert np.isfinite(frame.readings.pressure_pa).all()
+            assert untouched[frame.sequence] == spoken.all()
+    assert spoken.all()
+
+
+@pytest.mark.parametrize("compiled", COMPILED)
+def test_where_every_node_speaks_in_every_frame_none_is_unheard(compiled: bool) -> None:
+    url = "sim://?seed=1&scene=moving&threshold=0"
+    frames = heard(lambda n, packet: None if n % 5 == 4 else packet, compiled, url, 40)
+    assert len(frames) > 25
+    assert not any(map(unheard, frames))
+
+
+@pytest.mark.parametrize("compiled", COMPILED)
+def test_after_a_restart_of_the_stream_every_node_is_unheard(compiled: bool) -> None:
+    """Also where time goes on and no frame seems to be missing."""
+
+    def begins_anew(number: int, packet: Samples | Quiet) -> Samples | Quiet:
+        return packet if number < 40 else replace(packet, first_index=packet.first_index - 20_000)
+
+    frames = heard(begins_anew, compiled)
+    assert [unheard(f) for f in frames[25:38]] == [0] * 13
+    assert max(map(unheard, frames[38:45])) >= 14
+    assert unheard(frames[-1]) == 0
+
+
+@pytest.mark.parametrize("compiled", COMPILED)
+def test_in_a_roll_call_silence_says_nothing(compiled: bool) -> None:
+    """Whoever is not called is silent, whatever presses."""
+
+    def called(number: int, packet: Samples | Quiet) -> Samples | Quiet:
+        return replace(packet, called=True) if 40 <= number < 44 else packet
+
+    frames = heard(called, compiled)
+    before, during = frames[35], frames[42]
+    assert unheard(before) == 0
+    assert unheard(during) == 16
+
+
+def test_a_clock_that_begins_anew_leaves_nothing_held() -> None:
+    def reset(number: int, packet: Samples | Quiet) -> Samples | Quiet:
+        moved_us = 10_000_000 if number < 40 else 0
+        return replace(packet, device_time_us=packet.device_time_us + moved_us)
+
+    frames = heard(reset)
+    assert np.count_nonzero(np.isnan(frames[42].readings.pressure_pa)) >= 12
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [some for some in conditions() if "lost" in some.name or "spikes" in some.name],
+    ids=lambda some: some.name,
+)
+def test_no_claim_outlives_what_was_heard(condition: object) -> None:
+    tally, complaints = condition.run(40, 7)  # type: ignore[attr-defined]
+    assert tally.claims > 100
+    assert tally.stale_claims == 0, complaints[:3]
