@@ -256,7 +256,7 @@ class Line:
         to this share, uniform. clock_error: of the nodes' chips and frames, relative.
     skew_chips: each node is late by up to this, uniform and fixed. late: (node, chips) pairs.
     slow: (node, share) pairs, whose chips last longer by this, relative to the others'.
-    dropouts: (node, share) pairs: in this share of its words a node stops anywhere within them.
+    dropouts: (node, share) pairs: in this share of its words a node stops after its first bit.
     edge_jitter_chips: standard deviation of every edge, common to the nodes.
 
     Voltages:
@@ -486,7 +486,7 @@ def _frame_steps(
     levels *= 1 + line.ripple * np.sin(2 * np.pi * line.ripple_hz * t_s)
     for node, share in line.dropouts:
         if rng.random() < share:
-            levels[nodes == node, rng.integers(1, skin.chips) :] = 0.0
+            levels[nodes == node, rng.integers(skin.order, skin.chips) :] = 0.0
     jitter = line.edge_jitter_chips * rng.standard_normal(skin.chips + 1)
     longer = np.ones(skin.nodes)
     for node, share in line.slow:
