@@ -292,8 +292,11 @@ class Pipeline:
         """Set up decoding for the digitizer's new description of itself."""
         if info == self.digitizer.info:
             return
-        self.digitizer.info = info
+        before, self.digitizer.info = self.digitizer.info, info
         self._forget()
+        if before is not None and before.digitizer_id != info.digitizer_id:  # another skin
+            self.taxels.forget()
+            self.health = NodeHealth(self.config.spec)
         self.problem = contradiction(info, self.config)
         if self.problem is None:
             try:

@@ -54,6 +54,14 @@ def test_a_word_that_breaks_off_is_no_silence(timing: str) -> None:
     assert counts.wrong_flagged > 3
 
 
+@pytest.mark.parametrize("share", [0.005, 0.01])
+def test_a_node_whose_clock_is_off_costs_its_own_words(share: float) -> None:
+    """Once it is known that few nodes are late: its chips are on the line after every frame."""
+    counts = tally(Line(slow=((2, share),)), Talk(), Skin(), "marks", 60)
+    assert counts.lost < 0.25 * counts.words
+    assert counts.right > 0.6 * counts.words
+
+
 @pytest.mark.parametrize("hum_hz", [100.0, 200.0, 250.0, 300.0, 500.0])
 @pytest.mark.parametrize("talk", [Talk(share=0), Talk(together=1)], ids=["nobody", "one"])
 def test_hum_is_no_word(talk: Talk, hum_hz: float) -> None:
