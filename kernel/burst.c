@@ -52,24 +52,36 @@ VECTORS bool burst_gap(const struct burst_search *search, const double *means, s
                        const struct burst_gap *known, struct burst_gap *gap, double *scratch)
 {
     size_t width = search->window < count ? search->window : count;
-    double *sums = scratch, *squares = scratch + count + 1, least = INFINITY, level = 0;
+    double *squares = scratch, level = 0;
 
     if (width < 4)
         return false;
-    gap->begin = 0;
     for (size_t i = 0; i < count; i++)
         squares[i + 1] = (means[i] - known->level) * (means[i] - known->level);
     fit_sums(squares + 1, count, 0, squares);
-    fit_sums(means, count, known->level, sums);
-    for (size_t i = 0; i + width <= count; i++) {
-        double power = squares[i + width] - squares[i];
-        if (power < least) {
-            least = power;
-            level = (sums[i + width] - sums[i]) / (double)width;
-            gap->begin = i * search->half;
+    if (isnan(squares[count]))
+        return false;
+    size_t windows = count - width + 1, i = 0;
+    double least[4], where[4] = {0}; /* of every fourth window, so that four are compared at once */
+    for (size_t lane = 0; lane < 4; lane++)
+        least[lane] = squares[width] - squares[0];
+    for (; i + 4 <= windows; i += 4)
+        for (size_t lane = 0; lane < 4; lane++) {
+            double power = squares[i + lane + width] - squares[i + lane], place = (double)(i + lane);
+            where[lane] = power < least[lane] ? place : where[lane];
+            least[lane] = power < least[lane] ? power : least[lane];
         }
-    }
-    double fresh = search->bias * most_of(least / (double)width - level * level, 0);
+    size_t begin = (size_t)where[0];
+    for (size_t lane = 1; lane < 4; lane++)
+        begin = least[lane] < squares[begin + width] - squares[begin] ? (size_t)where[lane] : begin;
+    for (; i < windows; i++)
+        begin = squares[i + width] - squares[i] < squares[begin + width] - squares[begin] ? i : begin;
+    for (size_t i = begin; i < begin + width; i++)
+        level += means[i] - known->level;
+    level /= (double)width;
+    gap->begin = begin * search->half;
+    double least_power = squares[begin + width] - squares[begin];
+    double fresh = search->bias * most_of(least_power / (double)width - level * level, 0);
     gap->level = known->level + level;
     gap->variance = least_of((1 - search->newest) * known->variance + search->newest * fresh,
                              search->calmer * fresh);

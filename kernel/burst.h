@@ -42,7 +42,7 @@ void burst_halves(const struct burst_search *search, const double *volts, size_t
 /* Values of scratch that so many half chips take. */
 size_t burst_scratch(size_t count);
 
-/* The quietest window of half chips about the known level. False where they are too few for one. */
+/* The quietest window of half chips about the known level. False where they are too few for one, or one is NaN. */
 bool burst_gap(const struct burst_search *search, const double *means, size_t count,
                const struct burst_gap *known, struct burst_gap *gap, double *scratch);
 

@@ -82,8 +82,8 @@ void fit_chips(const struct fit_code *code, const float *levels, size_t bits, fl
         chips[i] *= code->flips[i];
 }
 
-void fit_symbols(const struct fit_code *code, size_t bits, const float *rows, const float *amplitude,
-                 float *symbols)
+VECTORS void fit_symbols(const struct fit_code *code, size_t bits, const float *rows,
+                         const float *amplitude, float *symbols)
 {
     const struct words_frame *frame = &code->frame;
 

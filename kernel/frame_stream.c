@@ -323,7 +323,9 @@ static bool continues(const struct stream *stream)
         return false;
     double counted_s = (double)stream->last_count / rules->rate_hz;
     double ahead_s = (double)((int64_t)now->device_us - (int64_t)stream->last_us) * 1e-6 - counted_s;
-    return -rules->behind_s <= ahead_s && ahead_s <= rules->ahead_s + rules->ahead * counted_s;
+    double slack_s = rules->slack_s + rules->slack * counted_s;
+    double gap_s = now->sync ? rules->gap_s + rules->gaps * counted_s : 0;
+    return -slack_s <= ahead_s && ahead_s <= slack_s + gap_s;
 }
 
 /* Accepts the packet at hand. */

@@ -60,9 +60,16 @@ static double other(const double *cost, size_t count, size_t chosen)
 {
     double odds = 0;
 
-    for (size_t c = 0; c < count; c++)
-        odds += exp(cost[chosen] - cost[c] < 700 ? cost[chosen] - cost[c] : 700);
+    for (size_t c = 0; c < count; c++) {
+        double closer = cost[chosen] - cost[c];
+        odds += closer < -700 ? 0 : exp(closer < 700 ? closer : 700); /* exp is slow where it gives 0 */
+    }
     return 1 - 1 / odds;
+}
+
+static double square(double value)
+{
+    return value * value;
 }
 
 /* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. */
@@ -78,31 +85,37 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
     float *four = uneven + GAP_MOST * nodes;
     struct judge_found found = {rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
                                 four + 3 * GAP_MOST, cost};
-    struct judge_votes votes = {0, 0};
+    struct judge_votes votes;
 
     for (size_t c = 0; c < count; c++) {
         start[c] = seen->fit.start + seen->fit.chip * ((double)c + earliest);
         chip[c] = seen->fit.chip;
     }
     struct judge_candidates all = {count, likely, start, chip, start[0],
-                                   start[count - 1] + (double)code->span * chip[0], rules->ruled_out};
-    judge_weigh(code, line, limits, &all, noise, &found, &votes, four + 4 * GAP_MOST);
-    double power = found.power[likely] > 1e-30f ? (double)found.power[likely] : 1e-30;
-    if (!((double)found.misfit[likely] < rules->carried_noise * noise / power + rules->carried_misfit))
-        return false;
-    double least = cost[likely], most = judge_most(limits, rules->disturbed, &votes, count - 1 + code->span);
-    for (size_t c = 0; c < count; c++) {
-        double off = (start[c] - seen->burst.first) / (0.5 * chip[c]), before = log1p(off * off);
-        if (c != likely && cost[c] < least + rules->ruled_out / 2)
-            return false; /* with timing of its own it may get closer */
-        cost[c] += before;
+                                   start[count - 1] + (double)code->span * chip[0], rules->ruled_out,
+                                   rules->ruled_out / 2};
+    bool decided = false;
+    seen->unaided = false;
+    /* Mostly the least that the others cost is enough. */
+    for (; !(decided && seen->unaided) && all.close <= all.margin; all.close *= 2) {
+        votes = (struct judge_votes){0, 0};
+        judge_weigh(code, line, limits, &all, noise, &found, &votes, four + 4 * GAP_MOST);
+        double power = found.power[likely] > 1e-30f ? (double)found.power[likely] : 1e-30;
+        double most = judge_most(limits, rules->disturbed, &votes, count - 1 + code->span), least = cost[likely];
+        if (!((double)found.misfit[likely] < rules->carried_noise * noise / power + rules->carried_misfit &&
+              least + log1p(square((start[likely] - seen->burst.first) / (0.5 * chip[likely]))) < most))
+            return false;
+        for (size_t c = 0; c < count; c++) {
+            if (c != likely && cost[c] < least + rules->ruled_out / 2)
+                return false; /* with timing of its own it may get closer */
+            cost[c] += log1p(square((start[c] - seen->burst.first) / (0.5 * chip[c])));
+        }
+        seen->unaided = other(cost, count, likely) < rules->doubt;
+        for (size_t c = 0; c < count; c++)
+            cost[c] += cost_of_place(expected, rules->wide, start[c]);
+        decided = other(cost, count, likely) < rules->doubt;
     }
-    seen->unaided = other(cost, count, likely) < rules->doubt;
-    if (!(cost[likely] < most))
-        return false;
-    for (size_t c = 0; c < count; c++)
-        cost[c] += cost_of_place(expected, rules->wide, start[c]);
-    if (!(other(cost, count, likely) < rules->doubt))
+    if (!decided)
         return false;
     memcpy(seen->words.rows, rows + likely * size, size * sizeof *rows);
     memcpy(seen->words.amplitude, amplitude + likely * nodes, nodes * sizeof *amplitude);
@@ -112,6 +125,23 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
     *seen->words.spread = found.spread[likely];
     *seen->words.misfit = found.misfit[likely];
     return true;
+}
+
+/* As WordFit.believable, of words that are even, by all of them and this noise of a chip's level. */
+static bool are_sound(const struct words_frame *frame, const struct gap_rules *rules,
+                      const struct judge_found *words, double noise)
+{
+    double power = (double)*words->power, pedestal = (double)*words->pedestal, active = 0;
+    double even = power - pedestal * pedestal, spread = (double)*words->spread;
+
+    for (size_t i = 0; i < frame->nodes; i++)
+        active += words->amplitude[i] > 0;
+    if (!(noise > 0 && even > 0 && active > 0 && spread <= rules->uneven))
+        return false;
+    double scatter = sqrt(2 / (active * (double)(frame->bits - 1)));
+    double expected = noise * active / (double)frame->order / even * (1.3 + 4 * scatter);
+    return spread < rules->spread * (1.7 - 0.7 / active) && spread < rules->spread / 2 + expected &&
+           (double)*words->misfit < rules->left * noise / power + rules->misfit;
 }
 
 /* Whether there may be a weaker burst before this one, as GapTiming._first_burst asks. */
@@ -133,12 +163,16 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
 {
     size_t halves = size / search->half;
     double *sums = values, *means = sums + size + 1, *rest = means + halves, earliest, latest;
+    double behind = 0; /* the last half chip */
     struct burst_found *burst = &seen->burst;
 
     *look = GAP_SILENT;
     seen->proven = 0;
+    seen->sound = false;
     burst_halves(search, volts, size, means);
-    if (!burst_gap(search, means, halves, known, &seen->gap, rest))
+    for (size_t i = halves * search->half; i < size; i++)
+        behind += volts[i];
+    if (isnan(behind) || !burst_gap(search, means, halves, known, &seen->gap, rest))
         return false;
     if (!burst_find(search, means, halves, least_power, &seen->gap, burst, rest))
         return true;
@@ -158,7 +192,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     seen->fit = fit_refine(code, &line, &refining, (struct fit){expected->start, expected->chip}, -INFINITY,
                            INFINITY, scratch);
     double end = seen->fit.start + (double)code->span * seen->fit.chip;
-    if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > 0.5 * expected->chip))
+    if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > rules->least_chip * expected->chip))
         return true;
     find_shifts(code, rules, burst, &seen->fit, &earliest, &latest);
     seen->proven = end + latest * seen->fit.chip;
@@ -170,6 +204,9 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     end = ceil(end + seen->fit.chip);
     seen->beside = burst_beside(search, volts, size, line.level, first > 0 ? (size_t)first : 0, (size_t)end,
                                 burst->variance, burst->power, scratch);
+    noise = seen->beside.variance * (double)search->half / seen->fit.chip;
+    seen->sound = seen->beside.quiet && are_sound(&code->frame, rules, &seen->words, noise);
+    seen->noise = words_noise(&code->frame, seen->words.rows, rules->spare, rules->spare_count);
     *look = GAP_FRAME;
     return true;
 }

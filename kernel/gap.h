@@ -12,10 +12,12 @@
 #define GAP_MOST 16 /* candidates; where more are possible, Python looks */
 
 /* As `Limits` in limits.py and constants of gap.py, raster.py, judge.py and fit.py. shortest, longest: frames,
- * samples; bit: of nominal chips. */
+ * samples; bit: of nominal chips. spare, spare_count: rows that show the noise. */
 struct gap_rules {
     double shortest, longest, bit, period;
     double beyond, carried_noise, carried_misfit, doubt, disturbed, wide, ruled_out, settled_chips;
+    double least_chip, uneven, spread, left, misfit;
+    size_t spare, spare_count;
 };
 
 /* As Expected; chip: 0 where no frame is surely expected. */
@@ -31,14 +33,16 @@ enum gap_look {
 };
 
 /* proven: until which sample silence has to last to prove that the frame is over; 0 where none is carried.
- * unaided: whether the waveform alone places the frame. words: of one candidate, as in judge_found. */
+ * unaided: whether the waveform alone places the frame. sound: its words are even, and leave nothing over, and
+ * the line is at rest beside it; then noise: of a row's levels, V. words: of one candidate, as in judge_found. */
 struct gap_seen {
     struct burst_gap gap;
     struct burst_found burst;
     double proven;
     struct fit fit;
-    bool unaided;
+    bool unaided, sound;
     struct burst_beside beside;
+    double noise;
     struct judge_found words;
 };
 
@@ -46,7 +50,7 @@ struct gap_seen {
 size_t gap_values(const struct burst_search *search, size_t samples);
 size_t gap_scratch(const struct fit_code *code, const struct burst_search *search);
 
-/* False where the samples are too few for a gap. */
+/* False where the samples are too few for a gap, or one is NaN. */
 bool gap_look(const struct fit_code *code, const struct burst_search *search,
               const struct judge_limits *limits, const struct gap_rules *rules,
               const double *reaches, size_t turns, const double *volts, size_t size,

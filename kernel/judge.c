@@ -6,6 +6,8 @@
 #include <stdbool.h>
 #include <string.h>
 
+#include "vectors.h"
+
 #define LANES 16 /* sums that are kept apart, so that they can be added at once */
 #define MOST_CHIPS (1 << 25) /* of a view: more than any frame has */
 #define SAME 1e-9 /* chips: starts that are as close to whole chips apart are on one lattice */
@@ -57,7 +59,7 @@ static void find_levels(const struct fit_line *line, double blur, const struct s
     *there = *seen;
 }
 
-static double square_sum(const float *values, size_t size)
+VECTORS static double square_sum(const float *values, size_t size)
 {
     float partial[LANES] = {0};
     double sum = 0;
@@ -74,7 +76,7 @@ static double square_sum(const float *values, size_t size)
 }
 
 /* Sum of the chips' votes, which replace what is off in them. */
-static double votes_of(float *off, size_t size, const struct judge_votes *votes, double most)
+VECTORS static double votes_of(float *off, size_t size, const struct judge_votes *votes, double most)
 {
     const float distortion = (float)votes->distortion, scale = (float)(0.5 / votes->variance);
     const float limit = (float)most;
@@ -99,17 +101,21 @@ static double votes_of(float *off, size_t size, const struct judge_votes *votes,
 }
 
 /* Those of a line on which even the best candidate leaves `off` over; see _Votes.of in judge.py. */
-static struct judge_votes votes_by(const struct judge_limits *limits, const float *levels, float *off,
+VECTORS static struct judge_votes votes_by(const struct judge_limits *limits, const float *levels, float *off,
                                    size_t count, double noise)
 {
     double squares = 0;
     float partial[LANES] = {0};
-    size_t rank = (size_t)(limits->most * (double)(count - 1)), within = 0;
+    size_t rank = (size_t)(limits->most * (double)(count - 1)), next = 0;
+    int32_t within = 0;
 
-    for (size_t i = 0; i + 1 < count; i++) {
-        float step = levels[i + 1] - levels[i];
-        partial[i % LANES] += step * step;
-    }
+    for (; next + LANES < count; next += LANES)
+        for (size_t lane = 0; lane < LANES; lane++) {
+            float step = levels[next + lane + 1] - levels[next + lane];
+            partial[lane] += step * step;
+        }
+    for (; next + 1 < count; next++)
+        partial[0] += (levels[next + 1] - levels[next]) * (levels[next + 1] - levels[next]);
     for (size_t lane = 0; lane < LANES; lane++)
         squares += (double)partial[lane];
     double distortion = limits->distortion * sqrt(0.5 * squares / (double)(count - 1));
@@ -119,7 +125,7 @@ static struct judge_votes votes_by(const struct judge_limits *limits, const floa
     float most = (float)(limits->most_deviations * sqrt(variance));
     for (size_t i = 0; i < count; i++)
         within += fabsf(off[i]) <= most;
-    if (within <= rank) {
+    if ((size_t)within <= rank) {
         for (size_t i = 0; i < count; i++)
             off[i] = fabsf(off[i]);
         double left = (double)fit_ranked(off, (ptrdiff_t)count, (ptrdiff_t)rank) / limits->most_deviations;
@@ -192,7 +198,7 @@ static void find_words(struct weighing *w, size_t first, size_t end, size_t whol
 
 /* Finds what the model's chips of the first bits leave of the levels of a candidate's view, and what is silent
  * in that. Returns how many they are. */
-static size_t find_off(struct weighing *w, size_t c, size_t bits, const float *model)
+VECTORS static size_t find_off(struct weighing *w, size_t c, size_t bits, const float *model)
 {
     const struct fit_code *code = w->code;
     struct seen seen = look_at(w, c);
@@ -245,6 +251,7 @@ static bool weigh_likely(struct weighing *w)
     /* Chosen: half of them; what is wrong by whole chips is wrong in all. */
     const size_t bits = (all + 1) / 2 < 2 ? 2 : (all + 1) / 2, part = bits * w->code->frame.order;
     double *cost = w->found->cost;
+    float *more = w->found->misfit; /* whether they leave more over than the likely one, until their words are known */
 
     find_words(w, 0, count, likely, bits);
     size_t size = find_off(w, likely, all, w->model + likely * part);
@@ -253,12 +260,15 @@ static bool weigh_likely(struct weighing *w)
     double least = cost[likely] = cost_of(w, likely, size);
     const float *model = w->model;
     for (size_t c = 0; c < count; c++) {
-        if (c != likely)
-            cost[c] = cost_of(w, c, find_off(w, c, bits, model));
+        if (c != likely) {
+            size = find_off(w, c, bits, model);
+            more[c] = (float)left_by(w, c, size) > (float)left;
+            cost[c] = cost_of(w, c, size);
+        }
         model += (c == likely ? all : bits) * w->code->frame.order;
     }
     for (size_t c = 0; c < count; c++) {
-        if (c == likely || cost[c] > least + w->all->margin)
+        if (c == likely || cost[c] > least + (more[c] > 0 ? w->all->close : w->all->margin))
             continue;
         find_words(w, c, c + 1, c, all);
         size = find_off(w, c, all, w->model);

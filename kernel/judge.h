@@ -15,12 +15,12 @@ struct judge_limits {
 };
 
 /* c candidates, and the line from `begin` to `end`. likely: which one it probably is; of the others those are
- * left after their first bits whose cost is beyond its one and `margin` by then. As many as there are: of
- * all the whole cost is wanted. */
+ * left after their first bits whose cost is beyond its one and `margin` by then, or `close` if by then they
+ * leave more over. As many as there are: of all the whole cost is wanted. */
 struct judge_candidates {
     size_t count, likely;
     const double *start, *chip;
-    double begin, end, margin;
+    double begin, end, margin, close;
 };
 
 /* What is found out of each candidate: rows (c, k, N); amplitude, uneven (c, n); the others (c,), as in

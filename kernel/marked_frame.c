@@ -4,6 +4,8 @@
 
 #include <math.h>
 
+#include "vectors.h"
+
 #define CLEARLY 0.9 /* share of a limit below which sums in any order are */
 #define LANES 8 /* sums that are kept apart, so that they can be added at once */
 
@@ -43,12 +45,12 @@ struct samples_sums samples_add(const double *volts, size_t size)
     return all;
 }
 
-size_t samples_outside(const double *volts, size_t size, double low, double high)
+VECTORS size_t samples_outside(const double *volts, size_t size, double low, double high)
 {
     size_t count = 0;
 
     for (size_t i = 0; i < size; i++)
-        count += volts[i] <= low || volts[i] >= high;
+        count += (size_t)(volts[i] <= low) | (size_t)(volts[i] >= high);
     return count;
 }
 

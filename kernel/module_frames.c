@@ -111,7 +111,7 @@ FUNCTION(weigh, SETTINGS(judge_limits), ARRAY("volts", 'd', "m"), ARRAY("sums", 
     const union value *value = call->value;
     struct judge_candidates candidates = {axis(call, 'c'),  value[8].size,   value[3].data,
                                           value[4].data,    value[5].number, value[6].number,
-                                          value[9].number};
+                                          value[9].number,  value[9].number};
     struct judge_found found = {value[12].data, value[13].data, value[14].data, value[15].data,
                                 value[16].data, value[17].data, value[18].data, value[19].data};
     struct judge_votes votes = {value[10].number, value[11].number};
@@ -160,20 +160,24 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(judge_limits), SETTINGS(gap_rule
         return NULL;
     if (!is_search(search))
         return refuse(call, "burst_search: a length is 0 or too large");
+    const struct gap_rules *rules = value[2].data;
+    if (rules->spare > code->frame.order || rules->spare_count > code->frame.order - rules->spare)
+        return refuse(call, "gap_rules: spare rows beyond the order");
     if (!(axis(call, 'v') >= gap_values(search, axis(call, 'm')) &&
           axis(call, 'f') >= gap_scratch(code, search)))
         return refuse(call, "values, scratch: %zu and %zu expected", gap_values(search, axis(call, 'm')),
                       gap_scratch(code, search));
-    if (!gap_look(code, search, value[1].data, value[2].data, value[3].data, axis(call, 'r'),
+    if (!gap_look(code, search, value[1].data, rules, value[3].data, axis(call, 'r'),
                   value[4].data, axis(call, 'm'), value[5].number, &known, &expected, &seen, &look,
                   value[19].data, value[20].data))
         Py_RETURN_NONE;
-    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddO)", (int)look, seen.gap.level, seen.gap.variance,
+    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddO)Od", (int)look, seen.gap.level, seen.gap.variance,
                          (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last,
                          seen.burst.slack, seen.burst.power, seen.burst.variance, seen.burst.pause,
                          seen.proven, seen.fit.start, seen.fit.chip, seen.unaided ? Py_True : Py_False,
                          seen.beside.level, seen.beside.variance,
-                         seen.beside.quiet ? Py_True : Py_False);
+                         seen.beside.quiet ? Py_True : Py_False, seen.sound ? Py_True : Py_False,
+                         seen.noise);
 }
 
 static PyMethodDef code_methods[] = {ENTRY(refine), ENTRY(weigh), ENTRY(look), {0}};

@@ -108,10 +108,10 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, gap_size),                  FIELD(stream_rules, least_rest),
     FIELD(stream_rules, gap_weight),                FIELD(stream_rules, rise),
     FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
-    FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, behind_s),
-    FIELD(stream_rules, ahead_s),                   FIELD(stream_rules, ahead),
-    FIELD(stream_rules, most_device_us),            FIELD(stream_rules, most_quiet),
-    FIELD(stream_rules, most_quiet_v2),
+    FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
+    FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
+    FIELD(stream_rules, gaps),                      FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
 };
 
 static const struct field timing_fields[] = {
@@ -342,8 +342,10 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
                              (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
                              rest->level, rest->noise, flag(rest->known));
     case STREAM_BLOCK:
-        return Py_BuildValue("(Ly#)", (long long)about->start, (const char *)about->volts,
-                             (Py_ssize_t)(about->count * sizeof *about->volts));
+        return Py_BuildValue("(LN)", (long long)about->start, /* not copied: until stream_look is called */
+                             PyMemoryView_FromMemory((char *)about->volts,
+                                                     (Py_ssize_t)(about->count * sizeof *about->volts),
+                                                     PyBUF_READ));
     default:
         return Py_NewRef(Py_None);
     }

@@ -53,6 +53,8 @@ class Frame:
     sequence: counts frame periods on the wire; a step of more than 1 means lost frames.
     t_host: middle of the frame on the host's monotonic clock (time.monotonic), s.
     t_device: the same moment on the digitizer's clock, s.
+    stamp_uncertainty_s: t_host may be off by up to this; infinite in the first second, and while
+        the digitizer's clock is not known anew after a step.
     pressure_pa: (t,) float32, Pa; NaN where there is no valid reading.
     voltage_v: (t,) float32, V, of the taxels' sensors; NaN likewise.
     status: (t,) uint8, bits of tactile_cdma.Status; 0 is a fresh, valid reading.
@@ -67,6 +69,7 @@ class Frame:
     sequence: int
     t_host: float
     t_device: float
+    stamp_uncertainty_s: float
     pressure_pa: Floats32
     voltage_v: Floats32
     status: NDArray[np.uint8]
@@ -416,6 +419,7 @@ def _frame(frame: TactileFrame, layout: Layout) -> Frame:
         sequence=frame.sequence,
         t_host=frame.t_host,
         t_device=frame.t_middle,
+        stamp_uncertainty_s=frame.stamp_uncertainty_s,
         pressure_pa=_read_only(readings.pressure_pa),
         voltage_v=_read_only(readings.voltage_v),
         status=_read_only(readings.status),

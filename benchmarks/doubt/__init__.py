@@ -12,6 +12,7 @@ packets to what is published, and everything published is compared with what was
 - `words`, `lines`: every word of every frame, and the conditions of the line. A condition is a row
   of a table in `lines`.
 - `touches`: claims of touch and of held values, where frames are lost.
+- `zeros`: claims of zero, by skins that are tared under load, or torn.
 - `bench`: runs all conditions (SOURCES) and reports.
 
 The sums that must be 0 are over all conditions; the shares of right words and of silences that are

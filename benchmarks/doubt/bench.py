@@ -13,10 +13,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..report import QUICK, Report
-from . import lines, touches
+from . import lines, stamps, touches, zeros
 from .tally import Condition, Tally, total
 
-SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (lines.conditions, touches.conditions)
+SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (
+    lines.conditions,
+    touches.conditions,
+    stamps.conditions,
+    zeros.conditions,
+)
 """Where conditions come from."""
 ONLY = os.environ.get("ONLY", "")
 FRAMES = 60 if QUICK else 250

@@ -93,7 +93,7 @@ def play(
 
     lost: share of the packets that do not arrive, drawn by the seed.
     """
-    config, writer = _config(recording, learnt), PacketWriter()
+    config, writer = config_of(recording, learnt), PacketWriter()
     pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
@@ -106,7 +106,8 @@ def play(
         yield frame, pipeline.health.invalid, config.layout
 
 
-def _config(recording: Recording, learnt: bool) -> SkinConfig:
+def config_of(recording: Recording, learnt: bool = False, **more: float) -> SkinConfig:
+    """What a user sets for a recording; more: other parameters."""
     skin, digitizer = recording.skin, recording.digitizer
     return SkinConfig.of(
         {
@@ -123,6 +124,7 @@ def _config(recording: Recording, learnt: bool) -> SkinConfig:
             "amplitude_mv": 0.0 if learnt else 1e3 * skin.amplitude_v,
             "timing": "line" if digitizer.marked else "gap",
             "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
+            **more,
         }
     )
 

@@ -72,7 +72,7 @@ static void accept(const struct stream_passed *passed)
     if (!run.is_placed) { /* it was not asked about */
         int64_t ahead_us = (int64_t)(packet->device_us - run.last_us);
         MUST(index == run.end, UNCOUNTED_LOSS);
-        MUST(ahead_us >= -BEHIND_US && ahead_us <= BEHIND_US + MOST_COUNT / 50, WRONG_VALUE);
+        MUST(llabs(ahead_us) <= BEHIND_US + MOST_COUNT / 50, WRONG_VALUE);
         MUST(run.held < 0, WRONG_VALUE);
     }
     run.is_placed = false;
@@ -298,7 +298,7 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
         .frame = frame, .marked = run.marked, .in_blocks = run.in_blocks, .heeds_calls = kind & 64,
         .volts_per_count = 1, .most_volts = 1e6, .gap_size = 8, .least_rest = 4, .gap_weight = 0.25,
         .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
-        .behind_s = BEHIND_US * 1e-6, .ahead_s = BEHIND_US * 1e-6, .ahead = 0.01,
+        .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
         .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
     struct frame_code code = {transform, kind & 32 ? flips : NULL};
     MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);

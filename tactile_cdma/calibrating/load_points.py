@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,11 +14,15 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Indices
 from ..base.listing import listed
-from .load_table import Table, read_table
+from ..readings.calibration import MOST_PA
+from .load_table import UNITS, Table, read_table
 
 HEADING = "node,pressure_kpa,voltage_v"
-PLAUSIBLE_PA = (200.0, 1e8)
-"""Limits of the largest load, Pa; chosen: outside of them its unit is taken to be wrong."""
+PLAUSIBLE_PA = (200.0, MOST_PA)
+"""Limits of the largest load, Pa: outside of them its unit is taken to be wrong. The lower one is
+chosen: two counts of the paper's sensor."""
+USUAL_PA = 1e5
+"""Largest load of most calibrations, Pa, by which the right unit is guessed; chosen."""
 NOISE = 0.01
 """How far below 0 an unloaded reference may read, as a share of the largest load; chosen."""
 _CHANGE = 0.005
@@ -130,9 +135,21 @@ def pressures(table: Table) -> Floats:
     if not PLAUSIBLE_PA[0] <= largest_pa <= PLAUSIBLE_PA[1]:
         size = "only" if largest_pa < PLAUSIBLE_PA[0] else "as much as"
         raise table.refusal(
-            f"the largest load is {size} {largest_pa:g} Pa: is {heading} the right unit?"
+            f"the largest load is {size} {largest_pa:g} Pa: is {heading} the right unit? "
+            + _likely(table, largest_pa)
         )
     return np.maximum(pressure_pa, 0.0)
+
+
+def _likely(table: Table, largest_pa: float) -> str:
+    """In which unit the largest load would be a usual one."""
+    heading = table.headings["pressure"]
+    kind = heading.split("_")[0]
+    units = {kind + unit: factor for unit, factor in UNITS[kind].items()}
+    in_pa = {name: largest_pa * units[name] / units[heading] for name in units}
+    name = min(in_pa, key=lambda name: abs(math.log(max(in_pa[name], 1e-9) / USUAL_PA)))
+    area = ", and is --area-mm2 right?" if kind == "force" else ""
+    return f"In {name} it would be {in_pa[name] / 1e3:.4g} kPa: then name the column so{area}"
 
 
 def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:

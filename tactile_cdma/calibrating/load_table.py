@@ -20,12 +20,14 @@ MOST_BYTES = 256 << 20
 """Size of a table, bytes; chosen: minutes of a reference at kHz, and far from filling a memory."""
 MOST = 1e30
 """Bound of all numbers; chosen: no unit's factor makes an infinity of it."""
+GRAM_N = 9.80665e-3
+"""Weight of a gram, N, by which gauges show forces."""
 UNITS: dict[str, dict[str, float]] = {
     "node": {"": 1.0},
     "time": {"_s": 1.0, "_ms": 1e-3},
     "pressure": {"_pa": 1.0, "_hpa": 1e2, "_kpa": 1e3, "_mpa": 1e6, "_mbar": 1e2, "_bar": 1e5},
     "voltage": {"_v": 1.0, "_mv": 1e-3},
-    "force": {"_n": 1.0},
+    "force": {"_n": 1.0, "_g": GRAM_N, "_kg": 1e3 * GRAM_N},
 }
 """Endings of a quantity's headings, each with the number of SI units in one of its units."""
 _SHOWN = 40
@@ -103,7 +105,7 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
         if area_m2 is None:
             raise CalibrationError(f"{path}: forces need the area they act on: give --area-mm2")
         headings["pressure"], columns["pressure"] = headings["force"], columns["force"]
-        factors["pressure"] = 1 / area_m2
+        factors["pressure"] = factors["force"] / area_m2
     columns = {kind: column * factors[kind] for kind, column in columns.items()}
     lines = np.array([number for number, _ in used[1:]])
     return Table(path, lines, columns, headings, factors)

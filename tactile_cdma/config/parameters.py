@@ -22,6 +22,7 @@ from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
 from ..base.suggest import suggestion
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
+from ..readings.calibration import MOST_PA
 
 _log = logging.getLogger(__name__)
 
@@ -156,8 +157,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("vref_v", 3.3,
         "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
     Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.01, 100.0)),
-    Parameter("knee_kpa", 50.0, "end of the sensor's first stage", "kPa", (0.001, 1e5)),
-    Parameter("range_kpa", 140.0, "end of the sensor's second stage", "kPa", (0.001, 1e5)),
+    Parameter("knee_kpa", 50.0, "end of the sensor's first stage", "kPa", (0.001, MOST_PA / 1e3)),
+    Parameter("range_kpa", 140.0,
+        "end of the sensor's second stage", "kPa", (0.001, MOST_PA / 1e3)),
     Parameter("sensitivity1_v_per_kpa", 0.033,
         "voltage drop per pressure in the first stage", "V/kPa", (1e-6, 100.0)),
     Parameter("sensitivity2_v_per_kpa", 0.0059,

@@ -166,6 +166,7 @@ def _survey_row(survey: FrameSurvey, row: Mapping[str, Any]) -> None:
         sequence=int(row["sequence"]),
         device_time_s=float(row["device_time_s"]),
         wall_time_s=float(row["wall_time_s"]),
+        stamp_uncertainty_s=float("nan"),
         noise_v=float("nan"),
         pressure_pa=row["pressure_pa"],
         voltage_v=row["pressure_pa"],

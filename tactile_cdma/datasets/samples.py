@@ -70,13 +70,14 @@ class SkinFrame:
     """One frame of a patch, as in TactileArray.
 
     wall_time_s: Unix time of its middle; NaN for raw bytes. device_time_s: the same moment on the
-    digitizer's clock. pressure_pa, voltage_v: (t,) float32, NaN: no valid reading. status: (t,)
-    uint8, bits of Status.
+    digitizer's clock. stamp_uncertainty_s: wall_time_s may be off by up to this; NaN like it.
+    pressure_pa, voltage_v: (t,) float32, NaN: no valid reading. status: (t,) uint8, bits of Status.
     """
 
     sequence: int
     device_time_s: float
     wall_time_s: float
+    stamp_uncertainty_s: float
     noise_v: float
     pressure_pa: Floats32
     voltage_v: Floats32

@@ -26,6 +26,7 @@ PER_FRAME = {
     "sequence": "<u8",
     "device_time_s": "<f8",
     "wall_time_s": "<f8",
+    "stamp_uncertainty_s": "<f4",
     "noise_v": "<f4",
     "episode": "<u4",
 }

@@ -19,6 +19,9 @@ WINDOW, MEAN, LAST = "window", "mean", "last"
 MODES = (WINDOW, MEAN, LAST)
 HOLD, ZERO, DROP = "hold", "zero", "drop"
 POLICIES = (HOLD, ZERO, DROP)
+MOST_UNCERTAIN_S = 0.05
+"""s; a frame whose stamp may be off by more has no valid readings, because it may be of another
+tick. Chosen: as long as a tick at 20 per second, and above what an idle computer delays."""
 MOST_SLOTS = 1000
 """Samples of a patch per tick; chosen: 12 s of frames that come every 12.8 ms."""
 
@@ -79,7 +82,7 @@ class TouchStream:
         self._interval: deque[_Sample] = deque()
 
     def take(self, stamp_ns: int, frame: SkinFrame) -> None:
-        valid = frame.valid
+        valid = frame.valid & (not frame.stamp_uncertainty_s > MOST_UNCERTAIN_S)  # NaN: unknown
         self._held = np.where(valid, frame.pressure_pa, self._held)
         self._wanted = is_in_service(frame.status)
         self.completeness.take(frame)

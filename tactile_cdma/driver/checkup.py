@@ -188,6 +188,8 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
         "packets come twice or out of order: what lies between here and the "
         "digitizer?": packets.repeated_packets,
         "the digitizer restarted: check its supply": stream.restarts,
+        "the digitizer's clock stood still, stepped, or is no crystal's: stamps moved, see "
+        "stamp_uncertainty": stream.clock_steps,
         "bytes arrive that are no packets: is baud right, is another program on the "
         "port?": packets.resyncs,
         "packets do not fit the protocol: update the digitizer's firmware or this "

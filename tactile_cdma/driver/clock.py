@@ -27,13 +27,24 @@ INTERVAL_S, KEPT_INTERVALS = 0.25, 120
 SURE_INTERVALS = 40
 """Kept observations from which the rate is shown to people: 1 ms of jitter is 55 ppm then."""
 RECENT = 8
-"""Newest observations that tell a slow device; also the fewest from which a rate is fitted. Chosen:
-2 s of them."""
+"""Newest observations that tell the pace of a slow device; also the fewest from which the rate of a
+clock is fitted. Chosen: 2 s of them."""
 SLOW_S, FALLS_BEHIND_S = 0.5, 0.005
 """s; a device is not a clock but a slow replay or emulation if the RECENT newest observations are
 later than earlier ones by SLOW_S, though nothing had been waiting to be read (crystals come to
 0.03 s in 30 s), and each pair of them is later than the one before by FALLS_BEHIND_S. What a
 stalled bus or a busy host held back is late, too, but ever less so, or by what buffers hold."""
+SURE = 4
+"""Newest observations that tell a step of the clock; also the fewest by which a map is more than a
+guess. Chosen: 1 s of them."""
+STEP_S, STEADY_S = 0.005, 0.002
+"""s; the clock stood still, or is slow, if the SURE newest observations are later than the line by
+STEP_S though nothing had been waiting to be read, and on a line of their own that is no faster than
+a clock may be: within STEADY_S of it, or what is usual on this link. Chosen: USB polls every ms;
+what a busy host or a congested network holds up arrives by fits and starts."""
+LEAST_ERROR_S = 1e-3
+"""s; what no arrival tells: the shortest delay of the link, and by how much more the earliest of a
+second's arrivals was delayed. Chosen: a frame of full-speed USB."""
 MAX_ANCHORS = 4096
 """Packets whose device times are kept, for frames that began in them. Chosen: a frame spans fewer,
 as a packet holds hundreds of samples."""
@@ -64,6 +75,7 @@ class Stamp(NamedTuple):
     t_start: float
     t_middle: float
     t_host: float
+    stamp_uncertainty_s: float
     chip_s: float
 
 
@@ -77,6 +89,7 @@ class StreamCounters:
     lost_samples: int = 0
     unannounced_samples: int = 0
     restarts: int = 0
+    clock_steps: int = 0
     implausible_packets: int = 0
     skipped_bytes: int = 0
 
@@ -100,6 +113,7 @@ class FrameTimes:
         self._sequence = -1
         self._last_start_s: float | None = None  # of the last frame, if on the present clock
         self._last_t_host = -math.inf
+        self._arrival = 0.0, 0.0  # of the last packet: device time of its end, host time
 
     def begin_clock(self) -> None:
         """Forget the device's clock: the next packet is of another one."""
@@ -122,7 +136,8 @@ class FrameTimes:
             self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
             self._anchors.append((index, t_device))
             self._counters.samples += count
-            self.clock.observe(t_device + count / rate_hz, t_host, backlog)
+            self._arrival = t_device + count / rate_hz, t_host
+            self.clock.observe(*self._arrival, backlog)
 
     def stamp(self, heard: FrameLevels, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
@@ -131,6 +146,7 @@ class FrameTimes:
         t_start = self._device_time(heard.start, rate_hz)
         t_middle = t_start + chip_s * spec.span_chips / 2
         t_host = self.clock.to_host(t_middle)
+        late_s = self.clock.lateness_s(*self._arrival)
         passed_s = 0.0
         if self._last_start_s is not None:
             passed_s = t_start - self._last_start_s
@@ -141,9 +157,12 @@ class FrameTimes:
         self._last_start_s = t_start
         # A better estimate of the clock may move time back: stamps still rise.
         self._last_t_host = max(t_host, self._last_t_host + TICK_S)
+        # The frame was over when the packet came: that is the latest that it can have been.
+        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, self.clock.error_s)
         counters.frames += 1
         counters.lost_frames += periods - 1
-        return Stamp(self._sequence, t_start, t_middle, self._last_t_host, chip_s)
+        counters.clock_steps += self.clock.take_steps()
+        return Stamp(self._sequence, t_start, t_middle, self._last_t_host, error_s, chip_s)
 
     def _device_time(self, index: float, rate_hz: float) -> float:
         """Device time, s, of a place in the stream of samples, by the last packet before it."""
@@ -160,8 +179,10 @@ class DeviceClock:
     1999, "Estimation and removal of clock skew from network delay measurements"). Arrivals later
     than clocks can explain are left out.
 
-    A device slower than real time, such as a replay at half speed, is followed at its own pace.
-    Otherwise its frames would be stamped ever farther in the past.
+    A clock that stood still, with its device, makes all arrivals later from then on, and by the
+    same amount; that is a step, after which the line is that of the arrivals since. A device slower
+    than real time, such as a replay at half speed, or one whose clock is no crystal, is followed at
+    its own pace. Otherwise its frames would be stamped ever farther in the past.
     """
 
     def __init__(self) -> None:
@@ -175,6 +196,8 @@ class DeviceClock:
         self._origin = (0.0, 0.0)
         self._fitted = True
         self._is_slow = False
+        self._steps = 0
+        self._scatter_s = 0.0  # of the newest observations about the line
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
         """Note that a packet left the device at t_device and was read at t_host, s.
@@ -196,9 +219,22 @@ class DeviceClock:
             self._fitted = False  # others move the line little, and at the next interval's fit
 
     @property
+    def error_s(self) -> float:
+        """What the map may be off by although packets come in time, s; infinite for a guess."""
+        if self._count < SURE:
+            return math.inf
+        return STEP_S if self._is_slow or self._count < RECENT else self._scatter_s
+
+    @property
     def drift_ppm(self) -> float:
         """Rate of the device's clock less that of the host's, ppm; NaN until it is known."""
-        return (1 / self._rate - 1) * 1e6 if self._count >= SURE_INTERVALS else np.nan
+        known = self._is_slow or self._count >= SURE_INTERVALS
+        return (1 / self._rate - 1) * 1e6 if known else np.nan
+
+    def take_steps(self) -> int:
+        """How often the clock was found to have stepped since the last call."""
+        steps, self._steps = self._steps, 0
+        return steps
 
     def to_host(self, t_device: float) -> float:
         """Host time of a device time by the packets observed so far, s."""
@@ -215,26 +251,58 @@ class DeviceClock:
         return self._origin[1] + (t_device - self._origin[0]) * self._rate
 
     def _fit(self) -> None:
+        self._fitted = True
+        if self._is_slow:
+            self._keep(RECENT)
+        self._lay()
+        if self._is_behind():
+            _log.debug("the device's clock stood still, or is slow")
+            self._keep(SURE)
+            self._steps += 1
+            self._is_slow = True  # unless its pace is that of a clock
+            self._lay()
+
+    def _lay(self) -> None:
+        """Lay the line below the observations that are kept."""
         kept = min(self._count, self._device.size)
         device, host = float(self._device[0]), float(self._host[0])
         # Differences to one observation keep the precision over weeks of device time.
         x, y = self._device[:kept] - device, self._host[:kept] - host
-        newest = (self._count - 1 - np.arange(min(kept, RECENT))) % self._device.size
-        late_s = y - x
-        is_slow = not self._is_backlog[newest].any() and _is_slow(late_s, newest)
-        if is_slow != self._is_slow:
-            _log.debug(
-                "the device is %s", "slow: its own pace is followed" if is_slow else "a clock"
-            )
-        self._is_slow = is_slow
-        if is_slow:
-            x, y = x[newest], y[newest]
-            rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
-            offset_s = float((y - rate * x).min())
+        if self._is_slow:
+            self._rate, offset_s = _own_line(x, y)
+            self._is_slow = self._rate > 1 + MAX_RATE_ERROR
         else:
-            rate, offset_s = line_below(x, y, RECENT)
-        self._fitted = True
-        self._rate, self._origin = rate, (device, host + offset_s)
+            self._rate, offset_s = line_below(x, y, RECENT)
+        self._origin = device, host + offset_s
+
+    def _is_behind(self) -> bool:
+        """Whether the newest arrivals are late as no bus or host makes them."""
+        newest = self._newest(KEPT_INTERVALS)
+        x, y = self._device[newest], self._host[newest]
+        late_s = y - self._origin[1] - (x - self._origin[0]) * self._rate
+        earlier_s, sure_s = late_s[:-SURE], late_s[-SURE:]
+        self._scatter_s = float(np.sort(sure_s)[:2].max())
+        had_waited = self._is_backlog[newest[-RECENT:]]
+        if not earlier_s.size or sure_s.min() <= STEP_S or had_waited[-SURE:].any():
+            return False
+        x, y = x[-SURE:] - x[-1], y[-SURE:] - y[-1]
+        rate, offset_s = _own_line(x, y)
+        usual_s = min(4 * float(np.quantile(earlier_s, 0.25)), 0.1 * sure_s.min())
+        if (y - rate * x).max() - offset_s <= max(STEADY_S, usual_s):
+            return True
+        return not had_waited.any() and _falls_behind(late_s[-RECENT:])
+
+    def _newest(self, count: int) -> NDArray[np.intp]:
+        """Places of so many observations, or all, the newest last."""
+        kept = min(self._count, self._device.size, count)
+        return np.arange(self._count - kept, self._count) % self._device.size
+
+    def _keep(self, count: int) -> None:
+        """Forget all but so many of the newest observations."""
+        newest = self._newest(count)
+        for kept in (self._device, self._host, self._is_backlog):
+            kept[: newest.size] = kept[newest]
+        self._count = newest.size
 
 
 def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> tuple[float, float]:
@@ -251,13 +319,18 @@ def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> t
     return rate, float((y - rate * x).min())
 
 
-def _is_slow(late_s: NDArray[np.float64], newest: NDArray[np.intp]) -> bool:
-    """Whether a device falls behind. late_s: of all observations. newest: places of the newest."""
-    recent_s = late_s[newest]
-    if len(recent_s) < RECENT or recent_s.min() <= late_s.min() + SLOW_S:
+def _own_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+    """As line_below, of a device that may be slow; its clock is not fast, or what waited comes."""
+    rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
+    return rate, float((y - rate * x).min())
+
+
+def _falls_behind(late_s: NDArray[np.float64]) -> bool:
+    """Whether a device is slow, by how late the RECENT newest observations were."""
+    if len(late_s) < RECENT or late_s.min() <= SLOW_S:
         return False
-    earliest_s = recent_s.reshape(-1, 2).min(axis=1)
-    return bool((earliest_s[:-1] > earliest_s[1:] + FALLS_BEHIND_S).all())
+    earliest_s = late_s.reshape(-1, 2).min(axis=1)
+    return bool((earliest_s[1:] > earliest_s[:-1] + FALLS_BEHIND_S).all())
 
 
 def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:

@@ -39,7 +39,7 @@ from ..wire.packets import PacketParser
 from ..wire.reader import NO_FILE
 from .description import Description
 from .stream import Decisions, Event
-from .timeline import CLOCK_SLACK_S, MAX_DEVICE_TIME_US, Answer, Placement, Step
+from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer, Placement, Step
 
 _log = logging.getLogger(__name__)
 
@@ -146,6 +146,7 @@ class CompiledStream:
             frame = self._decide(*about)
         elif kind == _Kind.BLOCK:
             self._look(*about)
+            frame = self._frames.popleft() if self._frames else None
         elif kind == _Kind.NEEDS_BYTES and self._ending:
             self._conclude()
         needs_bytes = kind == _Kind.NEEDS_BYTES and not self._frames
@@ -237,12 +238,11 @@ class CompiledStream:
                 self._reason = reason
         return verdict.frame
 
-    def _look(self, start: int, volts: bytes) -> None:
-        """Find frames in samples that are not marked."""
+    def _look(self, start: int, volts: memoryview) -> None:
+        """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        samples = np.frombuffer(volts).astype(np.float32)
-        self._add(timing.feed(SampleBlock(start, samples)))
+        self._add(timing.feed(SampleBlock(start, np.frombuffer(volts))))
         self._kernel.look(timing.due)
 
     def _conclude(self) -> None:
@@ -319,9 +319,10 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         rise_v2=lowest_power(1e-3),
         silent_over=line.over(line.nominal),
         rate_hz=pace.rate_hz,
-        behind_s=CLOCK_SLACK_S,
-        ahead_s=pace.ahead_s,
-        ahead=pace.ahead,
+        slack_s=CLOCK_SLACK_S,
+        slack=CLOCK_TOLERANCE,
+        gap_s=pace.gap_s,
+        gaps=pace.gaps,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,

@@ -41,6 +41,7 @@ class TactileFrame:
     t_start: device time of the first chip, s.
     t_middle: device time of the middle of the frame's chips, s.
     t_host: the same moment on the host's monotonic clock, s.
+    stamp_uncertainty_s: t_host may be off by up to this; infinite while it is a guess.
     chip_s: measured chip duration, s.
     clipped: share of the frame's samples at a rail of the digitizer, 0…1.
     """
@@ -49,6 +50,7 @@ class TactileFrame:
     t_start: float
     t_middle: float
     t_host: float
+    stamp_uncertainty_s: float
     chip_s: float
     clipped: float
     words: Words
@@ -150,8 +152,7 @@ class Pipeline:
         # At once, for those who read the counts meanwhile.
         self._earlier_packets, self.stream = self.packet_counts, stream
         self.digitizer, self.problem = DigitizerState(), None
-        self.timeline.reconnected()
-        self.taxels.forget()
+        self._exchanged()
 
     def adjust(self, config: SkinConfig) -> bool:
         """Adopt what may change while the stream goes on from another configuration.
@@ -294,9 +295,9 @@ class Pipeline:
             return
         before, self.digitizer.info = self.digitizer.info, info
         self._forget()
-        if before is not None and before.digitizer_id != info.digitizer_id:  # another skin
-            self.taxels.forget()
-            self.health = NodeHealth(self.config.spec)
+        if before is None or before.digitizer_id != info.digitizer_id:
+            self.counters.restarts += before is not None
+            self._exchanged()
         self.problem = contradiction(info, self.config)
         if self.problem is None:
             try:
@@ -308,6 +309,11 @@ class Pipeline:
             _log.debug("digitizer %s is decoded by %s", info.digitizer_id, kind)
             self.stream.describe(self._description, self._frames_wanted)
             self.on_info(info)
+
+    def _exchanged(self) -> None:
+        """What was heard is of another digitizer, or of another time."""
+        self.timeline.reconnected()
+        self.taxels.forget()
 
     def _forget(self) -> None:
         """Nothing can be decoded until the digitizer describes itself again."""

@@ -14,18 +14,22 @@ from ..code.frame import FrameSpec
 from ..wire._protocol import MAX_GAP
 from ..wire.messages import Info, Quiet, Samples, Status
 from ..wire.packets import SEQUENCES
-from .clock import AcceptedPacket, DeviceClock, FrameTimes, StreamCounters
+from .clock import MAX_RATE_ERROR, AcceptedPacket, DeviceClock, FrameTimes, StreamCounters
 
 _log = logging.getLogger(__name__)
 
 
 AnySamples: TypeAlias = Samples | Quiet | AcceptedPacket
 
-CLOCK_SLACK_S = 0.05
-"""s; device time and sample count that differ by more are not those of one stream. Chosen: far
-above what clocks drift from packet to packet; a restart or reset moves them by more."""
-CLOCK_TOLERANCE = 0.01
-"""Share by which time may run ahead of the sample count. Chosen: 10 × clock.MAX_RATE_ERROR."""
+CLOCK_SLACK_S = 1e-3
+"""s; device time and sample count that part by more from packet to packet are not those of one
+stream. One crystal makes both: the firmware here computes the time from the count, to a µs. Chosen:
+for digitizers that read the time when they begin a packet."""
+CLOCK_TOLERANCE = MAX_RATE_ERROR
+"""Share by which they may part, too: the count may be a crystal's of its own."""
+EARLY_S = 0.05
+"""s; a packet that is read earlier than expected by more is one of another clock. Chosen: the first
+packets of a stream, by which the others are expected, may be so late on a busy host."""
 MAX_DEVICE_TIME_US = 1 << 53
 """µs; 285 years, and the largest range in which a float holds every microsecond."""
 MAX_LEAP_S = 10.0
@@ -46,7 +50,7 @@ class Step(Enum):
     RESTART = auto()
     """The digitizer counts samples anew, as after another START; its clock goes on."""
     RESET = auto()
-    """The digitizer was reset: its clock began anew, too."""
+    """Its clock began anew, too, or stepped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +93,15 @@ class Placement(NamedTuple):
 class Pace:
     """What packets of samples may claim, by the digitizer's description of itself.
 
-    ahead_s, ahead: s, and share of the time counted, by which device time may run ahead.
+    gap_s, gaps: s, and share of the time counted, by which device time may run ahead of the count
+        where a gap may lie in between: of integrated samples, there are none in gaps.
     longest_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
     """
 
     def __init__(self, info: Info, spec: FrameSpec) -> None:
         self.rate_hz = info.sample_rate_hz
-        # Gaps between integrated frames have no samples: there, time runs ahead of their count.
-        gaps = spec.frame_period_s / spec.frame_s - 1 if info.integrated else 0.0
-        self.ahead, self.ahead_s = gaps + CLOCK_TOLERANCE, CLOCK_SLACK_S
-        if info.integrated:
-            self.ahead_s += spec.frame_period_s
+        self.gap_s = spec.frame_period_s if info.integrated else 0.0
+        self.gaps = self.gap_s / spec.frame_s - 1 if info.integrated else 0.0
         range_v = (info.max_count - info.min_count) * info.volts_per_count
         deviation_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
         self.most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
@@ -114,13 +116,16 @@ class Pace:
             and packet.variance * self._v2_per_count <= self.most_quiet_v2
         )
 
-    def fits(self, before: AnySamples, packet: AnySamples) -> bool:
+    def fits(self, before: AnySamples, packet: Samples | Quiet) -> bool:
         """Whether device time has advanced between two packets as the count of samples says."""
         counted_s = (packet.first_index - before.first_index) / self.rate_hz
         ahead_s = (packet.device_time_us - before.device_time_us) * 1e-6 - counted_s
-        return -CLOCK_SLACK_S <= ahead_s <= self.ahead_s + self.ahead * counted_s
+        slack_s, gap_s = CLOCK_SLACK_S + CLOCK_TOLERANCE * counted_s, 0.0
+        if packet.sync or packet.first_index != end_index(before):
+            gap_s = self.gap_s + self.gaps * counted_s
+        return -slack_s <= ahead_s <= slack_s + gap_s
 
-    def follows(self, before: AnySamples, packet: AnySamples) -> bool:
+    def follows(self, before: AnySamples, packet: Samples | Quiet) -> bool:
         """Whether a packet continues the stream after another one, with at most a short loss."""
         missing = packet.first_index - end_index(before)
         return 0 <= missing <= MAX_LEAP_S * self.rate_hz and self.fits(before, packet)
@@ -209,13 +214,16 @@ class Timeline:
         if missing >= 0 and pace.fits(last, packet):
             self._counters.lost_samples += missing
             return Step.LOSS if missing else Step.CONTINUES
-        self._counters.restarts += 1
         # A digitizer that was reset restarts packet numbering, though all that says so may be lost.
         renumbered = (packet.sequence - last.sequence) % SEQUENCES > MAX_GAP
+        if missing >= 0 and not (renumbered or self._told_reset):
+            self._counters.clock_steps += 1  # the count goes on, device time does not
+            return Step.RESET
+        self._counters.restarts += 1
         if self._told_reset or renumbered or packet.device_time_us <= last.device_time_us:
             return Step.RESET
         late_s = self.times.clock.lateness_s(packet.device_time_us * 1e-6, arrival.t_host)
-        return Step.RESTART if -CLOCK_SLACK_S < late_s < MAX_LATE_S else Step.RESET
+        return Step.RESTART if -EARLY_S < late_s < MAX_LATE_S else Step.RESET
 
 
 def sample_count(packet: AnySamples) -> int:

@@ -32,11 +32,13 @@ from numpy.typing import NDArray
 from ..base import kernel
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
+from ..code.separate import NodeLevels
 from .burst import Beside, Burst, BurstSearch, Gap
 from .fit import (
     CHIPS_AT_ONCE,
     REACHES,
     SETTLED_CHIPS,
+    UNEVEN,
     Fit,
     Line,
     WordFit,
@@ -57,6 +59,9 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
+_LEAST_CHIP = 0.5
+"""Share of an expected chip duration below which a refined one fits no frame: most edges were out
+of view. Chosen."""
 _MOST_CARRIED = 16
 """Candidates that the kernel weighs: GAP_MOST in kernel/gap.h."""
 _SILENT, _BURST, _FRAME = 0, 2, 3
@@ -72,6 +77,7 @@ class Look:
     is_silent: whether there is none.
     proven: see GapSearch.proven; 0 where no frame is carried.
     found: a carried frame that is beyond doubt. beside: what lies beside that.
+    sound: its levels, if its words are even and leave nothing over, and the line is at rest beside.
     """
 
     gap: Gap
@@ -80,6 +86,7 @@ class Look:
     proven: float
     found: Judgement | None
     beside: Beside | None
+    sound: NodeLevels | None
 
 
 class GapSearch(BurstSearch):
@@ -95,10 +102,11 @@ class GapSearch(BurstSearch):
     def look(
         self, volts: Floats, known: Gap, begin: float, expected: Expected | None
     ) -> Look | None:
-        """What is in a stretch of samples, all in one call of the kernel; None where it cannot.
+        """What is in a stretch of samples, all in one call of the kernel.
 
-        volts: (m,) float64, V, from stream index `begin` on. expected: the next frame, if that is
-        sure, in stream indices. Gives what the other methods would, as far as it is beyond doubt.
+        None without it, and where a sample is NaN, or all are too few. volts: (m,) float64, V, from
+        stream index `begin` on. expected: the next frame, if that is sure, in stream indices. Gives
+        what the other methods would, as far as it is beyond doubt.
         """
         code, spec = self._code, self.spec
         if code is None:
@@ -123,22 +131,19 @@ class GapSearch(BurstSearch):
         )  # fmt: skip
         if seen is None:
             return None
-        look, gap, burst, proven, fit, unaided, beside = seen
-        found = None
-        if look == _FRAME:
-            words = WordFit(rows, amplitude, four[0], uneven, *four[1:])
-            found = Judgement(Fit(*fit), words, None, True, unaided)
-        return Look(
-            Gap(*gap),
-            Burst(*burst) if look >= _BURST else None,
-            look == _SILENT,
-            proven,
-            found,
-            None if found is None else Beside(*beside),
-        )
+        look, gap, loud, proven, fit, unaided, beside, is_sound, noise_v = seen
+        burst, found, sound = Burst(*loud) if look >= _BURST else None, None, None
+        if look != _FRAME:
+            return Look(Gap(*gap), burst, look == _SILENT, proven, None, None, None)
+        words = WordFit(rows, amplitude, four[0], uneven, *four[1:])
+        found = Judgement(Fit(*fit), words, None, True, unaided)
+        if is_sound:
+            sound = NodeLevels(rows[0, :, spec.node_slice], noise_v, rows=rows[0])
+        return Look(Gap(*gap), burst, False, proven, found, Beside(*beside), sound)
 
     @cached_property
     def _rules(self) -> NDArray[np.void]:
+        spare = self.spec.spare_rows
         return kernel.settings(
             "gap_rules",
             shortest=self.shortest,
@@ -153,6 +158,13 @@ class GapSearch(BurstSearch):
             wide=WIDE,
             ruled_out=RULED_OUT,
             settled_chips=SETTLED_CHIPS,
+            least_chip=_LEAST_CHIP,
+            uneven=UNEVEN,
+            spread=LIMITS.spread,
+            left=LIMITS.left,
+            misfit=LIMITS.misfit,
+            spare=spare.start,
+            spare_count=spare.stop - spare.start,
         )
 
     def frame(self, line: Line, burst: Burst, expected: Expected | None) -> Judgement | None:
@@ -181,7 +193,8 @@ class GapSearch(BurstSearch):
         if expected is None or not self.is_sure(expected):
             return None
         fit = refine(line, Fit(expected.start, expected.chip), self.spec)
-        return fit if fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size else None
+        within = fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size
+        return fit if within and fit.chip > _LEAST_CHIP * expected.chip else None
 
     def explained(
         self, line: Line, burst: Burst, fit: Fit, expected: Expected | None

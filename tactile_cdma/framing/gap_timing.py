@@ -16,9 +16,9 @@ from ..base.errors import SpecError
 from ..base.sums import dot, sums
 from ..code.amplitude import FAINT_SHARE, rises
 from ..code.frame import FrameSpec
-from ..code.separate import node_levels
-from .burst import Beside, Burst, Gap
-from .fit import Fit, Line, WordFit, even_words, integrate, lowest_power, read_words
+from ..code.separate import NodeLevels, node_levels
+from .burst import Burst, Gap
+from .fit import Fit, Line, even_words, integrate, lowest_power, read_words
 from .gap import GapSearch, Look
 from .hum import Hum
 from .impulses import without_impulses
@@ -121,7 +121,7 @@ class GapTiming(Timing):
         if not self._join(block):
             self._begin_at(block.first_index)
         frames: list[FrameLevels] = []
-        volts, slice_size = np.asarray(block.volts), math.ceil(self._search.period)
+        volts, slice_size = block.volts, 2 * math.ceil(self._search.period)
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size])
             while self._samples.end >= self._due:
@@ -199,16 +199,16 @@ class GapTiming(Timing):
         """Look at the samples from the cursor to `end`, and move on. final: none will follow."""
         raw = self._samples.take(self._cursor, end)
         self._seen = end
-        if math.isnan(sums(raw)[0]):
-            self.rejections += ABSURD
-            self._skip_to(self._cursor + int(np.flatnonzero(np.isnan(raw))[-1]) + 1)
-            return []
         heard = self._hum.heard
         volts = self._hum.removed(raw, self._cursor)
         look = None
         if self._gap is not None:
             expected = self._expected if self._sure else None
             look = self._search.look(volts, self._gap, self._cursor, expected)
+        if look is None and math.isnan(sums(raw)[0]):
+            self.rejections += ABSURD
+            self._skip_to(self._cursor + int(np.flatnonzero(np.isnan(raw))[-1]) + 1)
+            return []
         candidates = [look.gap] if look else self._search.gaps(volts, self._gap)
         if candidates:
             self._learn_hum(raw, candidates[0])
@@ -256,7 +256,7 @@ class GapTiming(Timing):
                 continue
             seen.append(burst)
             if look and look.found:
-                taken = self._take(line, burst, gap, raw, look.found, look.beside)
+                taken = self._take(line, burst, gap, raw, look.found, look)
                 if not isinstance(taken, Rejections):
                     return taken
             expected = self._raster.expect(self._cursor + burst.first, self._cursor)
@@ -341,12 +341,12 @@ class GapTiming(Timing):
         gap: Gap,
         raw: Floats,
         found: Judgement,
-        beside: Beside | None = None,
+        look: Look | None = None,
     ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        line: gap level, hum and impulses removed. raw: the samples as they came, V. beside: where
-        it is known.
+        line: gap level, hum and impulses removed. raw: the samples as they came, V. look: by which
+        it was found.
         """
         spec, fit = self._spec, found.fit
         end = fit.end(spec)
@@ -355,26 +355,29 @@ class GapTiming(Timing):
         clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
+        beside = look.beside if look else None
         beside = beside or self._search.beside(line.volts, fit, burst)
-        noise = beside.variance * self._search.half / fit.chip
-        words = even_words(line, fit, spec, found.words)
-        if not words.believable(spec, noise):
-            return MISFIT
-        if not beside.quiet:
-            return NOT_AT_REST
+        words, levels = found.words, look.sound if look else None
+        if levels is None:
+            noise = beside.variance * self._search.half / fit.chip
+            words = even_words(line, fit, spec, words)
+            if not words.believable(spec, noise):
+                return MISFIT
+            if not beside.quiet:
+                return NOT_AT_REST
+            levels = node_levels(words.rows[0], spec)
         self._gap = gap
         if spec.node_swing_v is None:
             self._search.least_power = lowest_power(float(words.amplitude.max()))
         if clipped > LIMITS.deafened:
             found = replace(found, doubtful=np.ones(spec.nodes, bool))
-        return self._emit(found, words, beside.level, clipped)
+        return self._emit(found, levels, beside.level, clipped)
 
     def _emit(
-        self, found: Judgement, words: WordFit, left_v: float, clipped: float
+        self, found: Judgement, levels: NodeLevels, left_v: float, clipped: float
     ) -> list[FrameLevels]:
         """The frame, after the silent slots before it. left_v: of the gap's level around it."""
         assert self._gap is not None
-        levels = node_levels(words.rows[0], self._spec)
         fit = Fit(self._cursor + found.fit.start, found.fit.chip)
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames: list[FrameLevels] = []

@@ -9,12 +9,14 @@ tells what it adds to the frames between.
 
 from __future__ import annotations
 
+import operator
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Floats
+from ..base.sums import sums
 
 FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
 """Hum that is looked for: mains of 50 and 60 Hz, and what small generators make of them."""
@@ -43,10 +45,14 @@ class _Tone(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """A piece of gap from stream index `begin` on, in PARTS parts of `size` samples."""
+    """A piece of gap from stream index `begin` on, in PARTS parts of `size` samples.
+
+    means_v: of the parts, V.
+    """
 
     begin: int
     size: int
+    means_v: list[float]
 
 
 class Hum:
@@ -58,9 +64,9 @@ class Hum:
         self._coarse, self._fine = per_hz * FREQUENCIES_HZ, per_hz * FINE_HZ
         self._memory = MEMORY_S * rate_hz
         self._windows: deque[_Window] = deque()
-        # Of their parts: means, V, and the squares of these. Of each window: variance of a part's
-        # mean that noise explains, V².
-        self._means, self._squares, self._noises = (deque[float]() for _ in range(3))
+        # Of each: sum of its parts' means, V, and of their squares; variance of a part's mean that
+        # noise explains, V².
+        self._sums, self._squares, self._noises = (deque[float]() for _ in range(3))
         self._tone: _Tone | None = None
 
     @property
@@ -98,24 +104,21 @@ class Hum:
         windows, size = self._windows, volts.size // PARTS
         if windows and begin < windows[-1].begin + PARTS * windows[-1].size:
             return
-        means = volts[: PARTS * size].reshape(PARTS, size).sum(axis=1) / size
-        windows.append(_Window(begin, size))
-        self._means.extend(means.tolist())
-        self._squares.extend((means * means).tolist())
+        means = [sums(volts[i * size : (i + 1) * size])[0] / size for i in range(PARTS)]
+        windows.append(_Window(begin, size, means))
+        self._sums.append(sum(means))
+        self._squares.append(sum(map(operator.mul, means, means)))
         self._noises.append(noise / size)
         while windows[0].begin < begin - self._memory:
-            windows.popleft()
-            self._noises.popleft()
-            for _ in range(PARTS):
-                self._means.popleft()
-                self._squares.popleft()
+            for each in (windows, self._sums, self._squares, self._noises):
+                each.popleft()
         self._tone = self._fitted()
 
     def _fitted(self) -> _Tone | None:
         """The hum that explains the windows; None where it is no hum, or within noise."""
         if not (self.decided and self.moving):
             return None
-        level = np.array(self._means)
+        level = np.concatenate([window.means_v for window in self._windows])
         level -= level.mean()
         power, noise = self._power(), self._noise()
         origin = self._windows[-1].begin
@@ -152,8 +155,9 @@ class Hum:
 
     def _power(self) -> float:
         """Variance of the parts' means, V²."""
-        mean = sum(self._means) / len(self._means)
-        return sum(self._squares) / len(self._means) - mean * mean
+        count = PARTS * len(self._windows)
+        mean = sum(self._sums) / count
+        return sum(self._squares) / count - mean * mean
 
     def _noise(self) -> float:
         """What noise contributes to it, V²: the median over the windows."""

@@ -97,11 +97,11 @@ class Raster:
 
         fit: in stream indices.
         """
-        expected = self.expect(fit.start)
-        if expected is not None and self._anchor is not None:
+        if self._anchor is not None:
             slots = self._slots(fit.start)
             if slots == 1 and unaided:
-                self._count((fit.start - expected.start) / expected.chip)
+                off = fit.start - (self._anchor.start + self._period)
+                self._count(off / self._anchor.chip)
             if slots:
                 period = (fit.start - self._anchor.start) / slots
                 if abs(period - self._nominal) < CLOCK_ERROR * period:

@@ -36,13 +36,13 @@ class SampleBlock:
     """Consecutive samples of the line.
 
     first_index: index of volts[0] in the digitizer's sample stream.
-    volts: (m,) float32, V.
+    volts: (m,) float32, V; or float64, with NaN for absurd ones.
     sync: volts[0] is the first sample of a frame (line timing).
     called: the frame belongs to a roll call.
     """
 
     first_index: int
-    volts: Floats32
+    volts: Floats32 | Floats
     sync: bool = False
     called: bool = False
 
@@ -113,13 +113,17 @@ class SampleBuffer:
         self.begin = self.end = index
         self._at = 0
 
-    def append(self, volts: Floats32) -> None:
-        """Add the samples that follow."""
+    def append(self, volts: Floats32 | Floats) -> None:
+        """Add the samples that follow; float64 where absurd ones are NaN already."""
         kept = self.end - self.begin
         if self._at + kept + volts.size > self._store.size:
             self._make_room(kept + volts.size)
         place = self._at + kept
-        copy_samples(ABSURD_V, volts, self._store[place : place + volts.size])
+        store = self._store[place : place + volts.size]
+        if volts.dtype == np.float64:
+            store[:] = volts
+        else:
+            copy_samples(ABSURD_V, np.asarray(volts, np.float32), store)
         self.end += volts.size
 
     def take(self, begin: int, end: int) -> Floats:

@@ -26,7 +26,7 @@ ENCAPSULATION = b"\0\1\0\0"
 PADDING = [bytes(count) for count in range(8)]
 """Zeros to the next multiple of an alignment, by their number."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
-_ARRAY, _FLOAT = Struct("<QQIHHI"), Struct("<f")
+_ARRAY, _FLOAT = Struct("<QQIfHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
 
 
@@ -102,7 +102,8 @@ def tactile_array(
     writer.header(heading)
     device_time_us = max(0, round(frame.t_middle * 1e6))
     size, count = (layout.rows, layout.columns), len(readings.status)
-    writer.add(_ARRAY.pack(frame.sequence, device_time_us, info_id, *size, count), 8)
+    about = frame.sequence, device_time_us, info_id, frame.stamp_uncertainty_s
+    writer.add(_ARRAY.pack(*about, *size, count), 8)
     writer.add(readings.pressure_pa.tobytes())
     writer.count(count if with_voltage else 0)
     writer.add(readings.voltage_v.tobytes() if with_voltage else b"")

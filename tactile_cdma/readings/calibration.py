@@ -18,6 +18,10 @@ from ..base.errors import SpecError
 from .dynamics import Dynamics
 from .stages import convert
 
+MOST_PA = 5e6
+"""Highest pressure of a curve, Pa. Chosen: robots' skins end at 0.1 to 2 MPa, and a gauge in grams
+that is read in newtons gives 102 times as much."""
+
 
 @dataclass(frozen=True, slots=True)
 class AdcScale:

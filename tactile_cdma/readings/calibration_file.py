@@ -21,7 +21,7 @@ from ..base.listing import listed
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import naming
 from ..base.whole_file import replace_file
-from .calibration import AdcScale, Calibration, PressureCurve
+from .calibration import MOST_PA, AdcScale, Calibration, PressureCurve
 from .dynamics import LIMITS, MOST_WIDTH, Dynamics
 
 SCHEMA = "tactile_cdma/calibration"
@@ -30,7 +30,6 @@ UNITS = {"pressure": "Pa", "voltage": "V"}
 # Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
 MOST_PLAYS = 64
-MOST_PA = 1e9
 HEADROOM = 1.25
 """Highest voltage of a curve's first corner in multiples of vref; chosen: that corner is
 extrapolated to no load."""
@@ -207,7 +206,12 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
     pressure_pa, voltage_v = list[float](), list[float]()
     for corner, (pressure, voltage) in enumerate(zip(pressures, voltages, strict=True), 1):
         here, most_v = f"{what}, corner {corner}", vref_v if corner > 1 else HEADROOM * vref_v
-        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, MOST_PA, "Pa"))
+        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, np.inf, "Pa"))
+        if pressure_pa[-1] > MOST_PA:
+            raise pressure.refuse(
+                f"{here}: pressure is {pressure_pa[-1]:g} Pa, more than skins bear ({MOST_PA:g}): "
+                "was it in kPa, or were grams of a gauge read as newtons (column force_g)?"
+            )
         voltage_v.append(voltage.number(f"{here}: voltage", 0.0, most_v, "V"))
         if corner == 1 and pressure_pa[0]:
             raise pressure.refuse(f"{what} begins at {pressure_pa[0]:g} Pa, not at 0")

@@ -103,6 +103,10 @@ class _FittedClock(DeviceClock):
         super().__init__()
         self._x_s, self._y_s = x_s, y_s
 
+    @property
+    def error_s(self) -> float:
+        return 0.0
+
     def to_host(self, t_device: float) -> float:
         x_s, y_s = self._x_s, self._y_s
         if len(x_s) < 2:

@@ -102,13 +102,13 @@ def _noted(profile: QoSProfile) -> Qos:
     return Qos(**fields)
 
 
-def _topics(arguments: argparse.Namespace) -> list[str]:
+def topics_of(arguments: argparse.Namespace) -> list[str]:
     """Full names of what to record; raises ParameterError for an invalid one."""
     names = DATA + (PICTURES if arguments.all else ())
-    nodes = ["/" + node.strip("/") for node in arguments.node or ["skin"]]
-    topics = [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
-    if arguments.topics:
-        topics = ["/" + topic.lstrip("/") for topic in arguments.topics]
+    topics = ["/" + topic.lstrip("/") for topic in arguments.topics]
+    if arguments.node or arguments.all or not topics:
+        nodes = ["/" + node.strip("/") for node in arguments.node or ["skin"]]
+        topics += [f"{node}/{name}" for node in nodes for name in names] + list(SHARED)
     for topic in topics:
         try:
             validate_full_topic_name(topic)
@@ -117,7 +117,8 @@ def _topics(arguments: argparse.Namespace) -> list[str]:
     return topics
 
 
-def _arguments() -> argparse.Namespace:
+def arguments_of(command: Sequence[str]) -> argparse.Namespace:
+    """What a command line says, without the program's name."""
     parser = argparse.ArgumentParser(prog="skin_bag", description=__doc__)
     parser.add_argument("folder", type=Path, help="the bag, a folder that is not there yet")
     parser.add_argument(
@@ -127,17 +128,23 @@ def _arguments() -> argparse.Namespace:
         help="skin to record, /skin unless given; several: --node /left/skin --node /right/skin",
     )
     parser.add_argument("--all", action="store_true", help="pictures, points and markers, too")
-    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="these, and no others")
+    parser.add_argument(
+        "--topics",
+        nargs="+",
+        default=[],
+        metavar="TOPIC",
+        help="these, and no others unless --node or --all is given, too",
+    )
     parser.add_argument("--seconds", type=positive, help="end after so long; else on Ctrl-C")
-    return parser.parse_args(remove_ros_args(sys.argv)[1:])
+    return parser.parse_args(remove_ros_args(command))
 
 
 def main() -> int:
     """Record until interrupted; returns the exit code, 1 if nothing came or writing failed."""
-    arguments = _arguments()
+    arguments = arguments_of(sys.argv[1:])
     full = False
     try:
-        topics = _topics(arguments)
+        topics = topics_of(arguments)
         with (
             Writer(arguments.folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
             running(

@@ -182,7 +182,7 @@ STREAM_DEFECTS = {
     ),
     "a packet that is off in time continues the stream": (
         "frame_stream.c",
-        "return -rules->behind_s <= ahead_s && ahead_s",
+        "return -slack_s <= ahead_s && ahead_s",
         "return ahead_s",
         "wrong value",
     ),

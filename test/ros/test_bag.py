@@ -20,6 +20,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.recording.offline import described_parameters, raw_frames
+from tactile_cdma.ros.bag import DATA, PICTURES, SHARED, arguments_of, topics_of
 from tactile_cdma.srv import Tare
 from test.support.skin_client import running
 from test.support.waiting import PATIENCE_S, wait_for
@@ -120,6 +121,25 @@ def test_a_bag_ends_whole_before_the_disk_is_full(tmp_path: Path) -> None:
     with AnyReader([kept]) as reader:
         count = sum(1 for _ in reader.messages())
     assert count > 5 and f"/skin/heatmap: {count}" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "recorded"),
+    [
+        ("", {"/skin/tactile", "/skin/info", "/skin/contacts", "/skin/wrench", *SHARED}),
+        ("--topics joint_states /a", {"/joint_states", "/a"}),
+        (
+            "--node left/skin --topics /joint_states",
+            {f"/left/skin/{name}" for name in DATA} | {"/joint_states", *SHARED},
+        ),
+        (
+            "--all --topics /joint_states",
+            {f"/skin/{name}" for name in DATA + PICTURES} | {"/joint_states", *SHARED},
+        ),
+    ],
+)
+def test_a_named_skin_is_recorded_whatever_else_is(options: str, recorded: set[str]) -> None:
+    assert set(topics_of(arguments_of(["bag", *options.split()]))) == recorded
 
 
 def test_an_invalid_topic_name_is_one_clear_error(tmp_path: Path) -> None:

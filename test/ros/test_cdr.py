@@ -76,7 +76,7 @@ def test_arrays(frame_id: str, taxels: int, with_voltage: bool) -> None:
     noise_v = float(np.float32(0.1)) if taxels % 2 else float("nan")
     words = silent(taxels, noise_v)
     readings = Readings(values[0], values[1], status)
-    frame = TactileFrame(2**40 + 1, 0.0, 1e7, 0.0, 5e-5, 0.0, words, readings)
+    frame = TactileFrame(2**40 + 1, 0.0, 1e7, 0.0, 0.25, 5e-5, 0.0, words, readings)
     layout = Layout.grid(taxels, 1, taxels, 7e-3, 5e-3)
     written = tactile_array(frame, layout, heading(frame_id), 2**32 - 1, with_voltage)
     message = TactileArray(
@@ -84,6 +84,7 @@ def test_arrays(frame_id: str, taxels: int, with_voltage: bool) -> None:
         sequence=2**40 + 1,
         device_time_us=10**13,
         info_id=2**32 - 1,
+        stamp_uncertainty=0.25,
         height=1,
         width=taxels,
         pressure=values[0].tolist(),
@@ -157,6 +158,7 @@ def test_contacts_are_read_and_written(frame_id: str, patch: str, count: int) ->
         header=header(frame_id),
         sequence=2**64 - 1,
         info_id=3,
+        stamp_uncertainty=0.5,
         absent=rng.sample(NAMES, count % 4),
         taxels_in_service=2**32 - 1,
         taxels_valid=5 if count else 2**32 - 1,
@@ -202,11 +204,13 @@ def test_contacts_of_a_frame(frame_id: str) -> None:
     pressure_pa[[0, 1, 7, 15]] = 2e3, 3e3, np.nan, 5e3
     readings = Readings(pressure_pa, pressure_pa, np.zeros(16, dtype=np.uint8))
     found = pressed().update(readings, 1.0)
-    written = contacts_message(found, "/skin", heading(frame_id), 9, 4)
+    frame = TactileFrame(9, 0.0, 1.0, 0.0, 0.25, 5e-5, 0.0, silent(16, 0.0), readings)
+    written = contacts_message(found, frame, "/skin", heading(frame_id), 4)
     message = deserialize_message(written, TactileContacts)
     assert_same(written, message)
     assert message.header == header(frame_id)
     assert (message.sequence, message.info_id, message.touched) == (9, 4, True)
+    assert message.stamp_uncertainty == 0.25
     assert (message.taxels_in_service, message.taxels_valid, message.absent) == (16, 15, [])
     assert [c.patch for c in message.contacts] == ["/skin"] * len(found) == ["/skin"] * 2
     for i, one in enumerate(message.contacts):

@@ -53,8 +53,19 @@ class BagMaker:
         time_ns = BEGIN_NS + round(seen_s * 1e9)
         self.messages.append((time_ns, topic, kind, self.make(kind, **fields)))
 
-    def skin(self, node: str, seconds: float, invalid: Any = None, simulated: bool = True) -> None:
-        """Frames and info of a patch. invalid: (t_s) → indices of taxels without a reading."""
+    def skin(
+        self,
+        node: str,
+        seconds: float,
+        invalid: Any = None,
+        simulated: bool = True,
+        uncertain: Any = None,
+    ) -> None:
+        """Frames and info of a patch.
+
+        invalid: (t_s) → indices of taxels without a reading. uncertain: (t_s) → what the stamp may
+        be off by, s.
+        """
         point = lambda x: self.make("geometry_msgs/msg/Point32", x=x, y=0.0, z=0.0)  # noqa: E731
         nothing = np.zeros(0, dtype=np.float32)
         self.add(
@@ -98,6 +109,7 @@ class BagMaker:
                 sequence=i,
                 device_time_us=round(t_s * 1e6),
                 info_id=1,
+                stamp_uncertainty=uncertain(t_s) if uncertain else 0.001,
                 height=4,
                 width=4,
                 pressure=pressure,
@@ -176,6 +188,7 @@ class BagMaker:
                 header=header,
                 sequence=i,
                 info_id=1,
+                stamp_uncertainty=0.001,
                 absent=[],
                 taxels_in_service=TAXELS,
                 taxels_valid=TAXELS,

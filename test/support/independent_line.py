@@ -327,6 +327,9 @@ class Digitizer:
     samples_per_chip: raw samples, or those that are averaged into one value per chip (integrated).
     marked: the first sample of every frame is marked. rail_v: readings end at ±rail_v. adc_bits:
     of a reading. losses_hz: rate at which samples are lost, up to 200 in a row.
+    mark_shifts: chips by which marks are late, one of them drawn for each of a share of the frames
+        (mark_share). slip_share: of frames within which one sample is dropped or doubled, and not
+        counted.
     """
 
     samples_per_chip: int = 4
@@ -335,6 +338,9 @@ class Digitizer:
     rail_v: float = 6.0
     adc_bits: int = 14
     losses_hz: float = 0.0
+    mark_shifts: tuple[float, ...] = ()
+    mark_share: float = 0.3
+    slip_share: float = 0.0
 
     @property
     def volts_per_count(self) -> float:
@@ -400,7 +406,14 @@ def render(
     cells = digitizer.samples_per_chip * (1 + 2 * (LEAST_CELLS // digitizer.samples_per_chip // 2))
     length = int(starts[-1] + 2.5 * skin.period_chips)
     volts = _line_volts(skin, line, codes, starts, chips, length, cells, rng)
-    instants, index, marks = _sampling(skin, digitizer, starts, length)
+    told = starts
+    if digitizer.mark_shifts:
+        is_late = rng.random(frames) < digitizer.mark_share
+        told = starts + is_late * rng.choice(digitizer.mark_shifts, frames)
+    instants, marks = _sampling(skin, digitizer, told, length)
+    if digitizer.slip_share:
+        taken, marks = _slipped(skin, digitizer, len(instants), marks, rng)
+        instants = instants[taken]
     sigma_v = line.noise_v * np.sqrt(digitizer.samples_per_chip)
     read = volts[(instants * cells).astype(np.int64)]
     phase = 2 * np.pi * (line.hum_hz * skin.chip_s * instants + rng.uniform(0, 1))
@@ -418,7 +431,7 @@ def render(
         Truth(float(starts[f]), float(chips[f]), codes[f], float(at_rail[begin[f] : end[f]].mean()))
         for f in range(frames)
     )
-    runs = _runs(skin, digitizer, instants, counts.astype(np.int16), index, marks, rng)
+    runs = _runs(skin, digitizer, instants, counts.astype(np.int16), marks, rng)
     return Recording(skin, digitizer, tuple(runs), truth)
 
 
@@ -549,10 +562,8 @@ def _filtered(volts: Floats, skin: Skin, line: Line, cells: int) -> Floats:
     return volts
 
 
-def _sampling(
-    skin: Skin, digitizer: Digitizer, starts: Floats, length: int
-) -> tuple[Floats, Ints, Ints]:
-    """Instants of all samples, chips; their stream indices; and which of them begin frames.
+def _sampling(skin: Skin, digitizer: Digitizer, starts: Floats, length: int) -> tuple[Floats, Ints]:
+    """Instants of all samples, chips, and which of them begin frames.
 
     Integrated: (frames · chips, m) instants, of the samples that are averaged into each value.
     """
@@ -560,10 +571,20 @@ def _sampling(
     middles = (np.arange(per_chip) + 0.5) / per_chip
     if digitizer.integrated:
         begins = (starts[:, None] + np.arange(skin.chips)).ravel()
-        index = np.arange(begins.size)
-        return begins[:, None] + middles, index, index[:: skin.chips]
+        return begins[:, None] + middles, np.arange(0, begins.size, skin.chips)
     instants = (np.arange(length)[:, None] + middles).ravel()
-    return instants, np.arange(instants.size), np.searchsorted(instants, starts)
+    return instants, np.searchsorted(instants, starts)
+
+
+def _slipped(
+    skin: Skin, digitizer: Digitizer, samples: int, marks: Ints, rng: np.random.Generator
+) -> tuple[Ints, Ints]:
+    """Which samples are taken, some of them twice, and where marks are then."""
+    per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
+    times = np.ones(samples, dtype=np.int64)
+    for mark in marks[rng.random(marks.size) < digitizer.slip_share]:
+        times[mark + rng.integers(1, skin.chips * per_chip - 1)] = rng.choice([0, 2])
+    return np.repeat(np.arange(samples), times), np.concatenate(([0], times.cumsum()))[marks]
 
 
 def _runs(
@@ -571,7 +592,6 @@ def _runs(
     digitizer: Digitizer,
     instants: Floats,
     counts: NDArray[np.int16],
-    index: Ints,
     marks: Ints,
     rng: np.random.Generator,
 ) -> Iterator[Run]:
@@ -588,4 +608,4 @@ def _runs(
     for begin, end in pairwise(cuts):
         if kept[begin]:
             marked = digitizer.marked and begin in marks
-            yield Run(int(index[begin]), float(instants[begin]), counts[begin:end], bool(marked))
+            yield Run(int(begin), float(instants[begin]), counts[begin:end], bool(marked))

@@ -50,6 +50,7 @@ def skin_frame(message: Any, time_ns: int, patch: PatchInfo) -> SkinFrame:
         sequence=int(message.sequence),
         device_time_s=message.device_time_us * 1e-6,
         wall_time_s=time_ns / NANO,
+        stamp_uncertainty_s=float(getattr(message, "stamp_uncertainty", np.nan)),
         noise_v=float(message.noise_rms),
         pressure_pa=pressure,
         voltage_v=voltage if len(voltage) else np.full(taxels, np.nan, dtype=np.float32),

@@ -125,6 +125,7 @@ def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:
         sequence=frame.sequence,
         device_time_s=frame.t_middle,
         wall_time_s=wall_s,
+        stamp_uncertainty_s=math.nan if math.isnan(wall_s) else frame.stamp_uncertainty_s,
         noise_v=frame.words.noise_rms_v,
         pressure_pa=readings.pressure_pa,
         voltage_v=readings.voltage_v,

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -59,6 +60,7 @@ def body_contacts(
         heading=heading,
         sequence=sequence,
         info_id=0,
+        stamp_uncertainty_s=max((m.stamp_uncertainty_s for _, m in parts), default=math.inf),
         absent=absent,
         taxels_in_service=coverage.in_service,
         taxels_valid=coverage.valid,

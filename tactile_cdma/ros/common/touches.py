@@ -35,7 +35,7 @@ STATE = np.dtype(
 """The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
 units of TactileContact.msg; taxels: how many."""
 _ID, _STATE = np.dtype((np.void, ID.itemsize)), np.dtype((np.void, STATE.itemsize))
-_SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QI"), Struct("<II2?"), Struct("<f"), Struct("<9d")
+_SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QIf"), Struct("<II2?"), Struct("<f"), Struct("<9d")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,6 +50,7 @@ class Touches:
     heading: Heading
     sequence: int
     info_id: int
+    stamp_uncertainty_s: float
     absent: list[str]
     taxels_in_service: int
     taxels_valid: int
@@ -69,7 +70,7 @@ class Touches:
         """The message."""
         writer = CdrWriter()
         writer.header(self.heading)
-        writer.add(_SEQUENCE.pack(self.sequence, self.info_id), 8)
+        writer.add(_SEQUENCE.pack(self.sequence, self.info_id, self.stamp_uncertainty_s), 8)
         writer.count(len(self.absent))
         for name in self.absent:
             writer.text(name)
@@ -93,7 +94,7 @@ class Touches:
         """Take a message apart; raises MessageError if it is none, or contradicts itself."""
         reader = CdrReader(message)
         heading = reader.header()
-        sequence, info_id = reader.numbers(_SEQUENCE, 8)
+        sequence, info_id, uncertainty_s = reader.numbers(_SEQUENCE, 8)
         absent = [reader.text() for _ in range(reader.count())]
         in_service, valid, touched, untouched = reader.numbers(_COVERAGE, 4)
         [area_m2] = reader.numbers(_AREA, 4)
@@ -114,6 +115,7 @@ class Touches:
             heading,
             sequence,
             info_id,
+            uncertainty_s,
             absent,
             in_service,
             valid,

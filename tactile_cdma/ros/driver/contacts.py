@@ -6,15 +6,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...driver.pipeline import TactileFrame
 from ...messages.cdr import Heading
 from ...readings.contact import Contacts
 from ..common.touches import ID, STATE, Touches
 
 
 def contacts_message(
-    contacts: Contacts, patch: str, heading: Heading, sequence: int, info_id: int
+    contacts: Contacts, frame: TactileFrame, patch: str, heading: Heading, info_id: int
 ) -> bytes:
-    """All contacts of one frame. patch: fully qualified name of the node."""
+    """All contacts of a frame. patch: fully qualified name of the node."""
     ids = np.empty(len(contacts), dtype=ID)
     ids["id"], ids["age"] = contacts.ids, contacts.age_s
     states = np.zeros(len(contacts), dtype=STATE)
@@ -33,8 +34,9 @@ def contacts_message(
         states[field] = values
     return Touches(
         heading=heading,
-        sequence=sequence,
+        sequence=frame.sequence,
         info_id=info_id,
+        stamp_uncertainty_s=frame.stamp_uncertainty_s,
         absent=[],
         taxels_in_service=contacts.coverage.in_service,
         taxels_valid=contacts.coverage.valid,

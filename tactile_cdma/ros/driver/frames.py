@@ -106,7 +106,7 @@ class FramePublishers:
             )
         if heading and contacts:
             self._contacts.publish(
-                contacts_message(found, self._patch, heading, frame.sequence, self._info_id)
+                contacts_message(found, frame, self._patch, heading, self._info_id)
             )
 
     def _asked_for(self, t_host: float) -> tuple[bool, ...]:

@@ -85,15 +85,19 @@ def test_points_become_a_file_that_the_driver_takes(
     assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_wrong_area_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_area_is_warned_of_and_a_far_too_small_one_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     loads = tmp_path / "loads.csv"
     write_loads(loads)
     loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
     arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--area-mm2"]
     assert main(["calibrate", *arguments, "1000"]) == 0
     assert "warning" not in capsys.readouterr().out
-    assert main(["calibrate", *arguments, "10", "--force"]) == 0
-    assert "warning: 0.01 times as sensitive" in capsys.readouterr().out.replace("0.00996", "0.01")
+    assert main(["calibrate", *arguments, "100", "--force"]) == 0
+    assert "warning: 0.1 times as sensitive" in capsys.readouterr().out.replace("0.0996", "0.1")
+    assert main(["calibrate", *arguments, "10", "--force"]) == 1
+    assert "1.4e+07 Pa" in (told := capsys.readouterr().err) and "is --area-mm2 right?" in told
 
 
 def test_a_bad_node_stops_all_unless_it_may_be_missing(

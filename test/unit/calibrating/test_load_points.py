@@ -105,7 +105,10 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         ("node,pressure_kpa,code\n1,0,993\n", "'code'; known are node, "),
         (f"{HEADING}\n1,3.2,0\n1,1.6,50\n", "are the columns swapped"),
         (f"{HEADING}\n1,0,3.2\n1,0.14,1.1\n", "only 140 Pa: is pressure_kpa the right unit"),
-        (f"{HEADING}\n1,0,3.2\n1,140000,1.1\n", r"as much as 1\.4e\+08 Pa: is pressure_kpa"),
+        (
+            f"{HEADING}\n1,0,3.2\n1,140000,1.1\n",
+            r"as much as 1\.4e\+08 Pa: is pressure_kpa .* In pressure_pa it would be 140 kPa",
+        ),
         ("node,pressure_pa,voltage_v\n1,0,3.2\n1,140,1.1\n", "140 Pa: is pressure_pa the right"),
         ("node,force_n,voltage_v\n1,0,3.2\n", "give --area-mm2"),
         ("node,force_n,pressure_pa\n1,0,3.2\n", "both force and pressure"),
@@ -115,6 +118,22 @@ def test_mistakes_are_named(path: Path, text: str, cause: str) -> None:
     with pytest.raises(CalibrationError, match=cause) as caught:
         read(path, text)
     assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(("unit", "newtons"), [("g", 9.80665e-3), ("kg", 9.80665), ("n", 1.0)])
+def test_forces_of_a_gauge_are_read_in_its_unit(path: Path, unit: str, newtons: float) -> None:
+    path.write_text(f"node,force_{unit},voltage_v\n1,0,3.2\n1,{5 / newtons:.6f},1.1\n")
+    points = read_points(path, 16, 3.3, area_m2=50e-6)
+    assert points.pressure_pa.tolist() == pytest.approx([0, 100e3], rel=1e-6)
+
+
+def test_grams_that_are_called_newtons_are_told(path: Path) -> None:
+    """430 g on 30.25 mm² are 139 kPa, and not 14 MPa."""
+    path.write_text("node,force_n,voltage_v\n1,0,3.2\n1,430,1.1\n")
+    with pytest.raises(
+        CalibrationError, match=r"is force_n the .* In force_g it would be 139\.4 kPa"
+    ):
+        read_points(path, 16, 3.3, area_m2=30.25e-6)
 
 
 @settings(deadline=None)

@@ -8,6 +8,7 @@ import weakref
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def skin_frame(*pressure_pa: float, masked: Sequence[int] = ()) -> SkinFrame:
     status = np.zeros(len(pressure_pa), dtype=np.uint8)
     status[list(masked)] = 32
     values = np.array(pressure_pa, dtype=np.float32)
-    return SkinFrame(0, 0.0, 0.0, 0.0, values, values, status)
+    return SkinFrame(0, 0.0, 0.0, 0.0, 0.0, values, values, status)
 
 
 def state(stamp_ms: float, seen_ms: float, value: float, key: str = "state") -> Sample:
@@ -366,6 +367,18 @@ def test_nothing_of_a_patch_that_stopped_is_a_valid_reading(mode: str) -> None:
     stopped = touch_at(taken, 600, has_stopped=True)
     assert not stopped.complete and not stopped.valid.any()
     assert stopped.pressure_pa.ravel().tolist() == [3.0]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_frame_that_may_be_of_another_time_has_no_valid_reading(mode: str) -> None:
+    taken = TouchStream(taxels=1, slots=1, mode=mode, policy=HOLD)
+    for ms, uncertainty_s in ((0, 0.04), (10, 0.06), (20, np.inf)):
+        frame = replace(skin_frame(3.0 + ms), stamp_uncertainty_s=uncertainty_s)
+        taken.take(ms * MS, frame)
+        found = touch_at(taken, ms + 1)
+        assert found.valid.all() == (ms == 0)
+        assert found.pressure_pa.ravel().tolist() == [3.0]
+        taken.forget((ms + 1) * MS)
 
 
 def test_masked_taxels_do_not_count() -> None:

@@ -24,6 +24,7 @@ from tactile_cdma.wire._protocol import VERSION
 from tactile_cdma.wire.messages import (
     FrameLayout,
     Info,
+    Quiet,
     Samples,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
@@ -158,6 +159,27 @@ def test_a_restarted_digitizer_is_followed() -> None:
     assert len(second) >= len(first) - 1
     assert second[0].sequence - first[0].sequence == pytest.approx(100, abs=12)
     assert (np.diff([f.sequence for f in second]) == 1).all()
+
+
+@pytest.mark.parametrize("other", [True, False])
+def test_what_another_board_said_is_forgotten(other: bool) -> None:
+    """One that introduces itself in mid-stream, and whose packets happen to continue the stream."""
+    config = SkinConfig.of({"sign_seed": 1, "order": 20})
+    packets = PacketParser().feed(stream(config, "sim://?scene=all&seed=1", 20))
+    writer, pipeline = PacketWriter(), Pipeline(config)
+    *_, held = pipeline.feed(b"".join(map(writer.encode, packets)), 1.0)
+    assert np.isfinite(held.readings.pressure_pa).all()
+    info = next(packet for packet in packets if isinstance(packet, Info))
+    last = [packet for packet in packets if isinstance(packet, Samples)][-1]
+    index = last.first_index + len(last.counts)
+    time_us = last.device_time_us + round(1e6 * len(last.counts) / info.sample_rate_hz)
+    if other:
+        info = replace(info, digitizer_id=b"board..2")
+    data = writer.encode(info) + writer.encode(Quiet(time_us, index, 815, 0, 815, sync=True))
+    *_, frame = pipeline.feed(data, 1.01)
+    assert not frame.words.active.any()
+    assert np.isnan(frame.readings.pressure_pa).all() == other
+    assert pipeline.timeline.times.last is not None
 
 
 def in_the_middle(change: dict[str, int]) -> tuple[Pipeline, list[TactileFrame]]:
@@ -317,7 +339,7 @@ def test_a_clock_that_parts_from_the_count_of_samples_starts_anew(jump_us: int) 
     assert (np.diff([f.sequence for f in frames]) >= 1).all()
     assert frames[-1].sequence < 50
     assert frames[-1].t_host < 10.0 + len(packets) * 1.6e-3
-    assert pipeline.counters.restarts + pipeline.counters.implausible_packets
+    assert pipeline.counters.clock_steps + pipeline.counters.implausible_packets
 
 
 def test_values_from_before_a_reconnection_are_not_shown_as_current() -> None:
@@ -379,7 +401,7 @@ def test_another_start_leaves_the_devices_clock_and_the_sequence_as_they_were() 
         for _ in range(150):
             now_s += 0.01
             digitizer.advance()
-            frames += pipeline.feed(digitizer.take(digitizer.pending), now_s + late_s)
+            frames += pipeline.feed(digitizer.take(digitizer.pending), now_s + late_s, late_s > 0)
         now_s += 5.2 * config.spec.frame_period_s
         digitizer.advance()
         digitizer.take(digitizer.pending)  # nobody reads that

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -132,8 +133,6 @@ def test_a_long_loss_waits_for_a_second_packet(beyond: int) -> None:
         ({"index": 0, "gap": -100}, Step.RESET),
         ({"index": 0, "late_us": -COUNT_US}, Step.RESET),  # no later than the packet before
         ({"index": 0, "late_us": -1_000_000}, Step.RESET),
-        ({"late_us": 60_000}, Step.RESTART),
-        ({"late_us": -60_000}, Step.RESET),
     ],
     ids=str,
 )
@@ -148,6 +147,36 @@ def test_what_does_not_continue_the_stream_begins_another_once_it_is_confirmed(
     places = line.hears(second)
     assert [(place.index, place.step) for place in places] == [(0, step), (COUNT, Step.CONTINUES)]
     assert (line.counters.restarts, line.counters.implausible_packets) == (1, 0)
+
+
+@pytest.mark.parametrize("late_us", [-1100, -1000, 1000, 1100, 60_000, -60_000, -1_000_000])
+def test_device_time_that_steps_against_the_count_begins_another_clock(late_us: int) -> None:
+    """By more than one crystal can make of it: the count here is that of the same crystal."""
+    line = Line()
+    first, second = (line.hears(samples(number, late_us)) for number in (10, 11))
+    if abs(late_us) == 1000:
+        assert [place.step for place in first + second] == [Step.CONTINUES] * 2
+        assert line.counters.clock_steps == 0
+        return
+    assert first == []
+    assert [place.step for place in second] == [Step.RESET, Step.CONTINUES]
+    counters = line.counters
+    assert (counters.clock_steps, counters.restarts, counters.lost_samples) == (1, 0, 0)
+    assert math.isinf(line.timeline.times.stamp(heard_at(0.0), RATE_HZ, SPEC).stamp_uncertainty_s)
+
+
+MEANS = Pace(replace(INFO, integrated=True, sample_rate_uhz=round(1e6 / SPEC.chip_s)), SPEC)
+
+
+@pytest.mark.parametrize(("sync", "missing"), [(False, 0), (True, 0), (False, 1)])
+def test_only_a_gap_lets_time_pass_without_samples(sync: bool, missing: int) -> None:
+    """Of integrated frames: before a mark, and perhaps in a loss."""
+    before = Samples(0, 0, np.zeros(SPEC.order, np.int16))
+    gap_s = SPEC.frame_period_s - SPEC.frame_s
+    time_us = round(1e6 * ((SPEC.order + missing) * SPEC.chip_s + gap_s))
+    packet = Samples(time_us, SPEC.order + missing, before.counts, sync=sync)
+    assert MEANS.fits(before, packet) == (sync or missing > 0)
+    assert MEANS.fits(before, replace(packet, device_time_us=round(time_us - 1e6 * gap_s)))
 
 
 @pytest.mark.parametrize("late_s", [1.9, 2.1])

@@ -138,6 +138,7 @@ NO_RISE = Counts(StreamCounters(), Counters(), None, 0)
     [
         (StreamCounters(skipped_bytes=1), "does not keep up"),
         (StreamCounters(restarts=1), "the digitizer restarted"),
+        (StreamCounters(clock_steps=1), "clock stood still, stepped"),
         (StreamCounters(implausible_packets=1), "impossible contents"),
         (Counters(lost_packets=1), "packets are missing"),
         (Counters(jumps=1), "restarts packet numbering"),

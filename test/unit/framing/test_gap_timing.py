@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing.fit import Line
 from tactile_cdma.framing.gap import GapSearch
 from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.raster import Expected
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import decode
 from test.support.synthetic_line import (
@@ -532,3 +534,17 @@ def test_large_books(order: int, nodes: int | None) -> None:
     wire = Wire(spec, 4.2, seed=18)
     wire.send_random(2, nodes or order)
     check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts()))
+
+
+def test_no_frame_is_carried_of_which_only_the_last_chips_are_seen() -> None:
+    """Its few edges, fitted at the wrong places, would have chips run backwards, into the view."""
+    spec = FrameSpec(nodes=5)
+    wire = Wire(spec, 4.0, seed=1)
+    wire.send_random(2, nodes=5)
+    volts, search = wire.volts(1.9 * wire.period, rho=1e3), GapSearch(spec, wire.rate_hz)
+    for seen_from in range(round(spec.order * wire.chip), round(spec.chips * wire.chip), 7):
+        line = Line(volts[round(wire.sent[0].start) + seen_from :].astype(float))
+        for off in (-3.0, -1.0, 0.0, 1.0, 3.0):
+            expected = Expected(off - seen_from, 0.05 * wire.chip, wire.chip, 0.0, 0.02)
+            assert search.is_sure(expected)
+            assert search.carried(line, expected) is None
