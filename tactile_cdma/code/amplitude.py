@@ -19,6 +19,9 @@ quarter is none. Chosen."""
 LEAST_SHARE = 0.1
 """Share of a node's amplitude below which nothing is asked of what is on its row. Chosen: what
 sound lines leave there (edges, hum of a third of an amplitude, droop) stays below."""
+MOVED_SHARE = 0.3
+"""Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
+may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
 BY_CHANCE = 3.3
 """Normal deviations that make more than noise of a row's power. Chosen: 5e-4 of all silent words
 exceed them; a word at 0.15 A and ρ = 20 stays below once in 10⁵."""

@@ -16,7 +16,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
-from ..code.amplitude import rises
+from ..code.amplitude import MOVED_SHARE, rises
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
 from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
@@ -217,20 +217,26 @@ class MarkedLine:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
         doubtful = None
-        if levels is not None and self._is_unexplained(levels, power / self.chip):
-            doubtful = np.ones(self.spec.nodes, bool)
+        if levels is not None and not self._holds_more(levels):
+            levels = None
+            if not self.integrated and power > self._most_explained * self.chip:
+                doubtful = np.ones(self.spec.nodes, bool)
         return self._decided(frame.start, self.nominal, levels, noise_v, clipped, doubtful)
 
-    def _is_unexplained(self, levels: NodeLevels, power: float) -> bool:
-        """Whether a frame without words holds more than the gap's noise, though no row does.
-
-        power: mean power of its chips, V².
-        """
-        if self.integrated or power <= LIMITS.carried_noise * self.noise + self.silent_power:
-            return False
+    def _holds_more(self, levels: NodeLevels) -> bool:
+        """Whether a row holds more than noise, or the line moves."""
+        swing_v = self.spec.node_swing_v or 0.0
         squares = np.einsum("kn,kn->n", levels.values, levels.values)
-        expected = np.float32(self.spec.node_swing_v or 0.0)
-        return not rises(squares, expected, levels.noise_v, self.spec.line_bits).any()
+        if rises(squares, np.float32(swing_v), levels.noise_v, self.spec.line_bits).any():
+            return True
+        if levels.rows is None or self.spec.first_row == 0 or not swing_v:
+            return False
+        return float(levels.rows[:, 0].var()) > (MOVED_SHARE * swing_v) ** 2
+
+    @property
+    def _most_explained(self) -> float:
+        """Power of chips, V², up to which it is the gap's noise."""
+        return LIMITS.carried_noise * self.noise + self.silent_power
 
     @property
     def most_silent_power(self) -> float:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE, LEAST_SHARE, hiding_rho, most_noise_power
+from ..code.amplitude import FAINT_SHARE, LEAST_SHARE, MOVED_SHARE, hiding_rho, most_noise_power
 from ..code.frame import FrameSpec
 from ..code.separate import frame_fields
 from ..words import lateness, limits, tones
-from ..words.decode import MOVED_SHARE, nobody
+from ..words.decode import nobody
 from ..words.health import NodeHealth
 from ..words.stages import most_square
 from .calibration import Calibration

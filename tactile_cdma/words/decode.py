@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, pooled_noise, rises, usual_amplitude
+from ..code.amplitude import (
+    ACTIVE_SHARE,
+    FAINT_SHARE,
+    MOVED_SHARE,
+    pooled_noise,
+    rises,
+    usual_amplitude,
+)
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .lateness import out_of_place
@@ -39,9 +46,6 @@ UNLIKE_OTHERS = 5.0
 """A level is also uncertain if it is off by more than UNLIKE of the word's amplitude, and by more
 than UNLIKE_OTHERS times the typical deviation of its bit and of most bits: something else is on
 that row. Chosen on disturbed lines (make torture)."""
-MOVED_SHARE = 0.3
-"""Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
-may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
 HIT, HIT_OTHERS, HIT_LEVEL = 1.0, 4.0, 0.3
 """Something has hit the line in a bit whose levels are off, all nodes together, by HIT squares of a
 node's amplitude more than those of most bits and by HIT_OTHERS times as much, one of them by

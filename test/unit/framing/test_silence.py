@@ -22,6 +22,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Quiet, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from tactile_cdma.words.decode import decode as read_words
 
 CONFIGS = {
     "raw": {},
@@ -159,14 +160,16 @@ def test_the_limit_keeps_every_node_below_the_least_that_is_heard(
     row = spec.book.rows([rng.integers(1, spec.order)])[0]
     bits = rng.choice([-1, 1], spec.line_bits)
     chips = (offset_v + half_v * np.outer(bits, row)).astype(np.float32)
-    assert np.abs(correlate(chips, spec.book)[:, spec.rows]).max() < 0.25 * spec.node_swing_v
+    assert np.abs(correlate(chips, spec.book)[:, spec.rows]).max() < 0.15 * spec.node_swing_v
     samples = np.repeat(chips.ravel(), samples_per_chip)
     timing = LineTiming(spec, samples_per_chip / spec.chip_s)
     tail = np.full(3 * samples_per_chip, offset_v, np.float32)
     gap = np.full(200, offset_v, np.float32)
     frames = timing.feed(SampleBlock(0, np.concatenate((samples, tail)), True))
     frames += timing.feed(SampleBlock(samples.size + tail.size, gap))
-    assert [frame.levels for frame in frames] == [None]
+    assert len(frames) == 1
+    levels = frames[0].levels
+    assert levels is None or not read_words(levels, spec).active.any()
 
 
 @given(st.integers(1, 500), st.floats(-5, 5), st.floats(0, 1))
