@@ -21,7 +21,6 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.time import Time
 from sensor_msgs.msg import JointState
 
 from tactile_cdma.msg import TactileArray
@@ -31,7 +30,7 @@ QUEUE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def stamp_ns(message: TactileArray | JointState) -> int:
-    return int(Time.from_msg(message.header.stamp).nanoseconds)
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
 class Fusion(Node):
@@ -57,7 +56,7 @@ class Fusion(Node):
                 self.use(frame, nearest)
 
     def use(self, frame: TactileArray, joints: JointState) -> None:
-        peak_pa = np.max(frame.pressure)  # NaN as long as a taxel has no reading
+        peak_pa = np.max(frame.pressure, initial=-np.inf)  # NaN while a taxel has no reading
         print(stamp_ns(frame), stamp_ns(joints), peak_pa, *joints.position, flush=True)
 
 

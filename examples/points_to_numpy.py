@@ -30,6 +30,8 @@ class Points(Node):
         print("waiting for /skin/points …", flush=True)
 
     def take(self, cloud: PointCloud2) -> None:
+        if len(cloud.data) % POINT.itemsize:
+            return  # of no driver: anybody may publish anything
         points = np.frombuffer(cloud.data, POINT)
         pressed = points[points["pressure"] > PRESSED_PA]
         places_mm = 1e3 * np.stack([pressed["x"], pressed["y"], pressed["z"]], axis=1)

@@ -27,7 +27,8 @@ class Subscriber(Node):
         self.create_timer(0.5, self.show)
 
     def take(self, frame: TactileArray) -> None:
-        self.latest = frame
+        if len(frame.pressure) == len(frame.status) > 0:  # anybody may publish anything
+            self.latest = frame
 
     def show(self) -> None:
         frame, self.latest = self.latest, None

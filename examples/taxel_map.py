@@ -32,6 +32,8 @@ class Places(Node):
         print("waiting for /skin/info and /skin/tactile …", flush=True)
 
     def learn(self, info: TactileSkinInfo) -> None:
+        if not len(info.positions) == len(info.normals) == len(info.area) > 0:
+            return  # of no driver: anybody may publish anything
         self.info_id = info.info_id
         self.positions_m = np.array([(p.x, p.y, p.z) for p in info.positions])
         self.normals = np.array([(n.x, n.y, n.z) for n in info.normals])
@@ -40,6 +42,8 @@ class Places(Node):
     def feel(self, frame: TactileArray) -> None:
         if frame.info_id != self.info_id:
             return  # its info is still on the way
+        if not len(frame.pressure) == len(frame.status) == len(self.areas_m2):
+            return
         pressure_pa, masked = np.array(frame.pressure), TactileArray.STATUS_MASKED
         unread = np.isnan(pressure_pa) & (np.array(frame.status) & masked == 0)
         if unread.any():

@@ -97,13 +97,13 @@ static size_t rank(const struct contacts_skin *skin, float contact_pa, const flo
 static uint8_t note_unread(size_t taxels, const struct contacts_limits *limits,
                            const float *pressure_pa, const uint8_t *status, uint8_t *unread)
 {
+    const float below_pa = -limits->contact_pa;
     uint8_t any = 0;
 
     for (size_t i = 0; i < taxels; i++) {
-        bool now = isnan(pressure_pa[i]), before = unread[i] & UNREAD;
-        bool dim = now || (status[i] & limits->saturated) || pressure_pa[i] < -limits->contact_pa;
-        unread[i] =
-            (uint8_t)((now ? UNREAD : 0) | (now != before ? CHANGED : 0) | (dim ? DIM : 0));
+        uint8_t now = pressure_pa[i] != pressure_pa[i], before = unread[i] & UNREAD; /* NaN */
+        uint8_t dim = now | ((status[i] & limits->saturated) != 0) | (pressure_pa[i] < below_pa);
+        unread[i] = (uint8_t)(now * UNREAD | (now ^ before) * CHANGED | dim * DIM);
         any |= unread[i];
     }
     return any;

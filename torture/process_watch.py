@@ -80,6 +80,15 @@ def memory_kb(pid: int) -> int:
     return pages * os.sysconf("SC_PAGE_SIZE") // 1024
 
 
+def waited_s(pid: int) -> float:
+    """Time that the threads of a process have waited for a processor, s; 0 where nobody tells."""
+    waited_ns = 0
+    for task in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with suppress(OSError, IndexError):  # the thread has ended
+            waited_ns += int(task.read_text().split()[1])
+    return waited_ns * 1e-9
+
+
 def slope(t_s: NDArray[np.float64], kb: NDArray[np.float64]) -> Slope:
     """The Theil–Sen slope of section medians, which tolerates outliers in up to 29 % of them.
 

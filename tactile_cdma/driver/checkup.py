@@ -15,6 +15,7 @@ import numpy as np
 from ..base.listing import listed
 from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
 from ..readings.status import Status as TaxelStatus
+from ..readings.taxels import Readings
 from ..wire.messages import Status
 from ..words.health import NodeState
 from ..words.limits import LOW_RHO
@@ -112,7 +113,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
         )
         yield Finding(text, key="clipped")
     if latest is not None:
-        yield from _off_rest(pipeline, latest)
+        yield from off_rest(pipeline, latest.readings)
 
 
 def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
@@ -260,9 +261,9 @@ def decibels(ratio: float) -> float:
     return 20 * math.log10(ratio)
 
 
-def _off_rest(pipeline: Pipeline, latest: TactileFrame) -> Iterator[Finding]:
+def off_rest(pipeline: Pipeline, readings: Readings) -> Iterator[Finding]:
     """Taxels whose zero is none, as of a torn sensor, or after a tare under load."""
-    pressure_pa, flags = latest.readings.pressure_pa, latest.readings.status
+    pressure_pa, flags = readings.pressure_pa, readings.status
     node, contact_pa = pipeline.config.layout.nodes, pipeline.config.rest.contact_pa
     sound = ~np.append(True, pipeline.health.invalid)[node]
     torn = sound & (flags & TaxelStatus.FAULTY != 0)

@@ -37,13 +37,14 @@ class Baseline:
     tare_pa: (n,) float32, Pa, pressure at rest (mounting, preload), subtracted from readings.
     drift_v: (n,) float32, V, added to measured voltages to undo what temperature and age do.
     rest_v: (n,) float32, V, the voltage, drift added, at which the tare was taken; None: no tare.
-    tared_drift_v: (n,) float32, V, the drift at the tare, from which what is followed counts.
+    least_pa: (n,) float32, Pa, the lowest tare since the first or a forced one. tared_drift_v: (n,)
+    float32, V, the drift at that one. From these counts what is taken for rest unasked.
 
     These arrays are replaced, never written to: a reference to one is a snapshot.
     """
 
     def __init__(self, nodes: int) -> None:
-        self.tare_pa = np.zeros(nodes, dtype=np.float32)
+        self.tare_pa = self.least_pa = np.zeros(nodes, dtype=np.float32)
         self.drift_v = np.zeros(nodes, dtype=np.float32)
         self.tared_drift_v = np.zeros(nodes, dtype=np.float32)
         self.rest_v: Floats32 | None = None
@@ -52,7 +53,7 @@ class Baseline:
     def clear(self) -> None:
         """Forget tare and drift, and the looks taken while they were in force."""
         self.forget()
-        self.tare_pa = np.zeros_like(self.tare_pa)
+        self.tare_pa = self.least_pa = np.zeros_like(self.tare_pa)
         self.drift_v = self.tared_drift_v = np.zeros_like(self.drift_v)
         self.rest_v = None
 

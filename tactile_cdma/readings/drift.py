@@ -29,8 +29,9 @@ SETTLE_S = 10.0
 """Time that a node must have rested before it is followed, s; chosen. A change of less than a count
 in this time is no jump."""
 FARTHEST = 4.0
-"""Most drift since the tare that is followed, either way, in multiples of the pressure at which a
-contact begins; chosen: more than a sensor of 80 mV over temperature needs (make bench-pressure)."""
+"""Most drift since the first or a forced tare that is followed, either way, in multiples of the
+pressure at which a contact begins; chosen: more than 80 mV over temperature need (make
+bench-pressure)."""
 LONGEST_S = 1.0
 """Longest step of drift, s: after a longer pause it is not caught up with at once. Chosen."""
 STRAY_S = 60.0

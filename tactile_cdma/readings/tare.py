@@ -38,7 +38,8 @@ def take_tare(
     Returns the numbers of the nodes without valid readings, which keep the zero they had.
 
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
-    (Pa) above its present zero, rests above the start of its curve by more than that would pull it
+    (Pa) above its lowest zero since the first or a forced tare, so that many tares hide no more
+    than two, rests above the start of its curve by more than that would pull it
     down, or has not been heard for a second; forced or not, if no node has readings.
     """
     if not baseline.seen:
@@ -58,7 +59,7 @@ def take_tare(
                 f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
                 "try again, or tare the others with force: true"
             )
-        above_pa, moved_v = pressure_pa - baseline.tare_pa, np.ptp(voltages_v, axis=0)
+        above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
         moving = valid & (moved_v > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
         # Where something moves over the skin, the nodes that it has left need no naming.
@@ -76,8 +77,11 @@ def take_tare(
         )
     before_v = begin_v if baseline.rest_v is None else baseline.rest_v
     baseline.drift_v = baseline.drift_v - above_v
-    baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
+    if force or not baseline.tared:
+        baseline.least_pa = np.where(valid, pressure_pa, baseline.least_pa)
+        baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
+    baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
     baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard

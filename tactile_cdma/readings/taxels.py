@@ -199,6 +199,7 @@ class Taxels:
         if rest_v is not None:
             self.baseline.rest_v = rest_v
             self.baseline.tare_pa = self.chain.calibration.curves.pressure(rest_v)
+            self.baseline.least_pa = self.baseline.tare_pa
         if drift_v is not None:
             self.baseline.drift_v = drift_v
         if tared_drift_v is not None:

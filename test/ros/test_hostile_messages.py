@@ -91,7 +91,7 @@ def test_the_terminal_viewer_draws_on_and_no_message_writes_to_the_terminal(view
                 text = draw(viewer, viewer.latest, look, of_force=bool(refused % 2), size=size)
                 assert COLOURS.sub("", text).replace("\n", "").isprintable()
                 assert in_use(viewer.latest).size <= len(viewer.latest.pressure)
-    assert 50 < refused < 150
+    assert 20 < refused < 150
     viewer._receive(ARRAY)
     assert viewer.latest is ARRAY, "the truth is taken after all lies"
 

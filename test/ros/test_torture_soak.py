@@ -67,13 +67,17 @@ def messages() -> list[TactileArray]:
     return made
 
 
-def judged(damage: Callable[[list[TactileArray]], object]) -> Tally:
-    """What is found in these messages after they were damaged."""
+def judged(damage: Callable[[list[TactileArray]], object], waited_s: float = 0.0) -> Tally:
+    """What is found in these messages after they were damaged.
+
+    waited_s: by the driver, for a processor, between each of the first 51 messages and the next.
+    """
     heard, digitizer = messages(), KnownDigitizer(OPTIONS)
     digitizer.born_s = POWERED_S
     digitizer.streamed(Stream(OPTIONS, digitizer.setup, 0.0))
     judge = MessageJudge(digitizer, SOAKED.near_pa, SOAKED.flags)
     judge.ahead_s = [0.0]
+    judge.waited_s = lambda: waited_s * min(51, judge.tally.frames)
     damage(heard)
     for message in heard:
         judge.take(message)
@@ -116,6 +120,15 @@ def elsewhere(message: TactileArray) -> None:
 )
 def test_a_false_message_is_found(damage: Callable[[TactileArray], None]) -> None:
     assert judged(lambda heard: damage(heard[50])).wrong_values == 1
+
+
+def test_a_late_stamp_is_excused_by_as_much_as_the_driver_had_to_wait() -> None:
+    def late(heard: list[TactileArray]) -> None:
+        heard[50].header.stamp.sec += 1
+
+    assert judged(late).wrong_values == 1
+    assert judged(late, waited_s=0.4).wrong_values == 1, "20 s in all, and never so long at once"
+    assert judged(late, waited_s=0.6).wrong_values == 0
 
 
 def test_a_false_held_value_is_found() -> None:

@@ -32,6 +32,7 @@ from tactile_cdma.wire.messages import Status
 
 from ..outcome import Outcome, Plan
 from ..process_watch import Slope, Watch, slope
+from . import saves
 from .host_clock import STALL_S, HostClock, UsbLine
 from .judge import DayJudge, Lap
 from .laps import LapWriter, Stretch, record
@@ -60,7 +61,7 @@ EDGE = 1 << 32
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
-    """A day through the pipeline, and part of one through the driver."""
+    """A day through the pipeline, part of one through the driver, and kills during saves."""
     config = SkinConfig.of(SKIN)
     stretches = [
         record(config, SimOptions(scene=scene, heartbeat=LAP_FRAMES, seed=plan.seed), LAP_FRAMES)
@@ -70,6 +71,7 @@ def run(plan: Plan) -> Iterator[Outcome]:
     yield from day(config, Telling(stretches, plan.seed), seconds, plan.seed)
     seconds = QUICK_REPLAYED_S if plan.quick else REPLAYED_S
     yield replayed(config, Telling(stretches, plan.seed + 1), seconds)
+    yield saves.run(plan)
 
 
 class Telling:

@@ -17,6 +17,7 @@ from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import MAX_SAMPLES, PacketType
+from tactile_cdma.wire.cobs import cobs_decode
 from tactile_cdma.wire.messages import (
     WIRE,
     Ack,
@@ -36,6 +37,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
+from test.support.same_frames import assert_same
 
 from .target import MiscountError, Target
 
@@ -43,6 +45,7 @@ CONFIG = SkinConfig.of({"nodes": 3, "bits": 8, "chip_us": 50.0, "frame_period_ms
 """A small skin, for speed."""
 FRAMES = 5
 """True frames of an input."""
+CRC_BYTES = 4
 TICK_S = 1e-6
 """Of the digitizer's clock, from one of whose packets a frame has its time."""
 
@@ -146,6 +149,37 @@ def _check_line(pipeline: Pipeline, frames: list[TactileFrame]) -> None:
         passed = frame.sequence - frames[0].sequence
         if passed != _number(frame) - _number(frames[0]):
             raise MiscountError(f"{passed} frames")
+
+
+def read_both_ways(data: bytes) -> None:
+    """A true stream, of which packets are changed and have the right checksum all the same.
+
+    The kernel and numpy must make the same of it. The data are pieces: how many packets pass (and
+    whether the next comes twice), where its change begins, the length of the change, the change.
+    """
+    ways = [Pipeline(CONFIG, background=False, compiled=compiled) for compiled in (True, False)]
+    sent, place, stream = bytearray(_true_stream()[0]), 1, _true_stream()
+    while len(data) >= 3 and place < len(stream):
+        passed, begin, size = data[0] & 0x07, data[1], data[2] & 0x1F
+        sent += b"".join(stream[place : place + passed])
+        place += passed
+        for packet in stream[place : place + 1] * (1 + (data[0] >> 7)):
+            body = bytearray(cobs_decode(packet[:-1])[:-CRC_BYTES])
+            for index, change in zip(range(begin, len(body)), data[3 : 3 + size], strict=False):
+                body[index] ^= change
+            sent += wrap(bytes(body))
+        place += 1
+        data = data[3 + size :]
+    sent += b"".join(stream[place:])
+    found: list[list[TactileFrame]] = [[], []]
+    for begin in range(0, len(sent), 97):
+        for pipeline, frames in zip(ways, found, strict=True):
+            frames += pipeline.feed(bytes(sent[begin : begin + 97]), begin * 1e-5)
+    for pipeline, frames in zip(ways, found, strict=True):
+        frames += pipeline.flush()
+    assert_same(*found)
+    counted = [(way.counters, way.packet_counts, way.rejections, way.digitizer) for way in ways]
+    assert counted[0] == counted[1], "other counts"
 
 
 def read_digitizer(data: bytes) -> None:
@@ -272,6 +306,7 @@ TARGETS = (
     Target("packets", read_packets, _seeds_of_packets, most_bytes=96),
     Target("bodies", read_bodies, _seeds_of_bodies, most_bytes=128),
     Target("line", read_line, _seeds_of_line, most_bytes=256),
+    Target("both ways", read_both_ways, _seeds_of_line, most_bytes=256),
     Target("digitizer", read_digitizer, _seeds_of_changes, most_bytes=256),
     Target("offline", read_offline, _seeds_of_changes, (TactileError,), most_bytes=256),
     Target("commands", read_commands, _seeds_of_changes, (SpecError,), most_bytes=256),

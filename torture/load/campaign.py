@@ -15,23 +15,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import cycle, repeat
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ..outcome import Outcome, Plan
+from .liar import are_done, lied_to
 from .loaded_skin import LoadedSkin, frames_missing, stamps_off
+from .places import crowded, without_room
 from .simulated_time import SimulatedTime
 
 MOST_GROWTH_KB = 50_000
@@ -39,23 +39,23 @@ MOST_GROWTH_KB = 50_000
 HOG = "import time; end_s = time.monotonic() + {}\nwhile time.monotonic() < end_s: pass"
 """A program that occupies a core for this many seconds."""
 STARVED_NICE = 19
-PATIENCE_S = (10.0, 30.0)
-"""Time without progress that counts as a hang, s: quick and full."""
+PATIENCE_S = 60.0
+"""Time without progress that counts as a hang, s."""
 AT_ONCE = 8
 """Calls of each service on their way at the same time."""
 FULL_BYTES = 100_000
 FRAMES = 500
 """Frames to judge while some subscribers are slow or many."""
-STOPS_S = ((0.01, 0.1, 0.7), (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0))
+STOPS_S = ((0.01, 0.1, 1.0), 5 * (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 2.0, 5.0) + (20.0,))
 SLACK_FRAMES = 2
 """Frames that a stop may cost beyond its length."""
 
 
 def run(plan: Plan) -> Iterator[Outcome]:
     """Run everything on one driver, one after the other."""
-    patience_s, rng = PATIENCE_S[not plan.quick], Random(plan.seed)
+    rng = Random(plan.seed)
     with TemporaryDirectory(prefix="load-") as folder:
-        with LoadedSkin(Path(folder), plan.seed, patience_s) as skin:
+        with LoadedSkin(Path(folder), plan.seed, PATIENCE_S) as skin:
             skin.streams_on()
             before_kb = skin.rss_kb
             yield _stuck(skin, plan)
@@ -70,10 +70,13 @@ def run(plan: Plan) -> Iterator[Outcome]:
             yield _starved(skin, plan)
             yield _growth(skin, skin.rss_kb - before_kb)
         yield _full_recording(Path(folder), plan)
+        yield lied_to(plan, Path(folder))
+        yield from without_room(plan, Path(folder), PATIENCE_S)
+        yield crowded(plan, Path(folder), PATIENCE_S)
     if not plan.quick:
         with (
             TemporaryDirectory(prefix="load-") as folder,
-            LoadedSkin(Path(folder), plan.seed, patience_s, networked=True) as skin,
+            LoadedSkin(Path(folder), plan.seed, PATIENCE_S, networked=True) as skin,
         ):
             skin.streams_on()
             yield _stops_behind_a_socket(skin, rng)
@@ -159,7 +162,7 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
     while answered and time.monotonic() < end_s:
         calls = [client.call_async(next(requests)) for client, requests in clients * AT_ONCE]
         asked += len(calls)
-        answered = skin.waits_for(partial(_all_done, calls))
+        answered = skin.waits_for(partial(are_done, calls))
         for answer in (call.result() for call in calls[:: len(clients)] if call.done()):
             refused += not answer.results[0].successful
     skin.streams_on()
@@ -171,13 +174,9 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
     )
 
 
-def _all_done(calls: Sequence[Future[Any]]) -> bool:
-    return all(call.done() for call in calls)
-
-
 def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
     """Stop the driver for a while: it may lose only the frames of that time."""
-    stops_s = list(STOPS_S[not plan.quick]) * (1 if plan.quick else 5)
+    stops_s = list(STOPS_S[not plan.quick])
     rng.shuffle(stops_s)
     period_s, wrong, lost = skin.digitizer.setup.spec.frame_period_s, 0, 0
     for seconds in stops_s:
@@ -191,7 +190,9 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
         wrong += gap > passed_s / period_s + SLACK_FRAMES
     uncounted = _uncounted(skin)
     said = f"{lost} frames missing, {skin.digitizer.packets_dropped} packets dropped and counted"
-    return skin.outcome("the driver is stopped, 10 ms to 5 s", len(stops_s), said, uncounted, wrong)
+    return skin.outcome(
+        "the driver is stopped, 10 ms to 20 s", len(stops_s), said, uncounted, wrong
+    )
 
 
 def _uncounted(skin: LoadedSkin) -> int:

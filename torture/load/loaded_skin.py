@@ -10,9 +10,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from tactile_cdma.sim.options import SimOptions
 from test.support.spinning import spinning
 
 from ..outcome import Outcome, Tally
-from ..process_watch import memory_kb
+from ..process_watch import memory_kb, waited_s
 from .known_digitizer import KnownDigitizer, on_a_socket, on_a_tty
 from .message_judge import MessageJudge
 
@@ -91,8 +92,13 @@ class LoadedSkin:
         patience_s: float,
         networked: bool = False,
         setting: Setting = LOADED,
+        prefix: Sequence[str] = (),
     ) -> None:
-        """networked: the digitizer is behind a socket instead of a tty."""
+        """networked: the digitizer is behind a socket instead of a tty.
+
+        prefix: of the command that starts the driver, which it has to become by exec.
+        """
+        self._prefix = prefix
         options = SimOptions.from_url(f"sim://?{setting.scene}&seed={seed}")
         self.digitizer = KnownDigitizer(options)
         self.judge = MessageJudge(self.digitizer, setting.near_pa, setting.flags)
@@ -132,6 +138,7 @@ class LoadedSkin:
             port = stack.enter_context(plugged)
             stack.enter_context(self._listening())
             self.process = stack.enter_context(self._driver(port))
+            self.judge.waited_s = partial(waited_s, self.process.pid)
             self._stack = stack.pop_all()
         return self
 
@@ -215,7 +222,7 @@ class LoadedSkin:
 
     @contextmanager
     def _driver(self, port: str) -> Iterator[subprocess.Popen[bytes]]:
-        command = [sys.executable, str(SKIN_DRIVER), "--ros-args", *self._arguments]
+        command = [*self._prefix, sys.executable, str(SKIN_DRIVER), "--ros-args", *self._arguments]
         values = {"port": port, "state_folder": str(self.state_folder), **self._parameters}
         for name, value in values.items():
             command += ["-p", f"{name}:={json.dumps(value)}"]

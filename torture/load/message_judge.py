@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import time
 import zlib
+from collections import deque
+from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +25,11 @@ from .known_digitizer import Known, KnownDigitizer
 NEAR_S = 50e-6
 """Tolerance of a frame's device time: one chip. Measured errors are below 1 µs."""
 LATE_S = 0.5
-"""Tolerance of a stamp, in addition to the digitizer's own lag: a packet that was sent late for
-lack of processor time cannot be told from a clock that is off."""
+"""Tolerance of a stamp, in addition to the digitizer's own lag, and to the longest that the driver
+had to wait for a processor between two messages: a packet that was sent or read late for lack of
+processor time cannot be told from a clock that is off."""
+WAIT_WINDOW_S = 30.0
+"""s that such a wait may be in the driver's estimate of the clock."""
 LOOKS = 3
 """Readings of the two clocks; the pair closest together counts."""
 
@@ -36,7 +42,8 @@ class MessageJudge:
     tally: since it was replaced last. digests: of the pressures of all messages, by sequence.
     ahead_s: ROS time minus the host's monotonic clock, s, one entry for each clock that may be in
     force; empty: the host's real time. newest_ahead_s: the same by the newest stamp.
-    last_middle_s: host's monotonic time of the middle of the newest frame.
+    last_middle_s: host's monotonic time of the middle of the newest frame. waited_s: the time that
+    the driver has waited for a processor, s.
     """
 
     def __init__(self, digitizer: KnownDigitizer, near_pa: float, flags: Status) -> None:
@@ -46,6 +53,8 @@ class MessageJudge:
         self.ahead_s: list[float] = []
         self.newest_ahead_s = self.last_middle_s = 0.0
         self.digests: dict[int, int] = {}
+        self.waited_s: Callable[[], float] = lambda: 0.0
+        self._waits: deque[tuple[float, float]] = deque([(0.0, 0.0)])  # when, for how long by then
         self._digitizer, self._near_pa = digitizer, near_pa
         self._never = ~np.uint8(flags | Status.SILENT)
         self._middle_s, self._lsb_v = config.spec.frame_s / 2, config.adc.lsb_v
@@ -65,7 +74,7 @@ class MessageJudge:
         self._count(known, message.sequence)
         if known is not None:
             self._held.hear(known.frame.active, known.frame.codes)
-        if wrong or not -LATE_S < off_s < LATE_S + self._digitizer.lag_s:
+        if wrong or not -LATE_S < off_s < LATE_S + self.excused_s():
             tally.wrong_values += 1
             age_s = time.monotonic() - middle_s
             tally.example = tally.example or (
@@ -75,6 +84,15 @@ class MessageJudge:
         # Last, because whoever waits for these two reads the counts next.
         self.last_middle_s = middle_s
         tally.frames += 1
+
+    def excused_s(self) -> float:
+        """Delay of the digitizer, and the driver's longest wait between two messages, lately, s."""
+        now_s = time.monotonic()
+        self._waits.append((now_s, self.waited_s()))
+        while self._waits[1][0] < now_s - WAIT_WINDOW_S:
+            self._waits.popleft()
+        waits_s = (after - before for (_, before), (_, after) in pairwise(self._waits))
+        return self._digitizer.lag_s + max(waits_s)
 
     def _best(self, message: TactileArray, t_start: float) -> tuple[Known | None, int]:
         """The true frame that fits best, and how many taxels differ: all if there is none."""

@@ -39,6 +39,7 @@ from tactile_cdma.wire.messages import (
     Status,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.same_frames import assert_same
 from test.support.simulated import stream
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
@@ -68,18 +69,6 @@ def outcome(pipeline: Pipeline, data: bytes, chunk: int) -> tuple[list[TactileFr
     learnt = health.invalid.tolist(), health.suspect.tolist(), str(health.swing_v)
     counted = pipeline.counters, pipeline.packet_counts, pipeline.rejections
     return frames, (*counted, pipeline.digitizer, pipeline.clocks, learnt)
-
-
-def assert_same(some: list[TactileFrame], others: list[TactileFrame]) -> None:
-    assert len(some) == len(others)
-    for one, other in zip(some, others, strict=True):
-        for name in ("sequence", "t_start", "t_middle", "t_host", "chip_s", "clipped"):
-            assert getattr(one, name) == getattr(other, name), name
-        for part in ("words", "readings"):
-            mine, theirs = getattr(one, part), getattr(other, part)
-            for item in fields(mine):
-                values = getattr(mine, item.name), getattr(theirs, item.name)
-                np.testing.assert_array_equal(*values, err_msg=f"{part}.{item.name}")
 
 
 def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Pipeline:

@@ -11,8 +11,7 @@ import pytest
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
-from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.vitals import Vitals, Window
+from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
@@ -127,6 +126,23 @@ def test_load_counts_from_the_present_zero() -> None:
     patch.read(SECOND, 22e3)
     with pytest.raises(RestError, match="under load"):
         patch.taxels.tare(1000.0)
+
+
+def test_many_tares_under_a_little_load_take_no_more_than_one() -> None:
+    """As a program does before every grip, while something is left behind each time."""
+    patch, taken = Patch(drift_pa_per_min=0.0), 0.0
+    patch.read(SECOND, 20e3)
+    patch.taxels.tare(1000.0, force=True)
+    for load_pa in np.arange(20.6e3, 23e3, 600):
+        patch.read(SECOND, load_pa)
+        try:
+            patch.taxels.tare(1000.0)
+            taken = load_pa
+        except RestError as error:
+            assert "under load" in str(error)
+    assert taken == 20.6e3
+    patch.read(SECOND, 20.2e3)
+    patch.taxels.tare(1000.0)  # what was left behind is gone
 
 
 def test_a_tare_while_moving_is_refused_even_if_the_load_is_light() -> None:
@@ -412,15 +428,8 @@ def says(patch: Patch, readings: Readings) -> tuple[bool, bool, str]:
     thresholds = patch.pipeline.config.contact
     contacts = ContactTracker(patch.pipeline.config.layout, thresholds).update(readings, 0.0)
     assert np.isfinite(contacts.total_force_n).all() == (len(contacts) > 0 or contacts.untouched)
-    words = silent(6, 0.0)
-    frame = TactileFrame(0, 0.0, 0.0, 0.0, 50e-6, 0.0, words, readings)
-    found = checkup.stream(patch.pipeline, _window(patch), frame)
+    found = checkup.off_rest(patch.pipeline, readings)
     return len(contacts) > 0, contacts.untouched, "; ".join(finding.text for finding in found)
-
-
-def _window(patch: Patch) -> Window:
-    window = Vitals().take(patch.pipeline)
-    return replace(window, frames=78, seconds=78 * FRAME_S)
 
 
 BELOW_TOP_V = -0.3

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tactile_cdma.base import whole_file
 from tactile_cdma.base.errors import RestError
 from tactile_cdma.readings.calibration import Curves, PressureCurve
 from tactile_cdma.rest.rest_file import (
@@ -136,11 +137,14 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
             write_rest(tmp_path / "skin.yaml", STATE)
 
 
-def test_files_that_are_set_aside_stay_whole_however_many(tmp_path: Path) -> None:
+def test_files_that_are_set_aside_stay_whole_however_many(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And at no moment there is none: a kill before the next write loses nothing."""
     path = tmp_path / "skin.rest.yaml"
     assert set_aside(path) is None
-    for number in range(1, 100):
+    monkeypatch.setattr(whole_file, "MOST_ASIDE", 12)
+    for number in range(1, 13):
         write_rest(path, replace(STATE, skin=f"skin {number}"))
         aside = set_aside(path)
         assert aside == tmp_path / f"skin.rest.yaml.old{number if number > 1 else ''}"

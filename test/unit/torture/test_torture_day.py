@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,12 +18,14 @@ import pytest
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.clock import DeviceClock
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.rest import rest_file
 from tactile_cdma.sim.options import SimOptions
 from torture.day import campaign as day
-from torture.day import host_clock
+from torture.day import host_clock, saves
 from torture.day.host_clock import HostClock, UsbLine
 from torture.day.judge import DayJudge, Lap
 from torture.day.laps import LapWriter, Stretch, record
+from torture.outcome import Plan
 from torture.process_watch import SECTIONS, Watch, slope
 
 CONFIG = SkinConfig.of(day.SKIN)
@@ -245,3 +248,32 @@ def test_the_hosts_clock_is_the_integral_of_its_rate() -> None:
     rates = [host.at(t_s + 1) - host.at(t_s) - 1 for t_s in (0.0, 1800.0, 20_000.0, 80_000.0)]
     assert all(abs(rate - host.crystal) < 20e-6 for rate in rates)
     assert rates[1] - rates[0] > 3e-6  # it has warmed up
+
+
+def test_no_tare_is_lost_to_a_kill(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(saves, "QUICK_KILLS", 5)
+    assert saves.run(Plan(quick=True, seed=SEED)).good
+
+
+def test_one_generation_of_old_files_and_litter_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As it was: the file before the last one is gone, and killed writers' files stay."""
+
+    def one_generation(path: Path) -> Path:
+        os.replace(path, aside := path.with_name(f"{path.name}.old"))
+        return aside
+
+    path, found = tmp_path / "skin.rest.yaml", saves.Found()
+    for number in range(3):
+        saves._save(path, number)
+    saves.judge(path, 3, found)
+    assert found == saves.Found()
+    (tmp_path / ".skin.rest.yaml.left").write_text("")
+    for old in tmp_path.glob("*.old*"):
+        old.unlink()
+    monkeypatch.setattr(rest_file, "keep_aside", one_generation)
+    for number in range(3):
+        saves._save(path, number)
+    saves.judge(path, 3, found)
+    assert (found.lost, found.litter) == (1, 1)

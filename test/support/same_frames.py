@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether two ways of decoding give the same, to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from tactile_cdma.driver.pipeline import TactileFrame
+
+
+def assert_same(some: Sequence[TactileFrame], others: Sequence[TactileFrame]) -> None:
+    assert len(some) == len(others)
+    for one, other in zip(some, others, strict=True):
+        for name in ("sequence", "t_start", "t_middle", "t_host", "chip_s", "clipped"):
+            assert getattr(one, name) == getattr(other, name), name
+        for part in ("words", "readings"):
+            mine, theirs = getattr(one, part), getattr(other, part)
+            for item in fields(mine):
+                values = getattr(mine, item.name), getattr(theirs, item.name)
+                np.testing.assert_array_equal(*values, err_msg=f"{part}.{item.name}")
