@@ -101,7 +101,9 @@ class TouchCondition:
         starts = np.array([truth.start_chips for truth in recording.frames])
         tracker: ContactTracker | None = None
         stale, claims, unclaimed, complaints = 0, 0, 0, list[str]()
-        for frame, _, layout in play(recording, lost=self.lost, seed=seed):
+        for frame, _, layout in play(
+            recording, lost=self.lost, seed=seed, nodes_repeat=talk.repeats
+        ):
             tracker = tracker or ContactTracker(layout, ContactThresholds(1000, 500))
             contacts, readings = tracker.update(frame.readings, frame.t_middle), frame.readings
             number = int(np.argmin(np.abs(starts - frame.t_start / self.skin.chip_s)))

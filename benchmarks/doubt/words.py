@@ -87,13 +87,17 @@ def decode(recording: Recording, learnt: bool = False) -> list[Decoded]:
 
 
 def play(
-    recording: Recording, learnt: bool = False, lost: float = 0.0, seed: int = 0
+    recording: Recording,
+    learnt: bool = False,
+    lost: float = 0.0,
+    seed: int = 0,
+    **parameters: bool,
 ) -> Iterator[tuple[TactileFrame, Bools, Layout]]:
     """The driver's frames of a recording, which nodes count as broken, and the taxels' layout.
 
-    lost: share of the packets that do not arrive, drawn by the seed.
+    lost: share of the packets that do not arrive, drawn by the seed. parameters: of the driver.
     """
-    config, writer = config_of(recording, learnt), PacketWriter()
+    config, writer = config_of(recording, learnt, **parameters), PacketWriter()
     pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:

@@ -154,6 +154,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("roll_call", False,
         "for nodes with clocks of their own: at start each node transmits alone once, and its "
         "delay and clock error are measured"),
+    Parameter("nodes_repeat", False,
+        "nodes transmit in every frame while they are not at rest, as those of firmware/ do: one "
+        "that is silent before and after a lost frame then rests, and is not unheard"),
     Parameter("vref_v", 3.3,
         "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
     Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.01, 100.0)),

@@ -39,6 +39,7 @@ class SkinConfig:
     timing: str
     samples_per_chip: int
     roll_call: bool
+    nodes_repeat: bool
     adc: AdcScale
     curve: PressureCurve
     calibration: Calibration
@@ -83,6 +84,7 @@ class SkinConfig:
             timing=get["timing"],
             samples_per_chip=get["samples_per_chip"],
             roll_call=get["roll_call"],
+            nodes_repeat=get["nodes_repeat"],
             adc=adc,
             curve=curve,
             calibration=_calibration(get, spec, adc, curve),

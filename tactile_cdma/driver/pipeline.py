@@ -215,7 +215,9 @@ class Pipeline:
         if placement.step is Step.RESET:
             self.taxels.forget()
         elif placement.step is Step.RESTART:
-            self.taxels.miss()  # how many frames there were meanwhile is a guess
+            self.taxels.miss(
+                self.config.nodes_repeat
+            )  # how many frames there were meanwhile is a guess
         self.stream.place(placement)
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:
@@ -223,7 +225,7 @@ class Pipeline:
         rate_hz, spec = self._description.pace.rate_hz, self.config.spec
         stamp = self.timeline.times.stamp(heard, rate_hz, spec)
         if stamp.sequence != self._follows:
-            self.taxels.miss()
+            self.taxels.miss(self.config.nodes_repeat)
         self._follows = stamp.sequence + 1
         words, readings = self._read(heard, stamp.t_middle)
         return TactileFrame(*stamp, heard.clipped, words, readings)

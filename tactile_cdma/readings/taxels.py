@@ -158,9 +158,27 @@ class Taxels:
         """The missing nodes that were heard before."""
         return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
 
-    def miss(self) -> None:
-        """Note that a frame was not heard, in which any node may have spoken."""
-        self._kept.flags[:] = Status.LOW_SNR
+    @property
+    def unheard(self) -> list[int]:
+        """Numbers of the nodes in service that are UNHEARD, as of now_s."""
+        kept = self._kept.heard_s >= self.now_s - self.stale_after_s
+        silent = kept & (self._kept.heard_s < self.now_s)
+        numbers: list[int] = (
+            np.flatnonzero(silent & (self._kept.flags != 0) & ~self._masked) + 1
+        ).tolist()
+        return numbers
+
+    def miss(self, nodes_repeat: bool) -> None:
+        """Note that a frame was not heard, in which any node may have spoken.
+
+        nodes_repeat: they speak in every frame while their code is farther than a threshold from
+        that at rest, or from the one they sent last (firmware/core/event.c). Who was silent in the
+        last frame held a value within two thresholds of its rest then; if it is silent in the next
+        one, too, its code is within one of it. So what it holds stands, but for three thresholds,
+        and only who spoke in the last frame may have told its release unheard.
+        """
+        spoke = self._kept.heard_s == self.now_s
+        self._kept.flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
         self._silence = None
 
     def forget(self) -> None:

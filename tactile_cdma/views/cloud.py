@@ -18,7 +18,7 @@ the taxel."""
 BODY_POINT = np.dtype([*POINT.descr, ("patch", "<u4")])
 """A point of a body: that of a skin and the index of its patch."""
 _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
-"""(257,) uint32 0x00RRGGBB, the colours of SCALE_RGB."""
+"""(513,) uint32 0x00RRGGBB, the colours of SCALE_RGB."""
 
 
 class Cloud:

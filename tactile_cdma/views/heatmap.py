@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats32
+from ..base.arrays import Bools, Floats32
 from ..places.layout import Layout
 
 _STOPS = (
@@ -29,33 +29,46 @@ MAX_PIXELS = 1 << 20
 
 _AT, _RGB = zip(*_STOPS, strict=True)
 _CHANNELS = [np.interp(np.linspace(0, 1, 256), _AT, channel) for channel in zip(*_RGB, strict=True)]
-SCALE_RGB = np.vstack([np.stack(_CHANNELS, axis=1).round(), [NO_READING_RGB]]).astype(np.uint8)
-"""(257, 3) uint8: 256 steps of pressure, then the colour of taxels without a reading."""
+_STEPS = np.stack(_CHANNELS, axis=1).round()
+_PALE = (_STEPS + NO_READING_RGB) / 2
+SCALE_RGB = np.vstack([_STEPS, [NO_READING_RGB], _PALE]).astype(np.uint8)
+"""(513, 3) uint8: 256 steps of pressure, the colour of taxels without a reading, and 256 steps of
+uncertain readings, half as colourful."""
 _NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
 
 
-def scale_steps(pressure_pa: Floats32, max_pa: float) -> NDArray[np.int16]:
-    """(n,) int16, each taxel's row in SCALE_RGB on a fixed scale 0…max_pa; the last for NaN."""
+def scale_steps(
+    pressure_pa: Floats32, max_pa: float, unsure: Bools | bool = False
+) -> NDArray[np.int16]:
+    """(n,) int16, each taxel's row in SCALE_RGB on a fixed scale 0…max_pa; 256 for NaN.
+
+    unsure: (n,), readings that are uncertain.
+    """
     with np.errstate(invalid="ignore"):
         step = np.clip(pressure_pa * (255 / max_pa), 0, 255).astype(np.int16)
+    step += np.where(unsure, np.int16(257), np.int16(0))
     return np.where(np.isnan(pressure_pa), np.int16(256), step)
 
 
-def colours(pressure_pa: Floats32, max_pa: float) -> NDArray[np.uint8]:
-    """One colour per taxel, (n, 3) uint8 RGB, on a fixed scale 0…max_pa; grey for NaN."""
-    return SCALE_RGB[scale_steps(pressure_pa, max_pa)]
+def colours(
+    pressure_pa: Floats32, max_pa: float, unsure: Bools | bool = False
+) -> NDArray[np.uint8]:
+    """One colour per taxel, (n, 3) uint8 RGB, see scale_steps; grey for NaN."""
+    return SCALE_RGB[scale_steps(pressure_pa, max_pa, unsure)]
 
 
-def heatmap(pressure_pa: Floats32, layout: Layout, max_pa: float, pixels: int) -> NDArray[np.uint8]:
+def heatmap(
+    pressure_pa: Floats32, layout: Layout, max_pa: float, pixels: int, unsure: Bools | bool = False
+) -> NDArray[np.uint8]:
     """The unrolled skin as a picture, (height, width, 3) uint8 RGB, row 0 on top.
 
     pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch, reduced if the
-    picture would exceed MAX_PIXELS.
+    picture would exceed MAX_PIXELS. unsure: see scale_steps.
     """
     raster = layout.raster
     pixels_per_cell = round(pixels * layout.cell_m / layout.pitch_m)
     edge = max(1, min(pixels_per_cell, math.isqrt(MAX_PIXELS // raster.size)))
-    paint = np.vstack([colours(pressure_pa, max_pa), _NO_TAXEL])
+    paint = np.vstack([colours(pressure_pa, max_pa, unsure), _NO_TAXEL])
     # Rows last: they are copied whole, six times as fast as pixels.
     return paint[raster].repeat(edge, axis=1).repeat(edge, axis=0)
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
-from ..readings.status import Status, is_in_service
+from ..readings.status import Status, is_certain, is_in_service
 from .heatmap import NO_TAXEL_RGB, colours
 
 _RESET = "\x1b[0m"
@@ -38,7 +38,7 @@ _STATUS_LINES = 3
 """Most lines for the lists of nodes by status; chosen: the picture needs the room."""
 _MARKS = (
     (Status.SATURATED, "!", "saturated"),
-    (Status.LOW_SNR, "?", "low SNR"),
+    (Status.LOW_SNR, "?", "uncertain"),
     (Status.WEAK, "w", "weak"),
     (Status.FAULTY, "x", "faulty"),
     (Status.STALE, "-", "stale"),
@@ -117,7 +117,8 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
     for taxel, places in parts.items():
         if taxel >= 0:
             labels |= _labels(reading, look, taxel, places)
-    paint = np.vstack([colours(reading.pressure_pa, look.max_pa), [NO_TAXEL_RGB]]).tolist()
+    rgb = colours(reading.pressure_pa, look.max_pa, ~is_certain(reading.status))
+    paint = [*rgb.tolist(), NO_TAXEL_RGB]
     unread = np.isnan(reading.pressure_pa).tolist()
     shades = [
         _NO_READING if is_unread else shade
@@ -241,8 +242,9 @@ def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
     in_service = is_in_service(reading.status)
     silent = in_service & (reading.status & Status.SILENT > 0)
     items = [f"speaking {np.count_nonzero(in_service & ~silent)}"]
-    for flag, mark, word in (*_MARKS, (Status.SILENT, "", "silent")):
-        has = in_service & (reading.status & flag > 0)
+    held = (Status.UNHEARD, "", "unheard"), (Status.SILENT, "", "silent")
+    for flag, mark, word in (*_MARKS, *held):
+        has = in_service & (reading.status & flag == flag)
         if has.any():
             items.append(f"{word}{mark and ' ' + mark}: {ranges(numbers[has])}")
     masked = ~in_service & (reading.nodes > 0)

@@ -68,8 +68,10 @@ class Patch:
         self.infos.publish(TactileSkinInfo(info_id=info_id, positions=positions, normals=normals))
 
     def press(self, pressure_pa: list[float], info_id: int = 1) -> None:
-        values = array("f", pressure_pa)
-        self.arrays.publish(TactileArray(header=self.header(), info_id=info_id, pressure=values))
+        values, status = array("f", pressure_pa), array("B", bytes(len(pressure_pa)))
+        message = TactileArray(info_id=info_id, pressure=values, status=status)
+        message.header = self.header()
+        self.arrays.publish(message)
 
     def touch(self, age_s: float = 0.0, contacts: int = 0, valid: int = 16) -> None:
         """A frame's contacts; valid: taxels with a reading, of 16."""

@@ -22,6 +22,7 @@ PLACES = {
     ),
     "its files on a read-only disk": 'mount -t tmpfs -o ro none "$0"',
     "no shared memory": "mount -t tmpfs -o ro none /dev/shm",
+    "shared memory that is full": "mount -t tmpfs -o size=64k none /dev/shm",
 }
 """What is mounted before the driver starts, for it alone; $0: its state folder."""
 CROWDED = replace(LOADED, parameters={**LOADED.parameters, "frame_period_ms": 100.0})

@@ -17,6 +17,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.arrays import Floats
 from ...places.poses import Pose
+from ...readings.status import is_certain
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
 from ..common.convert import nanoseconds, rows
@@ -151,10 +152,12 @@ class PatchFeed:
             return None
         info_id, cloud = self._cloud
         # A restarted driver counts from 1 again: the same id may mean another skin.
-        if self.array.info_id != info_id or len(self.array.pressure) != len(cloud):
+        sizes = len(self.array.pressure), len(self.array.status)
+        if self.array.info_id != info_id or sizes != (len(cloud), len(cloud)):
             return None
         pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
-        return cloud.points(pressure_pa, max_pa, pose)
+        certain = is_certain(np.frombuffer(self.array.status, dtype=np.uint8))
+        return cloud.points(np.where(certain, pressure_pa, np.float32(np.nan)), max_pa, pose)
 
     def _hear(self, stamp_ns: int, info: MessageInfo) -> None:
         self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic

@@ -165,6 +165,7 @@ def _node_values(driver: Driver, window: Window) -> Values:
     return {
         "dead nodes": listed(taxels.dead),
         "stale nodes": listed(taxels.stale),
+        "unheard nodes": listed(taxels.unheard),
         "weak nodes": listed(health.nodes(NodeState.WEAK)),
         "faulty nodes": listed(health.nodes(NodeState.FAULTY)),
         "doubled nodes": listed(health.nodes(NodeState.DOUBLED)),

@@ -118,13 +118,15 @@ class FramePublishers:
         return self._asked
 
     def _is_news(self, frame: TactileFrame) -> bool:
-        """Whether a node spoke, or the last frame without words is long enough ago."""
-        rate_hz = float(self._live["idle_rate_hz"])
+        """Whether a node spoke, or may have, or the last frame without words is long enough ago."""
+        rate_hz, last = float(self._live["idle_rate_hz"]), self.latest
         if not rate_hz or frame.words.active.any():
             self._silence_due_s = 0.0  # the first silent frame tells who fell silent
             return True
+        follows = last is not None and frame.sequence == last[0].sequence + 1
+        is_sure = follows and not frame.words.doubtful.any()
         # Device time may start again, from nearly zero.
-        if 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
+        if is_sure and 0.0 <= self._silence_due_s - frame.t_middle <= 1 / rate_hz:
             return False
         self._silence_due_s = frame.t_middle + 1 / rate_hz
         return True

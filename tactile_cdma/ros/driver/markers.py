@@ -11,10 +11,9 @@ from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
-from ...base.arrays import Floats, Floats32
+from ...base.arrays import Bools, Floats, Floats32
 from ...messages.cdr import CdrWriter, Heading
 from ...places.layout import Layout
 from ...places.mesh import CORNERS, MOST_SQUARES, taxel_squares
@@ -70,21 +69,23 @@ class SkinMarkers:
 
     def markers(
         self,
-        pressure_pa: NDArray[np.float32],
+        pressure_pa: Floats32,
         max_pa: float,
         contacts: Contacts,
         heading: Heading,
         lifetime_s: float,
+        unsure: Bools | bool = False,
     ) -> bytes:
         """The message MarkerArray of a frame; markers of contacts that ended are deleted.
 
-        A text says how many taxels in service have no reading or a doubtful one, if any: nothing
-        drawn means that nothing touches only without it.
+        A text says how many taxels in service have no certain reading, or a doubtful zero, if any:
+        nothing drawn means that nothing touches only without it.
 
-        pressure_pa: (t,) float32, Pa; colours are on the scale 0…max_pa. lifetime_s: time after
-        which markers vanish that no message renews, as when the skin is no longer read.
+        pressure_pa: (t,), Pa; colours are on the scale 0…max_pa. unsure: see scale_steps.
+        lifetime_s: time after which markers vanish that no message renews, as when the skin is no
+        longer read.
         """
-        markers = [self._surface(pressure_pa, max_pa)] if len(self._placed) else []
+        markers = [self._surface(pressure_pa, max_pa, unsure)] if len(self._placed) else []
         if len(contacts):
             markers += self._forces(contacts, max_pa)
         if not contacts.coverage.is_certain:
@@ -96,14 +97,15 @@ class SkinMarkers:
         self._drawn = drawn
         return _message(markers, heading, lifetime_s)
 
-    def _surface(self, pressure_pa: NDArray[np.float32], max_pa: float) -> _Marker:
+    def _surface(self, pressure_pa: Floats32, max_pa: float, unsure: Bools | bool) -> _Marker:
         placed_pa, corners_m = pressure_pa[self._placed], self._corners_m
+        steps = scale_steps(pressure_pa, max_pa, unsure)[self._placed]
         if (unread := np.isnan(placed_pa)).any():
             corners_m = np.where(unread[:, None, None], self._unread_m, corners_m)
         return _Marker(
             *(SURFACE, 0, Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),
             points_m=corners_m.reshape(-1, 3),
-            rgba=_SCALE_RGBA[scale_steps(placed_pa, max_pa).repeat(len(CORNERS))],
+            rgba=_SCALE_RGBA[steps.repeat(len(CORNERS))],
         )
 
     def _forces(self, contacts: Contacts, max_pa: float) -> list[_Marker]:

@@ -7,17 +7,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
+from ...base.arrays import Bools, Floats32
 from ...config.parameters import Values
 from ...config.skin_config import SkinConfig, contact_thresholds
 from ...driver.pipeline import TactileFrame
 from ...messages.cdr import Heading
 from ...readings.contact import ContactTracker
+from ...readings.status import is_certain
 from ...views.cloud import POINT, Cloud
 from ...views.heatmap import heatmap, pressure_raster
 from ..common.convert import image, point_cloud
@@ -118,28 +119,44 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
     layout, skin = config.layout, SkinMarkers(config.layout)
     cloud = Cloud(layout.positions_m, layout.normals)
 
-    def seen(frame: TactileFrame) -> tuple[NDArray[np.float32], float]:
-        """Pressures, and the top of the colour scale, Pa."""
-        return frame.readings.pressure_pa, float(live["colour_max_kpa"]) * 1e3
+    def seen(frame: TactileFrame) -> tuple[Floats32, Bools]:
+        """Pressures, Pa, and which of them are uncertain."""
+        return frame.readings.pressure_pa, ~is_certain(frame.readings.status)
+
+    def most_pa() -> float:
+        """Top of the colour scale."""
+        return float(live["colour_max_kpa"]) * 1e3
 
     def markers(frame: TactileFrame, heading: Heading) -> bytes:
         contacts = tracker.update(frame.readings, frame.t_middle)
+        pressure_pa, unsure = seen(frame)
         fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
-        return skin.markers(*seen(frame), contacts, heading, max(LEAST_FADE_S, fade_s))
+        lifetime_s = max(LEAST_FADE_S, fade_s)
+        return skin.markers(pressure_pa, most_pa(), contacts, heading, lifetime_s, unsure)
 
     def colours(frame: TactileFrame, heading: Heading) -> bytes:
-        pressure_pa, max_pa = seen(frame)
-        picture = heatmap(pressure_pa, layout, max_pa, int(live["heatmap_pixels"]))
-        return image(picture, "rgb8", heading)
+        pressure_pa, unsure = seen(frame)
+        pixels = int(live["heatmap_pixels"])
+        return image(heatmap(pressure_pa, layout, most_pa(), pixels, unsure), "rgb8", heading)
+
+    def pressures(frame: TactileFrame, heading: Heading) -> bytes:
+        return image(pressure_raster(_certain_pa(*seen(frame)), layout), "32FC1", heading)
+
+    def points(frame: TactileFrame, heading: Heading) -> bytes:
+        found = cloud.points(_certain_pa(*seen(frame)), most_pa())
+        return point_cloud(POINT, [found], heading)
 
     return {
         "heatmap": colours,
-        "pressure_image": lambda frame, heading: image(
-            pressure_raster(frame.readings.pressure_pa, layout), "32FC1", heading
-        ),
-        "points": lambda frame, heading: point_cloud(POINT, [cloud.points(*seen(frame))], heading),
+        "pressure_image": pressures,
+        "points": points,
         "markers": markers,
     }
+
+
+def _certain_pa(pressure_pa: Floats32, unsure: Bools) -> Floats32:
+    """Pressures for machines, Pa: NaN of those that are uncertain, as a picture has no flags."""
+    return np.where(unsure, np.float32(np.nan), pressure_pa)
 
 
 def _period_s(values: Values) -> float:

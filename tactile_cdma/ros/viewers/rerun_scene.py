@@ -27,6 +27,7 @@ from ...base.errors import MessageError
 from ...places.layout import Layout
 from ...places.mesh import taxel_squares
 from ...places.poses import Pose
+from ...readings.status import is_certain
 from ...views.heatmap import colours, heatmap
 from ..common.convert import nanoseconds, readings_of, rows
 from .complaints import LEVELS, Complaints
@@ -82,6 +83,7 @@ class PatchScene:
         self._shown_place: NDArray[np.float64] | None = None
         self._layout: Layout | None = None
         self._pressure_pa: NDArray[np.float32] | None = None
+        self._unsure: NDArray[np.bool_] | bool = False
         self._contacts: _Touches | None = None
         self._now = (0, 0)
         self._heard_s = math.inf  # when the last frame came; infinite: it is not shown any more
@@ -112,12 +114,12 @@ class PatchScene:
 
     def take_frame(self, message: TactileArray) -> None:
         """Take a frame's pressures; ignored if they do not fit the layout."""
-        pressure_pa, _ = readings_of(message)
+        pressure_pa, status = readings_of(message)
         if self._layout is None or len(pressure_pa) != len(self._layout):
             return
         self._now = nanoseconds(message.header.stamp), message.device_time_us
         self._heard_s = time.monotonic()
-        self._pressure_pa = pressure_pa
+        self._pressure_pa, self._unsure = pressure_pa, ~is_certain(status)
         self._extend("peak", self._now, float(np.fmax.reduce(self._pressure_pa)) * 1e-3)
 
     def take_contacts(self, message: TactileContacts) -> None:
@@ -175,10 +177,10 @@ class PatchScene:
             transform = rr.Transform3D(translation=place[:, 3], mat3x3=place[:, :3])
             self._recording.log(self.path, transform)
             self._shown_place = place
-        paint = colours(self._pressure_pa, self._max_pa)[self._layout.nodes > 0]
+        paint = colours(self._pressure_pa, self._max_pa, self._unsure)[self._layout.nodes > 0]
         surface = rr.Mesh3D.from_fields(vertex_colors=np.repeat(paint, 6, axis=0))
         self._recording.log(f"{self.path}/surface", surface)
-        picture = heatmap(self._pressure_pa, self._layout, self._max_pa, PIXELS)
+        picture = heatmap(self._pressure_pa, self._layout, self._max_pa, PIXELS, self._unsure)
         self._recording.log(f"{self.path}/heatmap", rr.Image(picture))
         if self._contacts is not None:
             self._recording.log(f"{self.path}/contacts", self._arrows(*self._contacts))

@@ -120,6 +120,10 @@ def test_colours_rise_with_pressure_on_a_fixed_scale() -> None:
     assert light[4] == light[5]
     assert (np.diff(light[1:5]) > 0).all()
     assert tuple(colours(np.array([np.nan], np.float32), 1.0)[0]) == NO_READING_RGB
+    pale = colours(pressure, 140e3, unsure=np.ones(len(pressure), bool)).astype(int)
+    middle = (colours(pressure, 140e3) + np.array(NO_READING_RGB)) / 2
+    assert np.abs(pale - middle).max() <= 1
+    assert tuple(colours(np.array([np.nan], np.float32), 1.0, unsure=True)[0]) == NO_READING_RGB
 
 
 def test_heatmap_puts_taxel_row_zero_on_top() -> None:
