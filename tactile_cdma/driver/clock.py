@@ -281,7 +281,7 @@ class DeviceClock:
         x, y = self._device[newest], self._host[newest]
         late_s = y - self._origin[1] - (x - self._origin[0]) * self._rate
         earlier_s, sure_s = late_s[:-SURE], late_s[-SURE:]
-        self._scatter_s = float(np.sort(sure_s)[:2].max())
+        self._scatter_s = float(np.sort(sure_s)[:3].max())
         had_waited = self._is_backlog[newest[-RECENT:]]
         if not earlier_s.size or sure_s.min() <= STEP_S or had_waited[-SURE:].any():
             return False
