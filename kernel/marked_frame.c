@@ -11,19 +11,19 @@
 
 /* ---- samples → chips ----------------------------------------------------------------------------- */
 
-void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts)
+VECTORS void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts)
 {
     for (size_t i = 0; i < size; i++)
         volts[i] = ((float)counts[i] - zero) * per_count;
 }
 
-void samples_copy(const float *volts, size_t size, double most, double *copy)
+VECTORS void samples_copy(const float *volts, size_t size, double most, double *copy)
 {
     for (size_t i = 0; i < size; i++)
         copy[i] = fabs((double)volts[i]) < most ? (double)volts[i] : (double)NAN;
 }
 
-struct samples_sums samples_add(const double *volts, size_t size)
+VECTORS struct samples_sums samples_add(const double *volts, size_t size)
 {
     double sum[LANES] = {0}, squares[LANES] = {0};
     struct samples_sums all = {0, 0};
@@ -175,6 +175,13 @@ static bool is_at_rest(const struct frame_rules *rules, const struct frame_timin
            (rules->frame.first || fabs(mean) <= rules->tail_level * sqrt(noise / size));
 }
 
+VECTORS static void integrated_chips(const double *restrict volts, size_t size, float level,
+                                     float *restrict chips)
+{
+    for (size_t i = 0; i < size; i++)
+        chips[i] = (float)volts[i] - level;
+}
+
 static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
                        const struct frame_edges *edges, double level, const double *volts,
                        size_t count, float *chips)
@@ -182,8 +189,7 @@ static bool find_chips(const struct frame_rules *rules, const struct frame_code 
     size_t size = rules->frame.bits * rules->frame.order;
 
     if (rules->integrated)
-        for (size_t i = 0; i < size; i++)
-            chips[i] = (float)volts[i] - (float)level;
+        integrated_chips(volts, size, (float)level, chips);
     else if (!samples_chips(volts, count, level, &edges->all, edges->places, size, chips))
         return false;
     if (code->flips)

@@ -33,6 +33,7 @@ class NodeLevels:
     unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
     rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
         correlation.
+    Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     """
 

@@ -75,7 +75,7 @@ class PressureChain:
         self._moved = False
         self.looked_s, baseline, tracker = t_s, self.baseline, self.tracker
         baseline.look(voltage_v, pressure_pa, valid)
-        if tracker is not None and tracker.rules.drift_pa_per_min:
+        if tracker is not None and tracker.rules.drift_pa_per_min and tracker.is_due(t_s):
             before_v, reading_pa = baseline.drift_v, pressure_pa - baseline.tare_pa
             curves = self.calibration.curves
             tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
