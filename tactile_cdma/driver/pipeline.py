@@ -214,10 +214,8 @@ class Pipeline:
             placement = self.timeline.place(arrival, self._description.pace)
         if placement.step is Step.RESET:
             self.taxels.forget()
-        elif placement.step is Step.RESTART:
-            self.taxels.miss(
-                self.config.nodes_repeat
-            )  # how many frames there were meanwhile is a guess
+        elif placement.step is Step.RESTART:  # how many frames were lost meanwhile is a guess
+            self.taxels.miss(self.config.nodes_repeat)
         self.stream.place(placement)
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:
