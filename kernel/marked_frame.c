@@ -11,19 +11,19 @@
 
 /* ---- samples → chips ----------------------------------------------------------------------------- */
 
-void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts)
+VECTORS void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts)
 {
     for (size_t i = 0; i < size; i++)
         volts[i] = ((float)counts[i] - zero) * per_count;
 }
 
-void samples_copy(const float *volts, size_t size, double most, double *copy)
+VECTORS void samples_copy(const float *volts, size_t size, double most, double *copy)
 {
     for (size_t i = 0; i < size; i++)
         copy[i] = fabs((double)volts[i]) < most ? (double)volts[i] : (double)NAN;
 }
 
-struct samples_sums samples_add(const double *volts, size_t size)
+VECTORS struct samples_sums samples_add(const double *volts, size_t size)
 {
     double sum[LANES] = {0}, squares[LANES] = {0};
     struct samples_sums all = {0, 0};
@@ -117,30 +117,42 @@ enum frame_look frame_summed_up(const struct frame_rules *rules, const struct fr
 }
 
 /* Whether words leave no more than the noise of the gap, as LineRecogniser._is_explained says; or those
- * of samples that are chips are believable beyond doubt, as WordFit.believable says. */
+ * of samples that are chips are believable beyond doubt, as WordFit.believable says; and the frame does
+ * not look as if a bit began or ended at rest. outermost: the least level of the bits' first and last chips, V. */
 static bool is_explained(const struct frame_rules *rules, const struct frame_rest *rest,
-                         const float *rows, float *scratch)
+                         const float *rows, double outermost, float *scratch)
 {
     const struct words_frame *frame = &rules->frame;
     float *amplitude = scratch, *uneven = scratch + frame->nodes, pedestal, power, spread, misfit;
-    double strongest = 0, active = 0;
+    double strongest = 0, weakest = INFINITY, active = 0;
 
     words_fit(frame, rows, amplitude, uneven, &pedestal, &power, &spread, &misfit);
     for (size_t node = 0; node < frame->nodes; node++) {
         strongest = (double)amplitude[node] > strongest ? (double)amplitude[node] : strongest;
-        active += amplitude[node] > 0;
+        if (amplitude[node] > 0) {
+            weakest = (double)amplitude[node] < weakest ? (double)amplitude[node] : weakest;
+            active += 1;
+        }
     }
     double left = (double)misfit * (double)power;
     double least = rules->loud * rules->loud * rest->noise / (double)frame->order;
     least = least < rules->least_power ? rules->least_power : least;
     if (!(strongest * strongest > least))
         return false;
+    bool is_odd = (size_t)active % 2 || CLEARLY * weakest < rules->whole * (double)frame->swing;
+    bool may_be_shifted = active <= rules->few && !rules->scrambled;
+    if (may_be_shifted && is_odd && !frame->unipolar &&
+        CLEARLY * outermost < rules->rest * weakest)
+        return false;
     if (!rules->integrated)
         return left < rules->carried_noise * rest->noise + rules->carried_misfit * (double)power;
     double words = (double)power - (double)pedestal * (double)pedestal;
-    double noise = rules->left * (double)frame->order / active * (double)spread * words;
+    double noise = (double)frame->order / active * (double)spread * words;
+    if (may_be_shifted) /* as WordFit.is_clear */
+        return (double)spread < CLEARLY * rules->clear_spread &&
+               left < CLEARLY * (rules->carried_noise * noise + rules->carried_misfit * (double)power);
     return (double)spread < CLEARLY * rules->spread &&
-           left < CLEARLY * (noise + rules->misfit * (double)power);
+           left < CLEARLY * (rules->left * noise + rules->misfit * (double)power);
 }
 
 /* Whether the line is at rest after the frame beyond doubt, as FrameEnds.observe says. */
@@ -163,6 +175,13 @@ static bool is_at_rest(const struct frame_rules *rules, const struct frame_timin
            (rules->frame.first || fabs(mean) <= rules->tail_level * sqrt(noise / size));
 }
 
+VECTORS static void integrated_chips(const double *restrict volts, size_t size, float level,
+                                     float *restrict chips)
+{
+    for (size_t i = 0; i < size; i++)
+        chips[i] = (float)volts[i] - level;
+}
+
 static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
                        const struct frame_edges *edges, double level, const double *volts,
                        size_t count, float *chips)
@@ -170,8 +189,7 @@ static bool find_chips(const struct frame_rules *rules, const struct frame_code 
     size_t size = rules->frame.bits * rules->frame.order;
 
     if (rules->integrated)
-        for (size_t i = 0; i < size; i++)
-            chips[i] = (float)volts[i] - (float)level;
+        integrated_chips(volts, size, (float)level, chips);
     else if (!samples_chips(volts, count, level, &edges->all, edges->places, size, chips))
         return false;
     if (code->flips)
@@ -212,8 +230,15 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         return FRAME_CLIPPED;
     if (!find_chips(rules, code, edges, found->level, volts, count, rows))
         return FRAME_NO_TIMING;
+    double outermost = INFINITY;
+    for (size_t bit = 0; bit < frame->bits; bit++) {
+        double first = fabs((double)rows[bit * frame->order]);
+        double last = fabs((double)rows[(bit + 1) * frame->order - 1]);
+        outermost = outermost < first ? outermost : first;
+        outermost = outermost < last ? outermost : last;
+    }
     transform_multiply(code->transform, rows, rows, frame->bits);
-    if (!is_explained(rules, rest, rows, scratch))
+    if (!is_explained(rules, rest, rows, outermost, scratch))
         return FRAME_UNEXPLAINED;
     if (!rules->integrated) {
         double missing = timing->until - (double)count;

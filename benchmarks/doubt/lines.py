@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 from test.support.independent_line import Line, Skin, Talk
 
@@ -130,6 +131,27 @@ def conditions() -> Iterator[Condition]:
             skin = Skin(nodes=order - 1, order=order, period_chips=13 * order, amplitude_v=0.2)
             yield Condition(f"{name}: order {order}", talk=CHURN, skin=skin, digitizer=digitizer)
     yield from gap_conditions()
+    yield from mark_conditions()
+
+
+def mark_conditions() -> Iterator[Condition]:
+    """Few nodes speak, and marks or samples are where they should not be."""
+    moved: dict[str, dict[str, Any]] = {
+        "marks 1 or 2 chips late": {"mark_shifts": (1.0, 2.0)},
+        "marks 1 or 2 chips early": {"mark_shifts": (-1.0, -2.0)},
+        "a sample dropped or doubled": {"slip_share": 0.3},
+    }
+    few = [(order, speak, "random") for order in (8, 16, 24) for speak in (1, 2, 3)]
+    for order, speak, words in [*few, (64, 1, "extreme")]:
+        skin = Skin(nodes=order - 1, order=order, period_chips=13 * order)
+        for timing in ("marks", "means"):
+            for how, change in moved.items():
+                name = f"{timing}: order {order}, {speak} speak, {how}"
+                talk, shifted = (
+                    Talk(together=speak, words=words),
+                    replace(TIMINGS[timing], **change),
+                )
+                yield Condition(name, Line(), talk, skin, shifted, rough=True)
 
 
 def gap_conditions() -> Iterator[Condition]:

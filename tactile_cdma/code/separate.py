@@ -33,6 +33,7 @@ class NodeLevels:
     unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
     rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
         correlation.
+    Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
     """
 
     values: Floats32

@@ -130,14 +130,16 @@ class FrameTimes:
             self.origin = first_index
 
     def passed(self, packets: list[PassedPacket], rate_hz: float) -> None:
-        """Enter packets that the stream has accepted."""
-        for index, device_time_us, count, sequence, t_host, backlog in packets:
+        """Enter packets that the stream has accepted, one at least."""
+        for index, device_time_us, count, _, t_host, backlog in packets:
             t_device = device_time_us * 1e-6
-            self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
             self._anchors.append((index, t_device))
             self._counters.samples += count
-            self._arrival = t_device + count / rate_hz, t_host
-            self.clock.observe(*self._arrival, backlog)
+            arrival = t_device + count / rate_hz, t_host
+            self.clock.observe(*arrival, backlog)
+        self._arrival = arrival
+        index, device_time_us, count, sequence, *_ = packets[-1]
+        self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
 
     def stamp(self, heard: FrameLevels, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
@@ -166,9 +168,10 @@ class FrameTimes:
 
     def _device_time(self, index: float, rate_hz: float) -> float:
         """Device time, s, of a place in the stream of samples, by the last packet before it."""
-        at_or_before = (anchor for anchor in reversed(self._anchors) if anchor[0] <= index)
-        first_index, t_device = next(at_or_before, self._anchors[0])
-        return t_device + (index - first_index) / rate_hz
+        for anchor in reversed(self._anchors):
+            if anchor[0] <= index:
+                break
+        return anchor[1] + (index - anchor[0]) / rate_hz
 
 
 class DeviceClock:
@@ -281,7 +284,7 @@ class DeviceClock:
         x, y = self._device[newest], self._host[newest]
         late_s = y - self._origin[1] - (x - self._origin[0]) * self._rate
         earlier_s, sure_s = late_s[:-SURE], late_s[-SURE:]
-        self._scatter_s = float(np.sort(sure_s)[:2].max())
+        self._scatter_s = float(np.sort(sure_s)[:3].max())
         had_waited = self._is_backlog[newest[-RECENT:]]
         if not earlier_s.size or sure_s.min() <= STEP_S or had_waited[-SURE:].any():
             return False

@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,20 +43,8 @@ from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer
 _log = logging.getLogger(__name__)
 
 
-class _Kind(IntEnum):
-    """Of the kernel's events: enum stream_event in kernel/frame_stream.h."""
-
-    NEEDS_BYTES = 0
-    FULL = 1
-    HEARD = 2
-    SILENT = 3
-    PACKET = 4
-    FOREIGN = 5
-    MARK = 6
-    DOUBT = 7
-    BLOCK = 8
-
-
+_NEEDS_BYTES, _FULL, _HEARD, _SILENT, _PACKET, _FOREIGN, _MARK, _DOUBT, _BLOCK = range(9)
+"""Kinds of the kernel's events: enum stream_event in kernel/frame_stream.h."""
 CLOCKS_OF_NODES = "roll call or clocks of nodes"
 DOUBTS = (
     CLOCKS_OF_NODES,
@@ -80,6 +67,7 @@ GAP_TIMING = "gap timing"
 
 _SHARED_LIMITS = (
     "deafened", "carried_noise", "carried_misfit", "loud", "spread", "misfit", "left",
+    "clear_spread", "few", "whole", "rest",
     "tail_noise", "tail_scatter", "tail_level", "least_tail", "rise",
 )  # fmt: skip
 """Of `Limits`, and members of the kernel's rules by the same names."""
@@ -99,7 +87,8 @@ class CompiledStream:
         self._ending = False
         self._reason = ""  # why the last frame was decided in Python, if it was
         self._read = 0.0, False  # t_host and backlog of the last event
-        self._rows = np.empty((0, 0), np.float32)
+        self._rows = self._values = np.empty((0, 0), np.float32)  # of the last frame; the nodes'
+        self._line: MarkedLine | None = None  # where frames are marked
         self._fit: Fit | None = None
         self._timing = kernel.settings(
             "stream_timing", due=1, over=0, uses=0, asks=True, has_frame=False,
@@ -111,6 +100,8 @@ class CompiledStream:
         spec, timing = description.spec, description.timing
         self._description, self._fit = description, None
         self._rows = np.empty((spec.line_bits, spec.order), np.float32)
+        self._values = self._rows[:, spec.node_slice]
+        self._line = timing.line if isinstance(timing, MarkedTiming) else None
         transform = compiled_transform(spec.book.plan, spreading=False)
         flips = np.empty(0, np.float32) if spec.flips is None else np.ascontiguousarray(spec.flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
@@ -130,26 +121,26 @@ class CompiledStream:
         """See Stream. Raises RuntimeError while another thread is here."""
         if self._frames:
             return Event([], self._frames.popleft(), None, False, *self._read)
-        kind, about, passed, *read = self._kernel.next(file, timeout_ms)
-        self._read = read[0], read[1]
+        kind, about, passed, t_host, backlog = self._kernel.next(file, timeout_ms)
+        self._read = t_host, backlog
         frame: FrameLevels | None = None
         packet: Received | None = None
-        if kind == _Kind.HEARD or kind == _Kind.SILENT:
+        if kind in (_HEARD, _SILENT):
             frame = self._found(kind, *about)
-        elif kind == _Kind.PACKET:
+        elif kind == _PACKET:
             packet = self.parser.interpret(*about)
-        elif kind == _Kind.FOREIGN:
+        elif kind == _FOREIGN:
             packet = self._ask(self.parser.interpret(*about))
-        elif kind == _Kind.MARK:
+        elif kind == _MARK:
             self._open(*about)
-        elif kind == _Kind.DOUBT:
+        elif kind == _DOUBT:
             frame = self._decide(*about)
-        elif kind == _Kind.BLOCK:
+        elif kind == _BLOCK:
             self._look(*about)
             frame = self._frames.popleft() if self._frames else None
-        elif kind == _Kind.NEEDS_BYTES and self._ending:
+        elif kind == _NEEDS_BYTES and self._ending:
             self._conclude()
-        needs_bytes = kind == _Kind.NEEDS_BYTES and not self._frames
+        needs_bytes = kind == _NEEDS_BYTES and not self._frames
         return Event(passed, frame, packet, needs_bytes, *self._read)
 
     def place(self, placement: Placement) -> None:
@@ -174,16 +165,16 @@ class CompiledStream:
         self, kind: int, start: int, noise_v: float, level_v: float, clipped: float, known: bool
     ) -> FrameLevels:
         """A frame that the kernel has decided."""
-        line = self._marked.line
+        line = self._line
+        assert line is not None, "only marked frames are found in the kernel"
         line.level_known = known
         self.decisions.compiled += 1
         if self._reason:
             _log.debug("frames are decided in the kernel from sample %d on", start)
             self._reason = ""
         fit, levels = line.nominal, None
-        if kind == _Kind.HEARD:
-            fit, rows = self._fit or fit, self._rows.copy()
-            levels = NodeLevels(rows[:, line.spec.node_slice], noise_v, rows=rows)
+        if kind == _HEARD:
+            fit, levels = self._fit or fit, NodeLevels(self._values, noise_v, rows=self._rows)
             noise_v *= math.sqrt(line.spec.order)
         begin = float(start) if line.integrated else start + fit.start
         return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)

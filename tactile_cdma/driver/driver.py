@@ -35,8 +35,9 @@ RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 is back at once, and a port that stays away costs next to nothing."""
 AWAY_S = 0.02
 """s between looks for a device that is missing. Chosen: a look takes microseconds."""
-LOOK_S = 0.05
-"""s between looks at how much waits in the port. Chosen: a look takes 10 µs."""
+LOOK_S = 0.2
+"""s between looks at how much waits in the port, and at the session, while frames come. Chosen: a
+look takes 60 µs after a pause; a backlog has to last for a second, and the session waits longer."""
 CONNECTING = "connecting to the host of the port"
 """The problem while a port on another machine is opened for the first time."""
 WAITING = "waiting for the first frame"

@@ -224,6 +224,15 @@ class WordFit:
             odd > 0 and self._explained(odd, LIMITS.stricter, spec, noise)
         )
 
+    def is_clear(self, spec: FrameSpec) -> bool:
+        """Whether the words of a single candidate leave no more than noise, by their spread."""
+        power, spread = self.power.item(), self.spread.item()
+        active = max(1, int(np.count_nonzero(self.amplitude)))
+        even_power = power - self.pedestal.item() ** 2
+        noise = LIMITS.carried_noise * spec.order / active * spread * even_power
+        left = self.misfit.item() * power
+        return spread < LIMITS.clear_spread and left < noise + LIMITS.carried_misfit * power
+
     def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""
         power, misfit, spread = (

@@ -20,6 +20,12 @@ class Limits:
     spread: relative variance of |r| within a word (WordFit.spread) beyond which a fit is not
         believed. White noise alone gives 1/ρ², so ρ > 2.9; chips that have nothing to do with the
         code book give π/2 − 1 = 0.57.
+    clear_spread: the same of few words that are clear, with carried_noise and carried_misfit, so
+        that no shifted frame is looked for. Chosen: ρ of 22.
+    few: words up to which a frame may be another one that is some chips off (shifted.py). Chosen:
+        frames of three nodes, beside their mark, look like up to ten words (make bench-doubt).
+    whole: share of a node's amplitude below which it may be a part of that of another one, whose
+        frame is shifted. Chosen: parts are halves and less.
     misfit: power left over by the words, relative to theirs, that jitter of edges and clipping may
         account for. Chosen; edges that jitter by ±0.1 chip leave 0.007, so most of it is for
         clipping.
@@ -91,6 +97,9 @@ class Limits:
     chip_error: float = 0.01
     loud: float = 2.0
     spread: float = 0.12
+    clear_spread: float = 0.002
+    few: int = 12
+    whole: float = 0.75
     misfit: float = 0.15
     left: float = 3.0
     carried_misfit: float = 3e-3

@@ -29,6 +29,7 @@ from .frame_end import End, FrameEnds
 from .judge import Judge
 from .limits import LIMITS
 from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from .shifted import is_shifted, may_be_shifted
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
 _log = logging.getLogger(__name__)
@@ -139,14 +140,17 @@ class LineRecogniser:
         """The frame of samples that are chips already: accepted as it is, or rejected."""
         spec, volts = self._spec, frame.volts[: self._spec.chips]
         chips = np.subtract(volts, self._line.level_v, dtype=np.float32)
-        words = read_words(chips.reshape(1, spec.line_bits, spec.order), spec)
+        chips = chips.reshape(spec.line_bits, spec.order)
+        words = read_words(chips[None], spec)
         if self._line.is_silent(words.amplitude[0]):
             if self._is_astray(words):
                 return Verdict(rejected=MISFIT)
             return self._line.silent(frame, self._line.sample_power(volts))
-        if words.believable(spec):
-            return self._line.heard(frame, self._line.nominal, node_levels(words.rows[0], spec))
-        return Verdict(rejected=MISFIT)
+        if not words.believable(spec):
+            return Verdict(rejected=MISFIT)
+        levels = node_levels(words.rows[0], spec)
+        doubtful = self._doubtful(chips, words, words.is_clear(spec))
+        return self._line.heard(frame, self._line.nominal, levels, doubtful)
 
     def _by_carried(self, frame: MarkedFrame, line: Line) -> Verdict | None:
         """The frame by an earlier frame's timing, if that explains the samples."""
@@ -154,10 +158,21 @@ class LineRecogniser:
         if carried is None or not carried.fresh:
             return None
         carried.uses += 1
-        words = read_words(carried.edges.chips(line)[None], self._spec)
+        chips = carried.edges.chips(line)
+        words = read_words(chips[None], self._spec)
         if not self._is_explained(words):
             return None
-        return self._ended(frame, line, carried.fit, words.rows[0], words.amplitude[0])
+        doubtful = self._doubtful(chips, words, True)
+        return self._ended(frame, line, carried.fit, words.rows[0], words.amplitude[0], doubtful)
+
+    def _doubtful(self, chips: Floats32, words: WordFit, is_clear: bool) -> Bools | None:
+        """All nodes, where their words may be those of a frame that is some chips off.
+
+        is_clear: the words leave nothing but noise.
+        """
+        if is_clear and not may_be_shifted(chips, words, self._spec):
+            return None
+        return np.ones(self._spec.nodes, bool) if is_shifted(chips, words, self._spec) else None
 
     def _is_explained(self, words: WordFit) -> bool:
         """Whether the words of a frame leave no more than the noise of the gap.
@@ -228,8 +243,12 @@ class LineRecogniser:
             return Verdict(rejected=MISFIT if self._is_astray(words) else None)
         if not words.believable(self._spec, self._line.noise):
             return Verdict(rejected=MISFIT)
-        rows, amplitude = words.rows[0], words.amplitude[0]
-        ended = self._ended(frame, line, found.fit, rows, amplitude, found.doubtful)
+        rows, amplitude, doubtful = words.rows[0], words.amplitude[0], found.doubtful
+        if doubtful is None:
+            start, chip = np.array([found.fit.start]), np.array([found.fit.chip])
+            chips = integrate(line, start, chip, self._spec)[0]
+            doubtful = self._doubtful(chips, found.words, self._is_explained(words))
+        ended = self._ended(frame, line, found.fit, rows, amplitude, doubtful)
         if ended is None:
             return Verdict(rejected=NOT_AT_REST)
         carried = self._carried

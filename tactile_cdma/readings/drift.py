@@ -32,6 +32,9 @@ FARTHEST = 4.0
 """Most drift since the first or a forced tare that is followed, either way, in multiples of the
 pressure at which a contact begins; chosen: more than 80 mV over temperature need (make
 bench-pressure)."""
+FOLLOW_S = 0.25
+"""Least interval of following, s. Chosen: drift is seen in seconds, and following takes as long as
+reading a frame."""
 LONGEST_S = 1.0
 """Longest step of drift, s: after a longer pause it is not caught up with at once. Chosen."""
 STRAY_S = 60.0
@@ -50,7 +53,7 @@ class DriftTracker:
         """beside: (n, m), see nodes_beside."""
         self.rules = rules
         self.lsb_v = lsb_v
-        self._beside = beside
+        self._beside = beside.astype(np.intp)  # else cast at each use
         nodes = len(beside)
         self._curves: Curves | None = None
         self._tared_v: Floats32 | None = None
@@ -64,6 +67,10 @@ class DriftTracker:
         self._stray = np.zeros(nodes, dtype=bool)  # off its rest, and no contact explains it
         self._stray_s = np.zeros(nodes)  # since when
         self._last_s: float | None = None
+
+    def is_due(self, t_s: float) -> bool:
+        """Whether FOLLOW_S have passed, or time was reset, at device time t_s, s."""
+        return self._last_s is None or not 0 <= t_s - self._last_s < FOLLOW_S
 
     def forget(self) -> None:
         """Forget times: the device's clock starts anew."""

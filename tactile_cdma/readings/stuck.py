@@ -25,8 +25,9 @@ from ..places.mesh import tangents
 from .status import Status
 from .taxels import Readings
 
-LOOK_S = 0.1
-"""Interval between the readings that are compared, s; chosen: touches last longer."""
+LOOK_S = 0.2
+"""Interval between the readings that are compared, s; chosen: touches last longer, and a look at
+4096 taxels takes as long as reading five frames' bytes."""
 LEAST_NEIGHBOURS = 3
 """Fewest neighbours that give an expectation: as many as a corner of a grid has."""
 MANY_NEIGHBOURS, UNMOVED = 6, 2
@@ -54,7 +55,7 @@ class StuckNodes:
         taxels = len(layout)
         self._nodes = layout.nodes
         # Arrays of neighbours are (m, t), as numpy is quicker along rows.
-        self._beside = np.ascontiguousarray(layout.neighbours.T)
+        self._beside = np.ascontiguousarray(layout.neighbours.T, np.intp)  # else cast at each use
         self._real = self._beside != np.arange(taxels)  # False: padding
         self._offsets = _offsets(layout)
         self._sound = np.zeros(taxels, dtype=bool)

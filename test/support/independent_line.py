@@ -203,7 +203,8 @@ class Talk:
     share: of frames in which each of them does. stay: mean number of frames until that is decided
         anew (joining and leaving); 0: it is decided for every frame. together: in every frame so
         many of the speakers transmit, drawn anew; 0: each by its share.
-    words: "random", "equal" (the same one from all nodes in a frame), or "slow" (random walks).
+    words: "random", "equal" (the same one from all nodes in a frame), "slow" (random walks), or
+        "extreme" (the ends of the range, whose bits are nearly all the same).
     """
 
     speakers: tuple[int, ...] | int | None = None
@@ -223,8 +224,10 @@ class Talk:
             case "slow":
                 walk = rng.integers(0, top, skin.nodes) + rng.integers(-3, 4, size).cumsum(axis=0)
                 codes = np.clip(walk, 0, top - 1)
+            case "extreme":
+                codes = rng.choice([0, 1, top - 2, top - 1], size)
             case _:
-                raise ValueError(f"words {self.words!r}: random, equal or slow")
+                raise ValueError(f"words {self.words!r}: random, equal, slow or extreme")
         codes[~self._speaks(size, rng)] = SILENT
         return codes
 

@@ -24,9 +24,9 @@ from ..common.qos import LATCHED, RELIABLE
 from .contacts import contacts_message
 from .stamps import Stamps
 
-COUNTED_S = 0.05
+COUNTED_S = 0.2
 """s between counts of the subscribers. Chosen: three counts took 78 µs after a pause of one frame,
-publishing 120; and a subscriber needs longer than this to be discovered."""
+publishing 120; and a subscriber needs about as long to be discovered."""
 
 
 class FramePublishers:

@@ -391,7 +391,7 @@ def test_a_line_that_is_stuck_at_a_rail_is_not_called_silent(options: str) -> No
     assert pipeline.rejections.at_rail > 10
 
 
-def test_levels_that_are_kept_stay_what_they_were() -> None:
+def test_frames_that_are_kept_stay_what_they_were() -> None:
     """Frames share no memory, though the kernel writes all correlations to one place."""
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=all&threshold=0", 20)
     pipeline = Pipeline(config, background=False)
@@ -400,11 +400,12 @@ def test_levels_that_are_kept_stay_what_they_were() -> None:
     needs_bytes = False
     while not needs_bytes:
         event = pipeline.stream.next()
-        pipeline.take(event)
-        if event.frame and event.frame.levels:
-            kept.append(event.frame.levels.values)
-            copies.append(event.frame.levels.values.copy())
+        if frame := pipeline.take(event):
+            words, readings = frame.words, frame.readings
+            kept.append((words.codes, words.amplitude_v, readings.pressure_pa, readings.voltage_v))
+            copies.append([array.copy() for array in kept[-1]])
         needs_bytes = event.needs_bytes
+    assert pipeline.decisions.compiled >= 15
     assert len(kept) >= 19
     np.testing.assert_array_equal(kept, copies)
 

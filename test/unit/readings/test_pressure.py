@@ -58,7 +58,7 @@ def test_at_a_drift_rate_of_zero_drift_is_not_followed_and_frames_can_be_held() 
         tracker = DriftTracker(LSB_V, beside, RestRules(rate, 1e3, 500.0))
         chain = PressureChain(Calibration.default(CURVE, NODES), baseline, tracker)
         before_v = baseline.drift_v
-        run(chain, np.full(NODES, CURVE.voltage_v[0] - LSB_V, dtype=np.float32), 20.0)
+        run(chain, np.full(NODES, CURVE.voltage_v[0] - LSB_V, dtype=np.float32), 20.0 + LOOK_S)
         assert (baseline.drift_v is not before_v) == followed
-        assert chain.try_hold(20.0 - LOOK_S / 2) != followed
+        assert chain.try_hold(20.0 + LOOK_S / 2) != followed
         assert tracker.strays_lsb(20.0) == {}
