@@ -3,20 +3,14 @@
 """Error and run time of the pressure chain: `make bench-pressure`.
 
 Skins of simulated sensors (docs/sensor.md), each taxel with a curve of its own, behind 10-bit
-converters. Errors are of data that was used neither to calibrate nor to identify.
+converters. Errors are of data that was not used to calibrate.
 
 - static: curves fitted to a staircase of loads, for ideal sensors at random pressures; the error is
   compared with that of the quantisation alone, LSB/√12 on each taxel's own slope, stage by stage.
-- dynamics: sensors with lag and hysteresis under random cycles; compensation with dynamics
-  identified from other cycles, with lag, loops or both wrong by 10 %, as when sensors have changed
-  since ("drifted"), and with only one of them undone. These sensors follow the very model that
-  compensation inverts, and their loads change only from frame to frame, as it assumes.
-- others: compensation of sensors of other models, under loads that move between frames, with
-  dynamics identified from them (or refused), and with those of the paper's sensor.
 - tare: contacts that stay for an hour while drift is followed; one counts as swallowed if it reads
   less than half of its load at the end. Also, the drift left on a warming skin without contacts.
 - chains: everything at once, on skins that are mounted with up to 3 kPa of preload, for each chain
-  from the plain curve to compensation: error, and time of a frame in which all nodes transmit.
+  from the plain curve on: error, and time of a frame in which all nodes transmit.
 """
 
 from __future__ import annotations
@@ -29,8 +23,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_cdma.base.errors import CalibrationError
-from tactile_cdma.calibrating.identify import identify
 from tactile_cdma.calibrating.load_points import LoadPoints
 from tactile_cdma.calibrating.skin_fit import fit_skin
 from tactile_cdma.places.layout import Layout
@@ -38,26 +30,22 @@ from tactile_cdma.readings.baseline import LOOK_S, Baseline, RestRules
 from tactile_cdma.readings.calibration import AdcScale, Calibration, Curves, PressureCurve
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.drift import DriftTracker, nodes_beside
-from tactile_cdma.readings.dynamics import Compensator, Dynamics, Hysteresis, Lag
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.readings.tare import take_tare
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
-from tactile_cdma.sim.sensor import PAPER_DYNAMICS, Sensor, SensorModel
+from tactile_cdma.sim.sensor import Sensor, SensorModel
 
 from .report import QUICK, Report, medians_s
 
 Floats = NDArray[np.float64]
-Distortion = Callable[[Floats, float], Floats]
-"""(true pressures (n,), Pa, their duration, s) → apparent pressures (n,), Pa."""
 
 ADC = AdcScale()
 PERIOD_S = 12.8e-3
 NODES = 16 if QUICK else 64
 SKINS = 2 if QUICK else 8
 CYCLES_S = 20.0 if QUICK else 120.0
-TAUGHT_S = 45.0 if QUICK else 90.0
 MISMATCH = 0.05
 CALIBRATION_PA = np.concatenate([np.arange(0.0, 50e3, 2.5e3), np.arange(50e3, 140.1e3, 5e3)])
 CONTACTS_PA = (250.0, 350.0, 500.0, 1e3, 5e3, 20e3, 49e3, 70e3, 130e3)
@@ -65,16 +53,10 @@ WARMING_V = 0.003
 PRELOAD_PA = 3e3
 TARE_S, REST_S = 5.0, 10.0
 """A mounted skin is tared, and first touched."""
-DRIFTED = (0.9, 1.1)
 BIG = 4096
 ROUNDS = 9 if QUICK else 31
 STEADY_S = 300.0 if QUICK else 3600.0
 RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1e3, release_pa=500.0)
-MATCHED = "as identified"
-OTHER_SKINS = 1 if QUICK else 4
-HIGHEST_PA = 140e3
-PARTS = 2
-"""Steps from one frame to the next."""
 
 
 def quantised(voltage_v: Floats) -> Floats:
@@ -149,96 +131,7 @@ def truth_pressure_of(curves: Curves, voltage_v: float) -> Floats:
     return curves.pressure(np.full(len(curves), voltage_v, dtype=np.float32)).astype(np.float64)
 
 
-# Sensor models that the compensation does not assume, beside the one that it does
-
-
-class Paper:
-    """Lag and Prandtl–Ishlinskii plays, as the compensation assumes."""
-
-    def __init__(self, sensors: int) -> None:
-        self._lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
-        self._hysteresis = Hysteresis(PAPER_DYNAMICS, sensors)
-
-    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
-        return self._hysteresis.update(self._lag.update(pressure_pa, passed_s))
-
-
-class Relays:
-    """The same lag, then a classical Preisach operator, whose loops are others at every load.
-
-    I. D. Mayergoyz, "Mathematical Models of Hysteresis and Their Applications" (2003), chapter 1.
-    """
-
-    LEVELS = 100
-    SHARE = 0.2
-    """Share of the reading that relays make; the rest follows at once."""
-
-    def __init__(self, sensors: int) -> None:
-        self._lag = Lag(PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s)
-        levels_pa = (np.arange(self.LEVELS) + 0.5) * HIGHEST_PA / self.LEVELS
-        up, down = np.tril_indices(self.LEVELS)
-        self._up_pa, self._down_pa = levels_pa[up, None], levels_pa[down, None]
-        # Most relays are narrow, and wide ones belong to high loads.
-        weights = np.exp(-4 * (1 - levels_pa[down] / levels_pa[up])) * np.sqrt(levels_pa[up])
-        self._weights_pa = self.SHARE * HIGHEST_PA * weights / weights.sum()
-        self._on = np.zeros((len(up), sensors), dtype=bool)
-        self._ends_pa = np.arange(self.LEVELS + 1) * HIGHEST_PA / self.LEVELS
-        risen_pa = np.append(0.0, np.cumsum(np.bincount(up, self._weights_pa)))
-        self._shown_pa = (1 - self.SHARE) * self._ends_pa + risen_pa
-
-    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
-        pressure_pa = self._lag.update(pressure_pa, passed_s)
-        self._on |= pressure_pa >= self._up_pa
-        self._on &= pressure_pa > self._down_pa
-        shown_pa = (1 - self.SHARE) * pressure_pa + self._weights_pa @ self._on
-        return np.asarray(np.interp(shown_pa, self._shown_pa, self._ends_pa))
-
-
-class Creep:
-    """A generalised Kelvin–Voigt solid: shares of a load show at once, in 0.15 s, and in 4 s."""
-
-    TIMES_S = np.array([0.15, 4.0])[:, None]
-    SHARES = np.array([0.25, 0.1])[:, None]
-
-    def __init__(self, sensors: int) -> None:
-        self._crept_pa = np.zeros((len(self.TIMES_S), sensors))
-
-    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
-        missing_pa = self.SHARES * pressure_pa - self._crept_pa
-        self._crept_pa -= missing_pa * np.expm1(-passed_s / self.TIMES_S)
-        return np.asarray((1 - self.SHARES.sum()) * pressure_pa + self._crept_pa.sum(axis=0))
-
-
-class Quick:
-    """Neither lag nor loops: nothing to compensate."""
-
-    def __init__(self, sensors: int) -> None:
-        pass
-
-    def __call__(self, pressure_pa: Floats, passed_s: float) -> Floats:
-        return pressure_pa
-
-
-KINDS: dict[str, Callable[[int], Distortion]] = {
-    "the paper's": Paper,
-    "relays": Relays,
-    "creep": Creep,
-    "quick": Quick,
-}
-
-
-def apparent(kind: Callable[[int], Distortion], loads_pa: Floats, period_s: float) -> Floats:
-    """Apparent pressure at every frame, (m, n) Pa, under loads (m, n), Pa, linear in between."""
-    sensors, before_pa, shown = kind(loads_pa.shape[1]), loads_pa[0], []
-    for load_pa in loads_pa:
-        for part in range(1, PARTS + 1):
-            shown_pa = sensors(before_pa + (load_pa - before_pa) * part / PARTS, period_s / PARTS)
-        before_pa = load_pa
-        shown.append(shown_pa)
-    return np.array(shown)
-
-
-# Dynamics
+# Loads
 
 
 def cycles(seconds: float, nodes: int, rng: np.random.Generator) -> Floats:
@@ -276,103 +169,6 @@ def read(chain: PressureChain, voltage_v: Floats, tare_s: float = math.inf) -> F
     return np.array(rows)
 
 
-def identified(model: SensorModel, calibration: Calibration, seed: int) -> Dynamics:
-    """From cycles that load all taxels alike, on the calibrated skin."""
-    loads_pa = cycles(TAUGHT_S, 1, np.random.default_rng([seed, 2]))
-    voltage_v = recorded(model, np.repeat(loads_pa, len(calibration.curves), axis=1))
-    pressure_pa = np.array([calibration.curves.pressure(v) for v in voltage_v.astype(np.float32)])
-    t_s = np.arange(len(loads_pa), dtype=np.float64) * PERIOD_S
-    return identify(t_s, loads_pa[:, 0], pressure_pa).dynamics
-
-
-def off_by(known: Dynamics, factor: float) -> dict[str, Dynamics]:
-    """Dynamics that are wrong by a factor, of sensors that have changed since."""
-    lag = replace(known, rise_s=known.rise_s * factor, fall_s=known.fall_s * factor)
-    weights = tuple(weight * factor for weight in known.weights)
-    percent = f"{(factor - 1) * 100:+.0f} %"
-    return {
-        f"lag {percent}": lag,
-        f"loops {percent}": replace(known, weights=weights),
-        f"both {percent}": replace(lag, weights=weights),
-    }
-
-
-def dynamics(report: Report) -> tuple[dict[str, float], list[Floats]]:
-    """Share of the rms error removed, by how well the sensors are known; and a node to draw."""
-    before: list[float] = []
-    after: dict[str, list[float]] = {}
-    excerpt: list[Floats] = []
-    for seed in range(SKINS):
-        model = SensorModel(kind="paper", mismatch=MISMATCH, seed=seed)
-        calibration = calibrated(model)
-        known = identified(model, calibration, seed)
-        held_out = cycles(CYCLES_S, NODES, np.random.default_rng([seed, 3]))
-        voltage_v = recorded(model, held_out)
-        static_pa = read(PressureChain(calibration, Baseline(NODES)), voltage_v)
-        before.append(rms(static_pa - held_out))
-        beliefs = {MATCHED: known}
-        for factor in DRIFTED:
-            beliefs |= off_by(known, factor)
-        beliefs |= {
-            "lag alone": replace(known, widths=(), weights=()),
-            "loops alone": replace(known, most_gain=1.0),
-        }
-        for name, belief in beliefs.items():
-            undoing = Compensator(belief, calibration.curves.range_pa)
-            chain = PressureChain(calibration, Baseline(NODES), compensator=undoing)
-            compensated_pa = read(chain, voltage_v)
-            after.setdefault(name, []).append(rms(compensated_pa - held_out))
-            excerpt = excerpt or [held_out[:, 0], static_pa[:, 0], compensated_pa[:, 0]]
-    static_rms = rms(np.array(before))
-    left = {name: rms(np.array(values)) for name, values in after.items()}
-    removed = {name: 1 - value / static_rms for name, value in left.items()}
-    report.table(
-        ["sensors", "rms error, Pa", "compensated, Pa", "removed"],
-        [[name, static_rms, left[name], removed[name]] for name in left],
-    )
-    return removed, excerpt
-
-
-def others(report: Report) -> dict[str, float]:
-    """Share of the rms error removed from sensors of other models."""
-    rows, removed = [], {}
-    for kind, sensors in KINDS.items():
-        tries = np.array([tried(sensors, seed) for seed in range(OTHER_SKINS)])
-        static_pa, paper_pa, identified_pa = tries.T
-        known = np.isfinite(identified_pa)
-        left_pa = np.where(known, identified_pa, static_pa)  # refused: nothing is undone
-        removed[kind], paper = (1 - rms(left) / rms(static_pa) for left in (left_pa, paper_pa))
-        rows.append([kind, rms(static_pa), int(np.sum(~known)), removed[kind], paper])
-    report.table(
-        ["sensors", "rms error, Pa", f"refused of {OTHER_SKINS}", "removed", "by the paper's"], rows
-    )
-    return removed
-
-
-def tried(sensors: Callable[[int], Distortion], seed: int) -> tuple[float, float, float]:
-    """Rms errors, Pa: static, undone by the paper's dynamics, by identified ones (NaN: refused)."""
-    calibration = Calibration.default(PressureCurve.two_stage(), NODES)
-    curve = calibration.curves[0]
-    taught_pa = cycles(TAUGHT_S, 1, np.random.default_rng([seed, 2]))
-    held_out_pa = cycles(CYCLES_S, NODES, np.random.default_rng([seed, 3]))
-    taught_v, voltage_v = (
-        quantised(curve.voltage(apparent(sensors, loads_pa, PERIOD_S)))
-        for loads_pa in (taught_pa, held_out_pa)
-    )
-
-    def error_pa(known: Dynamics | None) -> float:
-        undoing = Compensator(known, calibration.curves.range_pa) if known else None
-        chain = PressureChain(calibration, Baseline(NODES), compensator=undoing)
-        return rms(read(chain, voltage_v) - held_out_pa)
-
-    t_s = np.arange(len(taught_pa), dtype=np.float64) * PERIOD_S
-    try:
-        identified_pa = error_pa(identify(t_s, taught_pa[:, 0], curve.pressure(taught_v)).dynamics)
-    except CalibrationError:
-        identified_pa = math.nan
-    return error_pa(None), error_pa(PAPER_DYNAMICS), identified_pa
-
-
 # Tare and drift
 
 
@@ -386,7 +182,7 @@ def swallowed(report: Report) -> int:
     rows, total = [], 0
     for warming_v in (0.0, WARMING_V):
         model = SensorModel(mismatch=MISMATCH, warming_v=warming_v)
-        chain = chain_of(TARED, calibrated(model, len(place)), None, layout)
+        chain = chain_of(TARED, calibrated(model, len(place)), layout)
         sensor = Sensor(model, len(place))
         for t_s in np.arange(0.0, STEADY_S, LOOK_S):
             voltage_v = quantised(sensor.step(load_pa * (t_s > 15.0), t_s)).astype(np.float32)
@@ -409,7 +205,7 @@ def warming(report: Report) -> None:
         calibration = calibrated(model)
         left = []
         for rules in (replace(RULES, drift_pa_per_min=0.0), RULES):
-            chain = chain_of(TARED, calibration, None, rules=rules)
+            chain = chain_of(TARED, calibration, rules=rules)
             sensor, valid = Sensor(model, NODES), np.ones(NODES, dtype=bool)
             reads = []
             for t_s in np.arange(0.0, 600.0, LOOK_S):
@@ -423,14 +219,12 @@ def warming(report: Report) -> None:
 
 # All together
 
-CURVE, CALIBRATED, TARED, COMPENSATED = "one curve", "calibrated", "+ tare, drift", "+ dynamics"
-CHAINS = (CURVE, CALIBRATED, TARED, COMPENSATED)
+CURVE, CALIBRATED, TARED = CHAINS = "one curve", "calibrated", "+ tare, drift"
 
 
 def chain_of(
     name: str,
     calibration: Calibration,
-    known: Dynamics | None,
     layout: Layout | None = None,
     rules: RestRules = RULES,
 ) -> PressureChain:
@@ -439,13 +233,10 @@ def chain_of(
     layout = layout or Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
     if name == CURVE:
         calibration = Calibration.default(PressureCurve.two_stage(), nodes)
-    tracker = compensator = None
-    if name in (TARED, COMPENSATED):
+    tracker = None
+    if name == TARED:
         tracker = DriftTracker(ADC.lsb_v, nodes_beside(layout, nodes), rules)
-    if name == COMPENSATED:
-        assert known is not None
-        compensator = Compensator(known, calibration.curves.range_pa)
-    return PressureChain(calibration, Baseline(nodes), tracker, compensator)
+    return PressureChain(calibration, Baseline(nodes), tracker)
 
 
 def used(seconds: float, rng: np.random.Generator) -> Floats:
@@ -463,21 +254,18 @@ def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
             kind="paper", mismatch=MISMATCH, warming_v=WARMING_V, noise_v=1e-3, seed=seed
         )
         calibration = calibrated(model)
-        known = identified(model, calibration, seed)
         rng = np.random.default_rng([seed, 4])
         loads_pa, preload_pa = used(2 * CYCLES_S, rng), rng.uniform(0, PRELOAD_PA, NODES)
         voltage_v = recorded(model, loads_pa + preload_pa)
         for name in CHAINS:
-            read_pa = read(chain_of(name, calibration, known), voltage_v, TARE_S)
+            read_pa = read(chain_of(name, calibration), voltage_v, TARE_S)
             after = round(REST_S / PERIOD_S)
             errors[name].append(rms((read_pa - loads_pa)[after:]))
     error_pa = {name: rms(np.array(values)) for name, values in errors.items()}
 
     layout = Layout.grid(BIG, 0, 0, 7e-3, 5.5e-3)
     calibration = Calibration.default(PressureCurve.two_stage(), BIG)
-    subjects = {
-        name: frames(chain_of(name, calibration, PAPER_DYNAMICS, layout)) for name in CHAINS
-    }
+    subjects = {name: frames(chain_of(name, calibration, layout)) for name in CHAINS}
     tracker = ContactTracker(layout, ContactThresholds(RULES.contact_pa, RULES.release_pa))
     times_s = medians_s({**subjects, CONTACTS: contacts_of(tracker, layout)}, ROUNDS)
     report.table(
@@ -532,60 +320,31 @@ CONTACTS = "contacts"
 def main() -> None:
     report = Report("pressure", "Error and run time of the pressure chain")
     ratios = static(report)
-    removed, excerpt = dynamics(report)
-    removed_others = others(report)
     lost = swallowed(report)
     warming(report)
     error_pa, times_s = chains(report)
-    drifted = min(value for name, value in removed.items() if "%" in name)
     report.finish(
-        picture(ratios, removed, excerpt, error_pa, times_s),
+        picture(error_pa, times_s),
         rmse_over_quantisation=ratios["fitted"],
-        hysteresis_removed=removed[MATCHED],
-        hysteresis_removed_drifted=drifted,
-        hysteresis_removed_relays=removed_others["relays"],
-        hysteresis_removed_creep=removed_others["creep"],
         false_tare=lost,
-        us_per_frame_4096=times_s[COMPENSATED] * 1e6,
+        us_per_frame_4096=times_s[TARED] * 1e6,
         us_static_4096=times_s[CALIBRATED] * 1e6,
         us_contacts_4096=times_s[CONTACTS] * 1e6,
     )
 
 
-def picture(
-    ratios: dict[str, float],
-    removed: dict[str, float],
-    excerpt: list[Floats],
-    error_pa: dict[str, float],
-    times_s: dict[str, float],
-) -> Figure:
-    figure = Figure(figsize=(13, 4.5))
-    left, middle, right = figure.subplots(1, 3, width_ratios=(3, 2, 2))
-    count = min(len(excerpt[0]), round(25 / PERIOD_S))
-    t_s = np.arange(count) * PERIOD_S
-    styles = (("pressed", "0.6", 3.0), ("calibrated curve", "C3", 1.0), ("compensated", "C0", 1.0))
-    for series, (label, colour, width) in zip(excerpt, styles, strict=True):
-        left.plot(t_s, series[:count] / 1e3, color=colour, lw=width, label=label)
-    left.set_xlabel("s")
-    left.set_ylabel("kPa")
-    left.set_title("A taxel with lag and hysteresis")
-    left.legend(fontsize=8)
-    names = list(removed)
-    middle.barh(names, [100 * removed[name] for name in names], color="C0")
-    middle.axvline(60, color="black", lw=1, ls=":")
-    middle.invert_yaxis()
-    middle.set_xlabel("% of the rms error removed")
-    middle.set_title("What compensation knows of the sensors")
+def picture(error_pa: dict[str, float], times_s: dict[str, float]) -> Figure:
+    figure = Figure(figsize=(6, 4.5))
+    axes = figure.subplots()
     for name in CHAINS:
-        right.plot(times_s[name] * 1e6, error_pa[name] / 1e3, "o", label=name)
-    right.set_xlim(left=0)
-    right.set_ylim(bottom=0)
-    right.set_xlabel(f"µs per frame of {BIG} nodes")
-    right.set_ylabel("rms error, kPa")
-    right.set_title("All errors together, by chain")
-    right.legend(fontsize=8)
-    for axes in (left, middle, right):
-        axes.grid(alpha=0.3)
+        axes.plot(times_s[name] * 1e6, error_pa[name] / 1e3, "o", label=name)
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel(f"µs per frame of {BIG} nodes")
+    axes.set_ylabel("rms error, kPa")
+    axes.set_title("All errors together, by chain")
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3)
     figure.tight_layout()
     return figure
 

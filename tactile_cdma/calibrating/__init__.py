@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""`tactile-cdma calibrate`: known loads ──▶ points ──▶ curves; cycles ──▶ dynamics; ──▶ file."""
+"""`tactile-cdma calibrate`: known loads ──▶ points ──▶ curves ──▶ file."""

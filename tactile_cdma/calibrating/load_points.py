@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -51,14 +51,6 @@ class LoadPoints:
         order = np.argsort(self.node, kind="stable")
         ends = np.searchsorted(self.node[order], np.arange(1, nodes + 2))
         return {node + 1: order[begin:end] for node, (begin, end) in enumerate(pairwise(ends))}
-
-    def rising(self, nodes: int) -> LoadPoints:
-        """Those whose load was above the one before on their node."""
-        kept = np.zeros(len(self), dtype=bool)
-        for own in self.by_node(nodes).values():
-            kept[own] = directions(self.pressure_pa[own]) >= 0
-        columns = ("node", "pressure_pa", "voltage_v", "line")
-        return replace(self, **{name: getattr(self, name)[kept] for name in columns})
 
     def lines(self, rows: Indices | Bools) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""

@@ -7,8 +7,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Iterable
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from ..base.errors import CalibrationError, CaptureError
 from ..base.listing import listed
 from ..base.named_file import naming
-from ..calibrating import dynamics_fit, report
+from ..calibrating import report
 from ..calibrating.load_points import LoadPoints, read_points
 from ..calibrating.load_session import LoadSession
 from ..calibrating.plateaus import Recording, Reference, find_offset, plateau_points, read_reference
@@ -29,12 +28,7 @@ from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..readings.calibration import Calibration
-from ..readings.calibration_file import (
-    CalibrationContent,
-    read_content,
-    seal_calibration,
-    write_content,
-)
+from ..readings.calibration_file import CalibrationContent, seal_calibration, write_content
 from ..recording.capture import capture_notes
 from ..recording.offline import described_parameters, raw_frames
 
@@ -44,11 +38,6 @@ LONGEST_MS = 1e5
 """Frame period for tables of points, which have no frames, ms: long enough for any skin."""
 OPTIONS_OF = {"port": ("steps", "node", "seconds", "append"), "capture": ("offset", "settle")}
 """Options that go with a source of loads only."""
-OF_CURVES = ("pieces", "rising", "allow_missing", "settle", "port", *OPTIONS_OF["port"])
-"""Options of the fit of curves, which do not go with --dynamics."""
-MISLED_S = 0.3
-"""By how much a sensor's lag may shift the clock offset that is found, s; chosen: over three times
-the time constant of the paper's sensor."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,9 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pieces", type=int, choices=range(1, 9), default=2, help="pieces per curve (%(default)s)"
     )
     parser.add_argument(
-        "--rising", action="store_true", help="use rising loads only, for a skin with compensation"
-    )
-    parser.add_argument(
         "--allow-missing", action="store_true", help="accept nodes without a valid curve"
     )
     parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area of a force_n")
@@ -86,9 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     capture.add_argument(  # the paper's sensor takes 0.74 s
         "--settle", type=positive, default=2.0, help="ignored at the start of each load [s] (2)"
-    )
-    capture.add_argument(
-        "--dynamics", **file, help="calibration file to which lag and hysteresis are added"
     )
     live = parser.add_argument_group("loads taken step by step")
     live.add_argument("--port", help="pyserial URL of the digitizer")
@@ -117,8 +100,6 @@ def run(arguments: argparse.Namespace) -> int:
         with naming(arguments.capture, CaptureError):
             config = SkinConfig.of(described_parameters(arguments.capture) | values)
         reference = read_reference(loads, config.spec.nodes, area_m2)
-        if arguments.dynamics:
-            return _add_dynamics(arguments, config, reference)
         recording, offset_s = _beside_capture(arguments, reference, config)
         points = plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
     else:
@@ -133,9 +114,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) -> int:
     nodes = config.spec.nodes
-    if arguments.rising:
-        taken, points = len(points), points.rising(nodes)
-        print(f"{len(points)} of {taken} points are of rising loads")
     fit = fit_skin(points, nodes, config.adc, arguments.pieces)
     print(report.describe(fit))
     for warning in report.warnings(fit, config.curve):
@@ -150,32 +128,10 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
         )
     calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
     content = CalibrationContent.of(calibration, config.adc, config.skin, points.source)
-    return _write(arguments, content, report.results(fit), lambda path: report.draw(fit, path))
-
-
-def _add_dynamics(arguments: argparse.Namespace, config: SkinConfig, reference: Reference) -> int:
-    content = read_content(arguments.dynamics, config.spec.nodes, config.adc, config.skin)
-    recording, offset_s = _beside_capture(arguments, reference, config)
-    uncertain_s = MISLED_S if arguments.offset is None else 0.0
-    calibration = content.calibration(config.curve)
-    found = dynamics_fit.find_dynamics(calibration, reference, recording, offset_s, uncertain_s)
-    print(dynamics_fit.describe(found))
-    source = ", ".join(filter(None, (content.source, f"dynamics: {reference.path.name}")))
-    content = replace(content, dynamics=found.dynamics, source=source)
-    results = dynamics_fit.results(found)
-    return _write(arguments, content, results, lambda path: dynamics_fit.draw(found, path))
-
-
-def _write(
-    arguments: argparse.Namespace,
-    content: CalibrationContent,
-    results: dict[str, str],
-    draw: Callable[[Path], None],
-) -> int:
-    output, picture = arguments.output, arguments.png
-    results["identity"] = write_content(output, content)
-    draw(picture)
-    print(f"written: {output}, {picture}")
+    results = report.results(fit)
+    results["identity"] = write_content(arguments.output, content)
+    report.draw(fit, arguments.png)
+    print(f"written: {arguments.output}, {arguments.png}")
     print(" ".join(f"{key}={value}" for key, value in results.items()))
     return 0
 
@@ -191,8 +147,7 @@ def _checked_files(arguments: argparse.Namespace) -> Path:
         _check_writable(loads, True)
     _check_writable(output, arguments.force, loads, arguments.capture)
     arguments.png = arguments.png or output.with_suffix(".png")
-    inputs = (loads, arguments.capture, arguments.dynamics)
-    _check_writable(arguments.png, True, *inputs, output)
+    _check_writable(arguments.png, True, loads, arguments.capture, output)
     return Path(loads)
 
 
@@ -217,26 +172,11 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
     if arguments.output is None:
         raise CalibrationError("-o is missing: the calibration file to write")
-    if arguments.dynamics and (wrong := changed(OF_CURVES)):
-        raise CalibrationError(
-            f"--{wrong[0].replace('_', '-')} is for curves; --dynamics adds to those of "
-            f"{arguments.dynamics}"
-        )
-    if arguments.dynamics and not arguments.capture:
-        raise CalibrationError("--dynamics takes loading cycles: give --capture, too")
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     for source, names in OPTIONS_OF.items():
         if not getattr(arguments, source) and (wrong := changed(names)):
             raise CalibrationError(f"--{wrong[0]} goes with --{source} only")
-    try:
-        if arguments.dynamics:
-            import scipy.optimize  # noqa: F401
-    except ImportError as error:
-        raise CalibrationError(
-            f"--dynamics needs scipy ({error}): sudo apt install python3-scipy, or "
-            "pip install 'tactile_cdma[calibrate]'"
-        ) from None
 
 
 def _beside_capture(

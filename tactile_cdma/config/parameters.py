@@ -178,8 +178,6 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("calibration_file", "",
         "curves of individual taxels, from tactile-cdma calibrate; setting it again, even to "
         "the same path, reads the file again; empty: the two-stage curve for all", live=True),
-    Parameter("compensation", False,
-        "undo hysteresis and lag as described by the calibration file", live=True),
     Parameter("drift_pa_per_min", 60.0,
         "fastest drift of a taxel at rest that is followed; 0: drift is not followed",
         "Pa/min", (0.0, 1e5), live=True),

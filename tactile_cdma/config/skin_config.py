@@ -19,7 +19,6 @@ from ..readings.baseline import RestRules
 from ..readings.calibration import AdcScale, Calibration, PressureCurve
 from ..readings.calibration_file import read_calibration
 from ..readings.contact import ContactThresholds
-from ..readings.dynamics import Compensator
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
@@ -43,7 +42,6 @@ class SkinConfig:
     adc: AdcScale
     curve: PressureCurve
     calibration: Calibration
-    compensation: bool
     layout: Layout
     skin: str
     rest: RestRules
@@ -88,7 +86,6 @@ class SkinConfig:
             adc=adc,
             curve=curve,
             calibration=_calibration(get, spec, adc, curve),
-            compensation=get["compensation"],
             layout=_layout(get),
             skin=get["skin"],
             **_live(get),
@@ -103,23 +100,14 @@ class SkinConfig:
             f"{shown_id(self.digitizer_id)}; tactile-cdma ports lists which board is on which port"
         )
 
-    def compensator(self) -> Compensator | None:
-        """A compensator of the sensors' dynamics; None if compensation is off."""
-        dynamics = self.calibration.dynamics
-        if not self.compensation or dynamics is None:
-            return None
-        return Compensator(dynamics, self.calibration.curves.range_pa)
-
     def recalibrated(self, values: Values) -> SkinConfig:
-        """With calibration_file read again and compensation set, from the values of all parameters.
+        """With calibration_file, of the values of all parameters, read again.
 
-        Raises CalibrationError for a file that cannot be used, SpecError if it lacks the dynamics
-        that compensation needs.
+        Raises CalibrationError for a file that cannot be used.
         """
         return replace(
             self,
             calibration=_calibration(values, self.spec, self.adc, self.curve),
-            compensation=values["compensation"],
         )
 
     def adjusted(self, values: Values) -> SkinConfig:
@@ -171,11 +159,6 @@ def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCur
     if file:
         path = user_path("calibration_file", file)
         calibration = read_calibration(path, spec.nodes, adc, curve, get["skin"])
-    if get["compensation"] and calibration.dynamics is None:
-        raise SpecError(
-            f"no dynamics in {file or 'the default curve'}, and compensation needs them: run "
-            "tactile-cdma calibrate --dynamics, or set compensation to false"
-        )
     return calibration
 
 

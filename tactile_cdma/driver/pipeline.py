@@ -90,7 +90,7 @@ class Pipeline:
         self.health = NodeHealth(config.spec)
         nodes = config.spec.nodes
         tracker = DriftTracker(config.adc.lsb_v, nodes_beside(config.layout, nodes), config.rest)
-        chain = PressureChain(config.calibration, Baseline(nodes), tracker, config.compensator())
+        chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self._background, self._most_repeated = background, most_repeated
         self._compiled, self._frames_wanted = compiled, frames
@@ -164,9 +164,9 @@ class Pipeline:
         if self.taxels.chain.tracker is not None:
             self.taxels.chain.tracker.rules = config.rest
         self.taxels.refresh()
-        if config.calibration is before.calibration and config.compensation == before.compensation:
+        if config.calibration is before.calibration:
             return True
-        return self.taxels.calibrate(config.calibration, config.compensator())
+        return self.taxels.calibrate(config.calibration)
 
     def close(self) -> None:
         """End the work beside the stream."""
@@ -214,10 +214,8 @@ class Pipeline:
             placement = self.timeline.place(arrival, self._description.pace)
         if placement.step is Step.RESET:
             self.taxels.forget()
-        elif placement.step is Step.RESTART:
-            self.taxels.miss(
-                self.config.nodes_repeat
-            )  # how many frames there were meanwhile is a guess
+        elif placement.step is Step.RESTART:  # how many frames were lost meanwhile is a guess
+            self.taxels.miss(self.config.nodes_repeat)
         self.stream.place(placement)
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:

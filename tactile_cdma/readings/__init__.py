@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Words → pressure: calibration, dynamics, tare, drift, stuck nodes, contacts."""
+"""Words → pressure: calibration, tare, drift, stuck nodes, contacts."""

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
-from .dynamics import Dynamics
 from .stages import convert
 
 MOST_PA = 5e6
@@ -207,13 +206,11 @@ class Calibration:
     uncalibrated: (n,) bool, nodes with the default curve although others have curves of their own.
     identity: short hash of the calibration file's content; empty if all nodes have the default
         curve.
-    dynamics: lag and hysteresis of the sensors; None if not measured.
     """
 
     curves: Curves
     uncalibrated: Bools
     identity: str = ""
-    dynamics: Dynamics | None = None
 
     @classmethod
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:

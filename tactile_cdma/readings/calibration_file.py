@@ -6,30 +6,28 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
-from ..base.errors import CalibrationError, SpecError
+from ..base.errors import CalibrationError
 from ..base.listing import listed
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import naming
 from ..base.whole_file import replace_file
 from .calibration import MOST_PA, AdcScale, Calibration, PressureCurve
-from .dynamics import LIMITS, MOST_WIDTH, Dynamics
 
 SCHEMA = "tactile_cdma/calibration"
 VERSION = 1
 UNITS = {"pressure": "Pa", "voltage": "V"}
 # Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
-MOST_PLAYS = 64
 HEADROOM = 1.25
 """Highest voltage of a curve's first corner in multiples of vref; chosen: that corner is
 extrapolated to no load."""
@@ -37,9 +35,8 @@ _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
 """Decimals of Pa and V that are written: 1 mPa and 0.1 µV are far below any ADC's resolution."""
 _KEYS = (
     *("schema", "version", "identity", "skin", "nodes", "bits", "vref_v", "units"),
-    *("made", "uncalibrated", "dynamics", "curves"),
+    *("made", "uncalibrated", "curves"),
 )
-_PLAYS = ("widths", "weights")
 _IDENTITY = re.compile(r"^identity: *('[^'\n]*'|\"[^\"\n]*\"|[^#\n]*[^#\s])", re.MULTILINE)
 
 
@@ -48,15 +45,14 @@ class CalibrationContent:
     """The content of a calibration file.
 
     skin: name of the skin; empty: any. curves: by node, 1…nodes; a node without one is
-    uncalibrated. adc: of the calibrated nodes. dynamics: of all sensors; None: unknown.
-    source: what the calibration was made from, for people.
+    uncalibrated. adc: of the calibrated nodes. source: what the calibration was made from, for
+    people.
     """
 
     skin: str
     nodes: int
     adc: AdcScale
     curves: Mapping[int, PressureCurve]
-    dynamics: Dynamics | None = None
     source: str = ""
 
     @classmethod
@@ -69,7 +65,7 @@ class CalibrationContent:
             for index in range(len(calibration.curves))
             if not calibration.uncalibrated[index]
         }
-        return cls(skin, len(calibration.curves), adc, curves, calibration.dynamics, source)
+        return cls(skin, len(calibration.curves), adc, curves, source)
 
     @property
     def uncalibrated(self) -> list[int]:
@@ -92,7 +88,7 @@ class CalibrationContent:
                     str(node): [curve.pressure_pa, curve.voltage_v]
                     for node, curve in self.curves.items()
                 },
-                "dynamics": _entries(self.dynamics) if self.dynamics else None,
+                "dynamics": None,  # there once; kept, so that files stay valid
             },
             sort_keys=True,
         )
@@ -101,7 +97,7 @@ class CalibrationContent:
     def calibration(self, default: PressureCurve) -> Calibration:
         """The calibration for the decoding chain; nodes without a curve take the default one."""
         calibration = Calibration.of_nodes(self.curves, default, self.nodes)
-        return replace(calibration, identity=self.identity, dynamics=self.dynamics)
+        return replace(calibration, identity=self.identity)
 
 
 def read_calibration(
@@ -164,6 +160,11 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
     """Content and stated identity of a file that is valid in itself."""
     root = file.mapping("the file")
     root.check_schema(SCHEMA, VERSION)
+    if old := root.get("dynamics"):
+        raise old.refuse(
+            "dynamics are no longer compensated (docs/sensor.md says why): delete this entry, and "
+            "run tactile-cdma calibrate --seal"
+        )
     root.check_keys(_KEYS)
     units = root["units"].mapping("units")
     units.check_keys(UNITS)
@@ -172,7 +173,7 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
             raise units[name].refuse(f"the unit of {name} is {theirs[:40]}; it must be {unit}")
     nodes, bits = root.whole("nodes", 1, 65_535), root.whole("bits", 8, 16)
     vref_v = root.number("vref_v", 0.1, 100.0, "V")
-    dynamics, made = root.get("dynamics"), root.get("made")
+    made = root.get("made")
     content = CalibrationContent(
         skin=root.text("skin"),
         nodes=nodes,
@@ -181,7 +182,6 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
             _node(name, curve, nodes): _curve(f"node {name}", curve, vref_v)
             for name, curve in root["curves"].mapping("curves").entries.items()
         },
-        dynamics=_dynamics(dynamics) if dynamics else None,
         source=made.mapping("made").text("from", "") if made else "",
     )
     _check_complete(root, content)
@@ -206,7 +206,7 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
     pressure_pa, voltage_v = list[float](), list[float]()
     for corner, (pressure, voltage) in enumerate(zip(pressures, voltages, strict=True), 1):
         here, most_v = f"{what}, corner {corner}", vref_v if corner > 1 else HEADROOM * vref_v
-        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, np.inf, "Pa"))
+        pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, math.inf, "Pa"))
         if pressure_pa[-1] > MOST_PA:
             raise pressure.refuse(
                 f"{here}: pressure is {pressure_pa[-1]:g} Pa, more than skins bear ({MOST_PA:g}): "
@@ -225,19 +225,6 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
                     "voltages fall from corner to corner"
                 )
     return PressureCurve(tuple(pressure_pa), tuple(voltage_v))
-
-
-def _dynamics(value: Marked) -> Dynamics:
-    """Lag and hysteresis of all nodes."""
-    entries = value.mapping("dynamics")
-    entries.check_keys((*LIMITS, *_PLAYS))
-    values: dict[str, Any] = {name: entries.number(name, *LIMITS[name]) for name in LIMITS}
-    for name in _PLAYS:
-        values[name] = tuple(entries[name].numbers(name, 0.0, MOST_WIDTH, most=MOST_PLAYS))
-    try:
-        return Dynamics(**values)
-    except SpecError as error:
-        raise entries[_PLAYS[0]].refuse(str(error)) from None
 
 
 def _check_complete(root: Keys, content: CalibrationContent) -> None:
@@ -280,12 +267,5 @@ def _text(content: CalibrationContent) -> str:
         for node, curve in content.curves.items()
     ]
     curves = "curves:\n" + "".join(lines) if lines else "curves: {}\n"
-    if content.dynamics:
-        head["dynamics"] = _entries(content.dynamics)
     top = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, default_flow_style=None)
     return top + curves
-
-
-def _entries(dynamics: Dynamics) -> dict[str, float | list[float]]:
-    """The fields in types that YAML and JSON can write."""
-    return {name: np.array(value, float).tolist() for name, value in asdict(dynamics).items()}

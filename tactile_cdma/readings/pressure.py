@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Voltages → pressures of all nodes: drift correction, curve, compensation, tare."""
+"""Voltages → pressures of all nodes: drift correction, curve, tare."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
 from .drift import DriftTracker
-from .dynamics import Compensator
 from .stages import Bounds
 
 
 class PressureChain:
     """Converts the nodes' voltages to pressures, frame by frame.
 
-    voltage + drift → curve → compensation of lag and hysteresis → pressure − tare. Every LOOK_S the
+    voltage + drift → curve → pressure − tare. Every LOOK_S the
     readings are passed on to the baseline and to the drift tracker; a drift that changes by this
     takes effect in the next update.
 
@@ -32,13 +31,11 @@ class PressureChain:
         calibration: Calibration,
         baseline: Baseline,
         tracker: DriftTracker | None = None,
-        compensator: Compensator | None = None,
     ) -> None:
-        """Without a tracker drift is not followed; without a compensator dynamics remain."""
+        """Without a tracker drift is not followed."""
         self.calibration = calibration
         self.baseline = baseline
         self.tracker = tracker
-        self.compensator = compensator
         self.looked_s = -math.inf
         self.bounds = self._found_bounds()
         self._moved = False
@@ -59,8 +56,6 @@ class PressureChain:
         pressure_pa = self.calibration.curves.pressure(corrected_v)
         saturated = corrected_v < bounds.end_v
         off_rest = corrected_v - bounds.rest_v > bounds.margin_v
-        if self.compensator is not None:
-            pressure_pa = self.compensator.update(pressure_pa, valid, t_s)
         reading_pa = pressure_pa - self.baseline.tare_pa
         self._last, self._moved = (voltage_v, pressure_pa, valid), False
         if not 0 <= t_s - self.looked_s < LOOK_S:
@@ -88,10 +83,7 @@ class PressureChain:
         """
         if self._moved or self._last is None or self.looked_s == -math.inf:
             return False
-        is_due = not 0 <= t_s - self.looked_s < LOOK_S
-        if self.compensator is not None:
-            return not is_due and self.compensator.try_hold(t_s)
-        if is_due:
+        if not 0 <= t_s - self.looked_s < LOOK_S:
             self.look(*self._last, t_s)
         return True
 

@@ -22,7 +22,6 @@ from ..words.lateness import out_of_place
 from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
-from .dynamics import Compensator
 from .pressure import PressureChain
 from .readout import DOUBTFUL, LEFT, ODD, Conditions, Readout
 from .stages import Kept, Trust, finish, hear
@@ -211,7 +210,7 @@ class Taxels:
     ) -> None:
         """Restore tare and drift, (n,) float32, V, each as in Baseline; None: no tare, no drift.
 
-        The tare is the curves' pressure at rest_v; a compensator that has seen no load agrees.
+        The tare is the curves' pressure at rest_v.
         """
         self.baseline.clear()
         if rest_v is not None:
@@ -224,15 +223,15 @@ class Taxels:
             self.baseline.tared_drift_v = tared_drift_v
         self.refresh()
 
-    def calibrate(self, calibration: Calibration, compensator: Compensator | None = None) -> bool:
-        """Use another calibration and compensator from now on; see PressureChain.
+    def calibrate(self, calibration: Calibration) -> bool:
+        """Use another calibration from now on.
 
         Tare and drift belong to the curves they were found with: if these change, both are
         dropped. Returns whether they were kept.
         """
         baseline, chain = self.baseline, self.chain
         stay = calibration.curves.checksum == chain.calibration.curves.checksum
-        chain.calibration, chain.compensator = calibration, compensator
+        chain.calibration = calibration
         self.restore(*(baseline.rest_v, baseline.drift_v, baseline.tared_drift_v) if stay else ())
         return stay
 
@@ -255,7 +254,7 @@ class Taxels:
         anything about the frame is odd. threshold: see decode.
         """
         chain = self.chain
-        if chain.compensator is not None or health.any_suspect or health.frames_to_verdict == 1:
+        if health.any_suspect or health.frames_to_verdict == 1:
             return None
         conditions = Conditions(
             health.swing_v, health.state, chain.calibration, chain.bounds, threshold

@@ -1,6 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The sensor between pressure and voltage; docs/sensor.md has where its figures come from."""
+"""The sensor between pressure and voltage; docs/sensor.md has where its figures come from.
+
+A pressure P first passes a first-order lag, slow while it rises and quick while it falls, then
+hysteresis, a Prandtl–Ishlinskii operator on the logarithmic axis l = ln(1 + P/SCALE_PA):
+
+    v = (1 − Σ wⱼ)·l + Σ wⱼ·pⱼ,   pⱼ ← max(l, min(l + widthⱼ, pⱼ)),   apparent P = SCALE_PA·(eᵛ − 1)
+
+A play pⱼ follows while the pressure rises; after a turn it rests until the pressure has fallen by
+widthⱼ. So rising loads read as the static curve says, falling ones read more, loops grow with the
+load, and almost nothing remains at zero.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +21,6 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..readings.calibration import Curves, PressureCurve
-from ..readings.dynamics import Dynamics, Hysteresis, Lag
 
 IDEAL, PAPER = "ideal", "paper"
 MOST_HYSTERESIS = 7.0
@@ -20,6 +29,28 @@ MOST_MISMATCH = 0.1
 """Largest option `mismatch`, rms. Chosen: slopes then differ by up to 20 %."""
 WANDER_S = 600.0
 """Period of the slow drift of sensors and clocks, s; chosen, like that of a room's temperature."""
+SCALE_PA = 2e3
+"""Pressure above which loops are proportional to the load, Pa; chosen: far below the loads for
+which the paper gives loops."""
+_FARTHEST = 2.0
+"""Mismatch is clipped at this many rms deviations, so that every curve stays above 0 V."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """Lag and hysteresis common to all sensors of a skin.
+
+    rise_s, fall_s: time constants of the lag, s, above 0.
+    widths: widths of the plays on the logarithmic axis. weights: their shares, of less than 1 in
+    all.
+    """
+
+    rise_s: float
+    fall_s: float
+    widths: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
+
+
 PAPER_DYNAMICS = Dynamics(
     rise_s=0.085,
     fall_s=0.024 / math.log(100),
@@ -27,8 +58,6 @@ PAPER_DYNAMICS = Dynamics(
     weights=(0.0375,) * 8,
 )
 """Fitted to response, recovery, and the hysteresis at 90 and 140 kPa, of Liu et al., IV.A."""
-_FARTHEST = 2.0
-"""Mismatch is clipped at this many rms deviations, so that every curve stays above 0 V."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +132,7 @@ class Sensor:
         self._model, self._curves = model, model.curves(nodes)
         self._lag, self._hysteresis = None, None
         if model.dynamics is not None:
-            self._lag = Lag(model.dynamics.rise_s, model.dynamics.fall_s)
+            self._lag = Lag(model.dynamics)
             self._hysteresis = Hysteresis(model.dynamics, nodes)
         self._rng = np.random.default_rng([model.seed, nodes, 2])
         self._warming_v = model.warming_v * self._rng.uniform(0.5, 1.0, nodes)
@@ -129,3 +158,42 @@ class Sensor:
         if self._model.noise_v:
             voltage_v += self._rng.normal(0.0, self._model.noise_v, len(voltage_v))
         return voltage_v
+
+
+class Hysteresis:
+    """A Prandtl–Ishlinskii operator for n sensors; it starts as if pressures had only risen."""
+
+    def __init__(self, dynamics: Dynamics, sensors: int) -> None:
+        self._widths = np.array(dynamics.widths)[:, None]
+        self._weights = np.array(dynamics.weights)
+        self._plays = np.zeros((len(self._weights), sensors))
+
+    def update(self, pressure_pa: Floats) -> Floats:
+        """Apparent pressures (n,), Pa, for pressures (n,), Pa, ≥ 0; whatever the time.
+
+        Repeating or subdividing a step changes nothing.
+        """
+        level = np.log1p(pressure_pa / SCALE_PA)
+        self._plays = np.maximum(level, np.minimum(level + self._widths, self._plays))
+        value = (1 - self._weights.sum()) * level + self._weights @ self._plays
+        return np.asarray(SCALE_PA * np.expm1(value))
+
+
+class Lag:
+    """A first-order lag of n sensors, with separate time constants for rise and fall."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self._rise_s, self._fall_s = dynamics.rise_s, dynamics.fall_s
+        self._delayed_pa: Floats | None = None
+
+    def update(self, pressure_pa: Floats, passed_s: float) -> Floats:
+        """Lagged pressures (n,), Pa, after these pressures (n,), Pa, were applied for passed_s.
+
+        The first pressures count as applied since ever.
+        """
+        if self._delayed_pa is None:
+            self._delayed_pa = np.array(pressure_pa, dtype=np.float64)
+        missing_pa = pressure_pa - self._delayed_pa
+        constant_s = np.where(missing_pa > 0, self._rise_s, self._fall_s)
+        self._delayed_pa = self._delayed_pa - missing_pa * np.expm1(-passed_s / constant_s)
+        return self._delayed_pa

@@ -46,8 +46,6 @@ from .stamps import Stamps
 APART_NODES = 256
 """Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
 fewer curves are read in less time than it takes to start a process."""
-CALIBRATING = {"calibration_file", "compensation"}
-"""Setting one of these makes the calibration be read again."""
 RETRY_S = 2.0
 """Time between attempts to start, s. Chosen: short for whoever has just plugged in a cable."""
 
@@ -114,7 +112,7 @@ class SkinNode(ManagedNode):
         """Let new values of parameters take effect; raises TactileError to refuse them."""
         if self._rest is not None:
             config = self._rest.config.adjusted(values)
-            if CALIBRATING & new:
+            if "calibration_file" in new:
                 config = recalibrated(config, values)
             self._rest.adjust(config)
             self._frames.change(config.contact)
@@ -305,7 +303,7 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
         return config.recalibrated(values)
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         read = process.submit(config.recalibrated, values).result()
-    return replace(config, calibration=read.calibration, compensation=read.compensation)
+    return replace(config, calibration=read.calibration)
 
 
 def main() -> int:

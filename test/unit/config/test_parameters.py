@@ -82,8 +82,6 @@ def test_a_calibration_is_read_anew_without_the_other_files(tmp_path: Path) -> N
     again = config.recalibrated({**values, "nodes": 12, **files})
     assert again.calibration.identity == identity
     assert again.layout is config.layout
-    with pytest.raises(SpecError, match=r"no dynamics in .*calibration\.yaml"):
-        config.recalibrated({**values, "nodes": 12, **files, "compensation": True})
 
 
 def test_the_shipped_file_is_the_default_configuration() -> None:
@@ -125,7 +123,6 @@ def test_bad_values_are_refused_with_value_and_limit(values: dict, message: str)
         ({"timing": "gap", "frame_period_ms": 11.0}, "silence between frames"),
         ({"rows": 3, "columns": 3}, "9 places for 16 nodes"),
         ({"knee_kpa": 200.0}, "knee"),
-        ({"compensation": True}, "no dynamics in the default curve.*calibrate --dynamics"),
     ],
 )
 def test_impossible_combinations_are_refused(values: dict, message: str) -> None:

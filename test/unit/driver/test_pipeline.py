@@ -19,7 +19,6 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
-from tactile_cdma.sim.sensor import PAPER_DYNAMICS
 from tactile_cdma.wire._protocol import VERSION
 from tactile_cdma.wire.messages import (
     FrameLayout,
@@ -367,25 +366,6 @@ def test_another_protocol_version_is_reported_and_ends_decoding() -> None:
 @given(st.binary(max_size=3000))
 def test_garbage_gives_nothing(data: bytes) -> None:
     assert Pipeline(SkinConfig.of({})).feed(data, 0.0) == []
-
-
-@pytest.mark.slow
-def test_compensated_pressures_follow_rising_and_falling_loads() -> None:
-    """From the nodes' lagging, hysteretic sensors through the wire to the true pressure."""
-    url = "sim://?scene=cycles&sensor=paper"
-    plain = SkinConfig.of({})
-    knowing = replace(plain.calibration, dynamics=PAPER_DYNAMICS)
-    data = stream(plain, url, 900)
-    options = SimOptions.from_url(url)
-    sent = list(islice(truth(options, options.setup()), 910))
-    errors_pa = {}
-    for compensation in (False, True):
-        config = replace(plain, calibration=knowing, compensation=compensation)
-        frames = run(config, data)[100:]  # then every node was heard
-        true_pa = [sent[round(f.t_start / plain.spec.frame_period_s)].pressure_pa for f in frames]
-        found_pa = np.array([frame.readings.pressure_pa for frame in frames])
-        errors_pa[compensation] = np.sqrt(np.mean((found_pa - true_pa) ** 2))
-    assert errors_pa[True] < 0.3 * errors_pa[False]
 
 
 def test_another_start_leaves_the_devices_clock_and_the_sequence_as_they_were() -> None:

@@ -59,7 +59,6 @@ PACKAGES_OF_KEYS = {
     "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
     "python3-packaging": "packaging",
-    "python3-scipy": "scipy",
     "python3-serial": "pyserial",
     "python3-yaml": "pyyaml",
 }
@@ -97,10 +96,8 @@ def test_requirements_are_known_to_rosdep(package_xml: ElementTree.Element) -> N
     keys = {key for key in dependencies(package_xml, "exec_depend") if key.startswith("python3-")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = {name: names_of(needed) for name, needed in project["optional-dependencies"].items()}
-    assert {PACKAGES_OF_KEYS[key] for key in keys} == (
-        requirements("requirements.txt") | extras["calibrate"]
-    )
-    assert extras["calibrate"] | extras["bag"] <= requirements("requirements-dev.txt")
+    assert {PACKAGES_OF_KEYS[key] for key in keys} == (requirements("requirements.txt"))
+    assert extras["bag"] <= requirements("requirements-dev.txt")
 
 
 @pytest.mark.parametrize("distro", ["jazzy", "kilted"])

@@ -16,7 +16,6 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.contact import ContactTracker
-from tactile_cdma.readings.dynamics import Dynamics
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.words.decode import Words, silent
@@ -327,49 +326,9 @@ def test_other_curves_forget_tare_and_drift_the_same_ones_keep_them() -> None:
     assert np.allclose(patch.read(1, 5e3).pressure_pa, 5e3 * 33 / 40, atol=90)
 
 
-def test_a_tare_of_what_compensation_makes_of_a_preload_leaves_drift_alone() -> None:
-    """Rest is the voltage that was tared, though the curve alone has another pressure there."""
-    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
-    dynamics = Dynamics(0.2, 0.0109, (0.1,), (0.2,))
-    calibration = replace(config.calibration, dynamics=dynamics)
-    patch = Patch()
-    patch.pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
-    patch.taxels = patch.pipeline.taxels
-    patch.read(SECOND, 20e3)
-    patch.read(3 * SECOND, 9e3)  # on the way down: hysteresis
-    patch.taxels.tare(1000.0, force=True)
-    tared_pa = patch.taxels.baseline.tare_pa
-    assert np.abs(tared_pa - 9e3).min() > 200
-    readings = patch.read(round(120 / FRAME_S), 9e3)
-    assert np.abs(readings.pressure_pa).max() < 5
-    assert (patch.taxels.baseline.drift_v == 0).all()
-
-
-def test_a_tare_holds_whatever_becomes_of_the_compensation() -> None:
-    """What it makes of a preload depends on earlier loads; begun anew, it knows of none."""
-    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
-    calibration = replace(config.calibration, dynamics=Dynamics(0.2, 0.0109, (0.1,), (0.2,)))
-    on = replace(config, calibration=calibration, compensation=True)
-    patch = Patch()
-    patch.pipeline = Pipeline(on)
-    patch.taxels = patch.pipeline.taxels
-    patch.read(SECOND, 20e3)
-    patch.read(3 * SECOND, 9e3)
-    patch.taxels.tare(1000.0, force=True)
-    for other in (replace(on, compensation=False), on):
-        assert patch.pipeline.adjust(other)
-        assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
-    rest_v = patch.taxels.baseline.rest_v
-    patch.taxels = Pipeline(on).taxels  # the driver was started again
-    patch.taxels.restore(rest_v)
-    assert np.abs(patch.read(SECOND, 9e3).pressure_pa).max() < 1
-
-
-def test_a_tare_of_a_silent_skin_is_of_its_settled_pressure() -> None:
-    """Nobody speaks while the compensation of a rise dies away, nor later."""
+def test_a_silent_skin_is_tared_by_what_it_said_last() -> None:
     config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, "stale_after_s": 60.0})
-    calibration = replace(config.calibration, dynamics=Dynamics(0.74, 0.0109, (0.1,), (0.2,)))
-    pipeline = Pipeline(replace(config, calibration=calibration, compensation=True))
+    pipeline = Pipeline(config)
     health, everybody = NodeHealth(config.spec), np.ones(6, bool)
     for frame in range(10 * SECOND):
         words, spoken = silent(6, 0.0), {0: 0.0, SECOND: 20e3}

@@ -18,13 +18,11 @@ from tactile_cdma.base.marked_yaml import MOST_BYTES
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration, seal_calibration
-from tactile_cdma.readings.dynamics import Dynamics
 from test.support.calibrations import write_calibration
 
 DEFAULT = PressureCurve.two_stage()
 ADC = AdcScale()
 NODES = 4
-DYNAMICS = Dynamics(rise_s=0.085, fall_s=0.1 / 3, widths=(0.05, 0.3), weights=(0.1, 0.2))
 CURVES = {
     1: PressureCurve((0.0, 50e3, 140e3), (3.2, 1.6, 1.0)),
     2: PressureCurve((0.0, 48e3, 140e3), (3.25, 1.7, 1.1)),
@@ -69,55 +67,15 @@ def test_what_is_written_is_read(path: Path) -> None:
     assert len(calibration.identity) == 12
 
 
-def test_dynamics_are_kept_to_the_last_bit(path: Path) -> None:
-    calibration = replace(read(path), dynamics=DYNAMICS)
-    identity = write_calibration(path, calibration, ADC, "palm")
-    assert read(path).dynamics == DYNAMICS
-    assert read(path).identity == identity
-    content = yaml.safe_load(path.read_text())["dynamics"]
-    assert content["rise_s"] == DYNAMICS.rise_s and content["weights"] == [*DYNAMICS.weights]
-
-
 def test_integers_are_accepted_as_numbers(path: Path) -> None:
     curve = PressureCurve((0, 100_000), (3, 1))
-    whole = replace(Calibration.of_nodes({1: curve}, DEFAULT, 1), dynamics=Dynamics(1, 1))
-    write_calibration(path, whole, ADC)
+    write_calibration(path, Calibration.of_nodes({1: curve}, DEFAULT, 1), ADC)
     assert read(path, nodes=1, skin="").curves[0] == curve
-    assert read(path, nodes=1, skin="").dynamics == Dynamics(1.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "cause"),
-    [
-        ("rise_s: 0.085", "rise_s: 0", "rise_s is 0; it must lie within 1e-06…60"),
-        ("rise_s: 0.085", "rise_s: soon", "rise_s is 'soon'; it must be a number"),
-        ("rise_s: 0.085", "ris_s: 0.085", "unknown key 'ris_s' in dynamics; did you mean 'rise_s'"),
-        ("weights: [0.1, 0.2]", "weights: [0.1, -0.2]", "number 2 of weights is -0.2"),
-        (
-            "weights: [0.1, 0.2]",
-            f"weights: {[0.01] * 65}",
-            "weights has 65 entries; it must have 0…64",
-        ),
-        ("weights: [0.1, 0.2]", "weights: 0.3", "weights is '0.3'; it must be a list"),
-        ("widths: [0.05, 0.3]", "widths: [0.3, 0.05]", "widths must rise"),
-        ("widths: [0.05, 0.3]", "widths: [0.05]", "1 widths but 2 weights"),
-    ],
-)
-def test_impossible_dynamics_are_refused_with_their_line(
-    path: Path, old: str, new: str, cause: str
-) -> None:
-    write_calibration(path, replace(read(path), dynamics=DYNAMICS), ADC, "palm")
-    line = edit(path, old, new)
-    assert cause in (text := refusal(path))
-    assert f"{path}, line {line}: " in text
-
-
-def test_a_play_too_strong_and_a_value_left_out_are_refused(path: Path) -> None:
-    write_calibration(path, replace(read(path), dynamics=DYNAMICS), ADC, "palm")
-    edit(path, "weights: [0.1, 0.2]", "weights: [0.1, 0.9]")
-    assert "weights add up to 1; above 0.9" in refusal(path)
-    edit(path, "  scale_pa: 2000.0\n", "")
-    assert "dynamics has no 'scale_pa'" in refusal(path)
+def test_dynamics_of_earlier_versions_are_refused_with_what_to_do(path: Path) -> None:
+    line = edit(path, "uncalibrated: [3]", "uncalibrated: [3]\ndynamics: {rise_s: 0.085}") + 1
+    assert f"{path}, line {line}: dynamics are no longer compensated" in refusal(path)
 
 
 @st.composite
@@ -158,10 +116,8 @@ def test_the_identity_depends_on_what_determines_readings_only(path: Path) -> No
         write_calibration(path, whole, ADC, "thumb"),
         write_calibration(path, whole, replace(ADC, vref_v=3.31), "palm"),
         write_calibration(path, Calibration.of_nodes(CURVES, DEFAULT, NODES + 1), ADC, "palm"),
-        write_calibration(path, replace(whole, dynamics=DYNAMICS), ADC, "palm"),
-        write_calibration(path, replace(whole, dynamics=Dynamics(0.08, 0.1)), ADC, "palm"),
     ]
-    assert len({identity, *others}) == 7
+    assert len({identity, *others}) == 5
 
 
 def test_the_skin_configuration_reads_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
