@@ -211,7 +211,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     double power = power_of(rules, rest, volts, &found->level);
     if (isnan(power))
         return FRAME_ABSURD;
-    if (power <= rules->least_power) {
+    if (power <= rules->silent_power) {
         found->clipped = share_clipped(rules, volts, rules->size);
         return silent(rules, rest, power, found);
     }

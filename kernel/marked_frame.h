@@ -57,6 +57,7 @@ struct frame_rules {
     size_t whole_size;         /* those in which it is looked for clipping, if samples are chips */
     double chip;               /* nominal, samples */
     double least_power;        /* of a frame in which somebody speaks, V² */
+    double silent_power;       /* below which nobody does, however faintly, V² */
     double most_noise;         /* of a chip, V, in which no word is missed; infinite if unknown */
     double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
     double deafened, carried_noise, carried_misfit, loud;

@@ -14,7 +14,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 17 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 18 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -43,6 +43,11 @@ static const struct field readout_fields[] = {
     OF_READOUT(frame.spoken_over),
     OF_READOUT(reading.threshold),
     OF_READOUT(reading.faint_share),
+    OF_READOUT(reading.least_squares),
+    OF_READOUT(reading.loud_squares),
+    OF_READOUT(reading.hiding_rho),
+    OF_READOUT(reading.tone_share),
+    OF_READOUT(reading.moved_share),
     OF_READOUT(reading.sound_share),
     OF_READOUT(reading.most_square),
     OF_READOUT(reading.a_chip),
@@ -65,8 +70,6 @@ static const struct field readout_fields[] = {
     OF_READOUT(bits.uncalibrated),
     OF_READOUT(bits.masked),
     OF_READOUT(bits.faulty),
-    OF_READOUT(weak_v),
-    OF_READOUT(weak_rho),
     OF_READOUT(scrambled),
     OF_READOUT(spare),
     OF_READOUT(spare_count),

@@ -105,13 +105,10 @@ VECTORS static void count(size_t nodes, const struct readout_frame *out,
     const float *restrict amplitude = out->amplitude, *restrict rho = out->rho;
     const float *restrict margin = out->margin;
     const struct words_limits limit = settings->reading.limits;
-    const float weak_v = settings->weak_v, weak_rho = settings->weak_rho;
 
     for (size_t i = 0; i < nodes; i++) {
         int clear = rho[i] > limit.low_rho, weak = margin[i] < limit.low_margin;
-        /* Too weak to count as spoken, but too even and too strong to be noise. */
-        float heard = (float)(active[i] | ((amplitude[i] > weak_v) & (rho[i] > weak_rho) &
-                                           (margin[i] > limit.low_margin)));
+        float heard = (float)active[i];
         sums[i] += heard;
         sums[nodes + i] += amplitude[i] * heard;
         sums[2 * nodes + i] += (float)(doubtful[i] & clear & weak);
@@ -253,9 +250,11 @@ enum readout_look readout_read(struct readout *readout, const float *rows, float
                                     out->doubtful, out->doubled, out->odd};
     enum words_look look =
         words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, skin->sign_mask,
-                   skin->offset, skin->expected, &measures, &decided, out->active, readout->late);
+                   skin->offset, skin->expected, &measures, &decided, out->active);
     if (look == WORDS_NEED_STAGES || is_disturbed(readout, out))
         return READOUT_ODD;
+    if (look == WORDS_LEAVE_MUCH && !in_place)
+        return READOUT_LEFT;
     if (look == WORDS_LEAVE_ENERGY && !in_place) {
         enum readout_look displaced = find_displaced(readout, rows, out);
         if (displaced != READOUT_PLAIN)

@@ -26,7 +26,6 @@ struct readout_settings {
     struct words_reading reading;
     struct words_lateness lateness;
     struct readout_bits bits;
-    float weak_v, weak_rho; /* of words that are too weak to count, see NodeHealth; V, or NaN */
     bool scrambled;
     size_t spare, spare_count; /* rows of the code that no node uses */
     size_t codes, pieces, taxels;

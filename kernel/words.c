@@ -54,9 +54,13 @@ VECTORS static void measure(const float *levels, size_t step, size_t bits, size_
 
 /* Whether any word is faint: find_active in stages.py. */
 VECTORS static bool find_active(size_t nodes, const float *restrict amplitude,
-                                const float *restrict expected, float threshold, float faint_share,
-                                float sound_share, uint8_t *restrict active, uint8_t *restrict faint)
+                                const float *restrict squares, const float *restrict expected,
+                                const struct words_reading *reading, float per_noise,
+                                uint8_t *restrict active)
 {
+    const float threshold = reading->threshold, faint_share = reading->faint_share;
+    const float sound_share = reading->sound_share, least = reading->least_squares;
+    const float most_noise = reading->loud_squares, hiding = reading->hiding_rho;
     float loudest = -INFINITY;
     int any = 0;
 
@@ -67,10 +71,11 @@ VECTORS static bool find_active(size_t nodes, const float *restrict amplitude,
     for (size_t i = 0; i < nodes; i++) {
         float sound = sound_share * (most < expected[i] ? most : expected[i]) + none;
         int spoke = amplitude[i] > threshold * expected[i];
-        int is_faint = (amplitude[i] > faint_share * expected[i]) & ((amplitude[i] < sound) | !spoke);
+        int rises = (squares[i] > least * expected[i] * expected[i]) &
+                    (squares[i] * per_noise * per_noise > most_noise);
         active[i] = (uint8_t)spoke;
-        faint[i] = (uint8_t)is_faint;
-        any |= is_faint;
+        any |= (amplitude[i] > faint_share * expected[i]) & ((amplitude[i] < sound) | !spoke);
+        any |= (rises | (expected[i] * per_noise < hiding)) & !spoke;
     }
     return any;
 }
@@ -411,30 +416,42 @@ static double common_energy(const struct words_frame *frame, const float *rows, 
     return product * product / norm / (double)frame->bits;
 }
 
-/* Whether words leave over less than a chip of the weakest: what out_of_place in lateness.py asks. */
-static bool leave_little(const struct words_frame *frame, const struct words_reading *reading,
+/* What is left over by words: what out_of_place in lateness.py asks, and toned in tones.py. */
+static enum words_look look_at_rest(const struct words_frame *frame, const struct words_reading *reading,
                          const float *rows, const float *offset, const float *amplitude,
                          const uint8_t *active, const struct spoken *spoken)
 {
     const size_t from = frame->first > 0, end = frame->first + frame->nodes;
+    double sum = 0, moved = 0;
     double total = spoken->rows_power, share = spoken->words <= reading->few ? (double)reading->few_share : 1;
-
-    if (!spoken->words)
-        return true;
     double common = offset ? common_energy(frame, rows, offset, amplitude, active, from) : 0;
-    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order)
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
         total += power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
+        sum += (double)rows[0];
+        moved += (double)rows[0] * (double)rows[0];
+    }
+    total = total / (double)frame->bits - spoken->power;
+    sum /= (double)frame->bits;
+    moved = from && !offset ? moved / (double)frame->bits - sum * sum : 0; /* of what is no offset */
+    double most_moved = (double)reading->moved_share * (double)spoken->expected;
+    if (moved > most_moved * most_moved && spoken->words < frame->nodes)
+        return WORDS_NEED_STAGES;
+    if (!spoken->words)
+        return WORDS_ARE_PLAIN;
+    double least = (double)spoken->least * (double)spoken->least;
+    if (!offset && total + moved >= (double)reading->tone_share * least)
+        return WORDS_LEAVE_MUCH;
     float weakest = offset && spoken->expected < spoken->least ? spoken->expected : spoken->least;
     double most = share * (double)reading->a_chip * (double)weakest;
-    return total / (double)frame->bits - spoken->power - common <
-           most * (double)weakest / (double)frame->order;
+    return total - common < most * (double)weakest / (double)frame->order ? WORDS_ARE_PLAIN
+                                                                           : WORDS_LEAVE_ENERGY;
 }
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
-                           const struct words_decided *decided, uint8_t *active, uint8_t *faint)
+                           const struct words_decided *decided, uint8_t *active)
 {
     const float *amplitude = measures->amplitude;
     float threshold = reading->threshold;
@@ -447,8 +464,7 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
         for (size_t i = 0; i < frame->nodes; i++)
             expected[i] = usual;
     }
-    if (find_active(frame->nodes, amplitude, expected, threshold, reading->faint_share,
-                    reading->sound_share, active, faint))
+    if (find_active(frame->nodes, amplitude, measures->squares, expected, reading, per_noise, active))
         return WORDS_NEED_STAGES;
     if (decide(frame->nodes, measures, active, expected, sign_mask, per_noise,
                (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,
@@ -457,7 +473,7 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     float share = threshold < reading->faint_share ? threshold : reading->faint_share;
     struct spoken spoken =
         clear_silent(frame->nodes, measures, decided, active, expected, share);
-    return leave_little(frame, reading, rows, offset, amplitude, active, &spoken) ? WORDS_ARE_PLAIN : WORDS_LEAVE_ENERGY;
+    return look_at_rest(frame, reading, rows, offset, amplitude, active, &spoken);
 }
 
 /* ---- late -------------------------------------------------------------------------------------- */

@@ -47,7 +47,9 @@ double words_noise(const struct words_frame *frame, const float *rows, size_t sp
 
 /* What words are read by, besides: see decode.py and stages.py. a_chip, few, few_share: lateness.py. */
 struct words_reading {
-    float threshold, faint_share, sound_share, most_square, a_chip, few_share;
+    float threshold, faint_share, sound_share, most_square, a_chip, few_share, tone_share, moved_share;
+    /* A silent row's squares over expected² and noise², and expected over noise: see find_active. */
+    float least_squares, loud_squares, hiding_rho;
     size_t few;
     bool parity;
     struct words_limits limits;
@@ -56,17 +58,18 @@ struct words_reading {
 enum words_look {
     WORDS_NEED_STAGES, /* a word is faint or uneven; nothing is meant by the arrays */
     WORDS_LEAVE_ENERGY, /* as much as a chip of one of them: some may be out of place */
+    WORDS_LEAVE_MUCH,   /* as much as a tone on one of their rows leaves */
     WORDS_ARE_PLAIN,
 };
 
 /* The words of a frame, as decode_in_stages in decode.py reads them. per_noise: 1/V. rows: (k, N).
  * offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
- * written to unless least_usual (V, of the usual amplitude) is NaN. faint is scratch. */
+ * written to unless least_usual (V, of the usual amplitude) is NaN. */
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
-                           const struct words_decided *decided, uint8_t *active, uint8_t *faint);
+                           const struct words_decided *decided, uint8_t *active);
 
 #define WORDS_MOST_BITS 31
 

@@ -111,11 +111,37 @@ RAILS = (
 )
 """Lines of which a part cannot be seen."""
 
+WALSH, LONG = (
+    Skin(nodes=order - 1, order=order, period_chips=13 * order, amplitude_v=0.2)
+    for order in (32, 40)
+)
+SEVERAL = Line(
+    gains=((2, 0.2),), dropouts=((3, 0.3),), low_pass_chips=0.15, hum_v=0.3, hum_hz=200, onset=0.4
+)
+CLAIMS = (
+    Condition("all at 0.2 A, rho 40", Line(gain=0.2, noise_v=0.034), CHURN, rough=True),
+    Condition("all at 0.2 A from then on", Line(gain=0.2, onset=0.5), CHURN, rough=True),
+    Condition("a node at 0.24 A", Line(gains=((2, 0.24),)), FEW, rough=True),
+    Condition("a node at 0.17 A, rho 20", Line(gains=((2, 0.17),), noise_v=0.067), rough=True),
+    Condition("a node at 0.18 A, alone", Line(gains=((2, 0.18),)), Talk(speakers=(2,)), rough=True),
+    Condition("hum of 1 A, 250 Hz", Line(hum_v=0.2, hum_hz=250), FEW, LONG, rough=True),
+    Condition("hum of 2 A, 200 Hz", Line(hum_v=0.4, hum_hz=200), ONE, LONG, rough=True),
+    Condition("hum of 4 A, 300 Hz", Line(hum_v=0.8, hum_hz=300), ONE, WALSH, rough=True),
+    Condition("hum of 2 A, 625 Hz", Line(hum_v=0.4, hum_hz=625), FEW, WALSH, rough=True),
+    Condition("offset 0.8 A on row 0", Line(offset_v=0.24), Talk(share=0.3), PAPER, rough=True),
+    Condition("offset -1.5 A on row 0", Line(offset_v=-0.45, onset=0.3), FEW, PAPER, rough=True),
+    Condition("100 bursts/s of 5 A", Line(bursts_hz=100, burst_v=1.5), ONE, rough=True),
+    Condition("a node drops out", Line(dropouts=((2, 0.5),)), FEW, rough=True),
+    Condition("a node 0.5 % slow", Line(slow=((2, 0.005),)), rough=True),
+    Condition("several at once", SEVERAL, FEW, rough=True),
+)
+"""Lines on which silence, or a word, has no evidence."""
+
 
 def conditions() -> Iterator[Condition]:
     """All conditions; names begin with how frames are timed."""
     for name, digitizer in TIMINGS.items():
-        for condition in SKINS + TIMES + VOLTAGES + RAILS:
+        for condition in SKINS + TIMES + VOLTAGES + RAILS + CLAIMS:
             yield replace(condition, name=f"{name}: {condition.name}", digitizer=digitizer)
         for change, how in (
             ("5 losses/s", replace(digitizer, losses_hz=5)),

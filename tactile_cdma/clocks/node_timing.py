@@ -128,10 +128,12 @@ class NodeRecogniser:
             return Verdict(rejected=INCOMPLETE)
         volts = (frame.volts - line.level_v).astype(np.float32)
         values = decorrelator.estimate(volts)
+        gain = float(np.sqrt(np.square(decorrelator.noise_gain).mean()))
         level: Floats32 = np.abs(values)
         amplitude = level.mean(axis=0)
         if line.is_silent(amplitude):
-            return line.silent(frame, line.sample_power(frame.volts))
+            levels = NodeLevels(values, gain * line.sample_noise_v)
+            return line.silent(frame, line.sample_power(frame.volts), levels)
         spoken = amplitude > word_floor(amplitude, line.spec)
         words = np.where(spoken, np.sign(values) * amplitude, 0)
         scatter = np.square((level - amplitude) * (words != 0)).sum()
@@ -142,7 +144,6 @@ class NodeRecogniser:
                 self._clocks.give_up("the nodes' clocks are no longer those of the roll call")
             return Verdict(over=over, rejected=MISFIT)
         self._rejected_in_a_row = 0
-        gain = float(np.sqrt(np.square(decorrelator.noise_gain).mean()))
         scatter_v = math.sqrt(spread * float(np.square(words).sum() / np.count_nonzero(words)))
         doubted = np.union1d(decorrelator.unresolved, np.flatnonzero(~decorrelator.clocks.known))
         noise_v = max(gain * line.sample_noise_v, scatter_v)

@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..base.arrays import Floats32
+from ..base.arrays import Bools, Floats32
 
 ACTIVE_SHARE = 0.5
 """A node spoke where the mean of |r| over its word exceeds this share of its amplitude: halfway
@@ -14,9 +16,60 @@ between silence and speech."""
 FAINT_SHARE = 0.25
 """Share of a node's amplitude below which nothing is taken for a node: half of it may be one, a
 quarter is none. Chosen."""
+LEAST_SHARE = 0.1
+"""Share of a node's amplitude below which nothing is asked of what is on its row. Chosen: what
+sound lines leave there (edges, hum of a third of an amplitude, droop) stays below."""
+MOVED_SHARE = 0.3
+"""Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
+may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
+BY_CHANCE = 3.3
+"""Normal deviations that make more than noise of a row's power. Chosen: 5e-4 of all silent words
+exceed them; a word at 0.15 A and ρ = 20 stays below once in 10⁵."""
+LEAST_POOL, MOST_POOLED = 4, 1.25
+"""Silent nodes whose rows say something of the noise; by how much they may raise it. Chosen: of
+three spare rows' ten levels it is right to 13 % (√(2/30)/2)."""
+LEAST_NOISE = 1e-12
+"""V; less is taken for this, so that ρ stays finite."""
 LOUDEST_FLOOR = 0.25
 """Share of the loudest word's amplitude that others have, too, if it is that of a sound node: the
 loudest may be that of three nodes on one row, and a lone node then still has a third of it."""
+
+
+def most_noise_power(bits: int) -> float:
+    """Mean r² of a word's levels, over the noise's variance, that noise alone hardly exceeds.
+
+    A χ² variable of so many degrees of freedom, by the cube root (Wilson and Hilferty 1931).
+    """
+    spread = 2 / (9 * bits)
+    return (1 - spread + BY_CHANCE * math.sqrt(spread)) ** 3
+
+
+def rises(squares: Floats32, expected: Floats32 | np.float32, noise: float, bits: int) -> Bools:
+    """Whether the levels of a row are more than noise and what no node is taken for, (n,).
+
+    squares: (n,) V², sums of the squares of so many bits' levels.
+    expected: (n,) or scalar, V, amplitude of a node. noise: RMS of a level, V.
+    """
+    per_noise = np.float32(1 / max(noise, LEAST_NOISE))
+    least, loud = bits * LEAST_SHARE**2, bits * most_noise_power(bits)
+    above: Bools = squares > np.float32(least) * expected * expected
+    return above & (squares * per_noise * per_noise > np.float32(loud))
+
+
+def hiding_rho(bits: int) -> float:
+    """ρ of a node below which noise hides a word of LEAST_SHARE."""
+    return math.sqrt(most_noise_power(bits)) / LEAST_SHARE
+
+
+def pooled_noise(noise: float, silent: Floats32, bits: int) -> float:
+    """RMS of a level, V, where few spare rows show it, and silent nodes' rows, too.
+
+    silent: (m,) V², sums of squares of so many bits' levels; of most of them, unless all are faint.
+    """
+    if silent.size < LEAST_POOL:
+        return noise
+    usual = math.sqrt(float(np.median(silent)) / bits)
+    return min(max(noise, usual), MOST_POOLED * noise)
 
 
 def usual_amplitude(mean: Floats32) -> Floats32:

@@ -34,12 +34,14 @@ class NodeLevels:
     rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
         correlation.
     Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
+    level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     """
 
     values: Floats32
     noise_v: float
     unresolved: tuple[int, ...] = ()
     rows: Floats32 | None = None
+    level_unknown: bool = False
 
 
 def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
@@ -50,9 +52,22 @@ def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
     return node_levels(rows_of(chips, spec), spec)
 
 
-def node_levels(rows: Floats32, spec: FrameSpec) -> NodeLevels:
-    """The nodes' share of all correlations, (k, N) float32, V; the spare rows show the noise."""
-    return NodeLevels(rows[:, spec.node_slice], noise_of(rows, spec), rows=rows)
+def node_levels(rows: Floats32, spec: FrameSpec, level_known: bool = True) -> NodeLevels:
+    """The nodes' share of all correlations, (k, N) float32, V; the spare rows show the noise.
+
+    level_known: that of the line at rest.
+    """
+    unknown = not level_known and may_be_offset(rows, spec)
+    return NodeLevels(
+        rows[:, spec.node_slice], noise_of(rows, spec), rows=rows, level_unknown=unknown
+    )
+
+
+def may_be_offset(rows: Floats32, spec: FrameSpec) -> bool:
+    """Whether what row 0 holds may be the line's offset, if that is unknown: not if bits change."""
+    if spec.first_row > 0 or spec.scramble:
+        return False
+    return bool(rows[:, 0].min() > 0 or rows[:, 0].max() < 0)
 
 
 def noise_of(rows: Floats32, spec: FrameSpec) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..clocks.node_timing import NodeTiming
-from ..code.separate import NodeLevels, frame_fields
+from ..code.separate import NodeLevels, frame_fields, may_be_offset
 from ..code.transform import compiled_transform
 from ..framing.fit import Fit, lowest_power
 from ..framing.frame_end import tail_of
@@ -174,7 +174,10 @@ class CompiledStream:
             self._reason = ""
         fit, levels = line.nominal, None
         if kind == _HEARD:
-            fit, levels = self._fit or fit, NodeLevels(self._values, noise_v, rows=self._rows)
+            rows = self._rows
+            unknown = line.integrated and not known and may_be_offset(rows, line.spec)
+            levels = NodeLevels(self._values, noise_v, rows=rows, level_unknown=unknown)
+            fit = self._fit or fit
             noise_v *= math.sqrt(line.spec.order)
         begin = float(start) if line.integrated else start + fit.start
         return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)
@@ -286,6 +289,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         whole_size=round(line.nominal.end(spec) + 0.5),
         chip=line.chip,
         least_power=line.least_power,
+        silent_power=line.silent_power,
         most_noise=blinding_noise_v(spec),
         rail_low=rail_low,
         rail_high=rail_high,

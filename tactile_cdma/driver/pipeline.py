@@ -214,10 +214,8 @@ class Pipeline:
             placement = self.timeline.place(arrival, self._description.pace)
         if placement.step is Step.RESET:
             self.taxels.forget()
-        elif placement.step is Step.RESTART:
-            self.taxels.miss(
-                self.config.nodes_repeat
-            )  # how many frames there were meanwhile is a guess
+        elif placement.step is Step.RESTART:  # how many frames were lost meanwhile is a guess
+            self.taxels.miss(self.config.nodes_repeat)
         self.stream.place(placement)
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:
@@ -239,7 +237,12 @@ class Pipeline:
                 words = words.doubted(heard.doubtful)
             held = taxels.try_hold(t_device) if heard.doubtful is None else None
             return words, held or taxels.update(words, t_device, self.health)
-        is_odd = levels.rows is None or levels.unresolved or heard.doubtful is not None
+        is_odd = (
+            levels.rows is None
+            or levels.unresolved
+            or levels.level_unknown
+            or heard.doubtful is not None
+        )
         if kernel.compiled is not None and not is_odd and not config.roll_call:
             read = taxels.read(levels, config.spec, config.threshold, t_device, self.health)
             if read is not None:

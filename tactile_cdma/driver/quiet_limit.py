@@ -4,13 +4,11 @@
 
 from __future__ import annotations
 
-import math
-
 from ..code.frame import FrameSpec
-from ..framing.fit import least_power
 
-MARGIN = 0.9
-"""Share of the limit that is used. Chosen: leaves a tenth for rounding of counts."""
+HEARD_SHARE = 0.135
+"""Share of a node's amplitude from which on a faint word is no silence. Chosen: words at 0.15 A are
+to be heard, and a tenth is for rounding of counts."""
 
 
 def quiet_uv(spec: FrameSpec) -> int:
@@ -21,10 +19,9 @@ def quiet_uv(spec: FrameSpec) -> int:
 
     Samples within Q of each other have chips within Q. These have a variance of at most (Q/2)²
     (Popoviciu), and a correlation with any row but 0 of at most Q/2, whatever the line's offset:
-    a row has as many chips of either sign. Both lie below the least power of a node, so that the
-    decoder finds such a frame silent, too, if it gets all samples. The samples need not reach to
-    the frame's end: a node that speaks is heard in the first bit.
+    a row has as many chips of either sign. Both lie below what a faint word has. The samples need
+    not reach to the frame's end: a node that speaks is heard in the first bit.
     """
     if spec.node_swing_v is None or spec.first_row == 0:
         return 0
-    return min(int(MARGIN * 2e6 * math.sqrt(least_power(spec))), 2**32 - 1)
+    return min(int(HEARD_SHARE * 2e6 * spec.node_swing_v), 2**32 - 1)

@@ -18,7 +18,13 @@ import numpy as np
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..base.sums import dot
-from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, LOUDEST_FLOOR, usual_amplitude
+from ..code.amplitude import (
+    ACTIVE_SHARE,
+    FAINT_SHARE,
+    LEAST_SHARE,
+    LOUDEST_FLOOR,
+    usual_amplitude,
+)
 from ..code.frame import UNIPOLAR, FrameSpec
 from ..code.separate import frame_settings
 from ..code.transform import chips_of, rows_of, transform_of
@@ -323,6 +329,11 @@ def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
 def least_power(spec: FrameSpec) -> float:
     """Power below which there is no node, V²; 0 where the amplitude is unknown."""
     return lowest_power(spec.node_swing_v or 0.0)
+
+
+def silent_power(spec: FrameSpec) -> float:
+    """Power below which no row holds what would be asked about, V²; 0 as above."""
+    return (LEAST_SHARE * (spec.node_swing_v or 0.0)) ** 2
 
 
 def lowest_power(swing_v: float) -> float:

@@ -38,7 +38,9 @@ def tail_of(fit: Fit, spec: FrameSpec) -> tuple[int, int]:
 class FrameEnds:
     """Looks at the line after each frame of a stream.
 
-    silent: how many frames ended in silence, in a row until that is proven.
+    silent: how many frames ended in silence, or with the chips of few late nodes among many, in a
+        row until that is proven. Of frames that go on all nodes have chips there, which cancel to
+        those of few only now and then.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -83,12 +85,13 @@ class FrameEnds:
         if left < rest:
             self.silent += 1
             return End.SILENCE
-        if self.silent < LIMITS.proven_ends:
-            self.silent = 0
-            return End.OTHER
         quiet = int(np.count_nonzero(amplitude == 0))
         late = int(LIMITS.odd_share * (amplitude.size - quiet + 1))
-        if left >= late * float(np.square(amplitude).max()) + most:
+        few = left < late * float(np.square(amplitude).max()) + most
+        if self.silent < LIMITS.proven_ends:
+            self.silent = self.silent + 1 if few else 0
+            return End.OTHER
+        if not few:
             return End.OTHER
         return End.SILENCE if quiet <= late else End.MISLED
 

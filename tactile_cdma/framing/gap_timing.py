@@ -13,11 +13,12 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import SpecError
-from ..base.sums import sums
+from ..base.sums import dot, sums
+from ..code.amplitude import FAINT_SHARE, rises
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels, node_levels
 from .burst import Burst, Gap
-from .fit import Fit, Line, even_words, lowest_power
+from .fit import Fit, Line, even_words, integrate, lowest_power, read_words
 from .gap import GapSearch, Look
 from .hum import Hum
 from .impulses import without_impulses
@@ -46,6 +47,10 @@ _log = logging.getLogger(__name__)
 FORGET = 0.999
 """Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
 s at 78 Hz."""
+SURE_SHARE, SURE_NOISE = 0.5, 0.3
+"""A silent slot holds no faint word if its power, and so much of its noise, stays below the power
+of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
+slot and gap are right to a tenth."""
 AGAIN_PERIODS = 12
 """Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
 it is known after 4 to 8."""
@@ -409,6 +414,38 @@ class GapTiming(Timing):
             return False
         return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * gap.variance
 
+    def _silent_slot(self, level: float, noise: float, clipped: float) -> FrameLevels:
+        """The slot that is next, in which there is no frame; noise: of a chip's level, V RMS.
+
+        A faint word hardly has power. Where its place is known it is looked for on the nodes' rows,
+        else everybody's silence is a guess.
+        """
+        spec, search, slot = self._spec, self._search, self._next
+        silent = FrameLevels(slot, search.chip, None, noise, level, clipped)
+        before = (search.period - search.shortest) / 2
+        begin = max(self._samples.begin, math.floor(slot - before))
+        volts = self._samples.take(begin, begin + math.ceil(search.period))
+        volts = self._hum.removed(volts, begin) - level
+        if self._gap is None or not volts.size:
+            return silent
+        sample_noise = self._gap.variance * search.half
+        power = dot(volts, volts) / volts.size - sample_noise
+        power *= volts.size / search.shortest
+        if power + SURE_NOISE * sample_noise < SURE_SHARE**2 * search.least_power:
+            return silent
+        expected = self._raster.expect(slot, begin)
+        if expected is None or not search.is_sure(expected):
+            return replace(silent, doubtful=np.ones(spec.nodes, bool))
+        start, chip = np.array([expected.start]), np.array([expected.chip])
+        rows = read_words(integrate(Line(volts), start, chip, spec), spec).rows[0]
+        levels = node_levels(rows, spec)
+        squares = np.einsum("kn,kn->n", levels.values, levels.values)
+        least = math.sqrt(search.least_power) / FAINT_SHARE
+        if not rises(squares, np.float32(least), levels.noise_v, spec.line_bits).any():
+            return silent
+        place = begin + expected.start
+        return replace(silent, start=place, chip_samples=expected.chip, levels=levels)
+
     def _idle_slots(self, until: float) -> Iterator[FrameLevels]:
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
         if self._next > until:
@@ -426,5 +463,5 @@ class GapTiming(Timing):
             if hidden:
                 self.rejections += hidden
             else:
-                yield FrameLevels(self._next, self._search.chip, None, noise, level, clipped)
+                yield self._silent_slot(level, noise, clipped)
             self._next += self._search.period

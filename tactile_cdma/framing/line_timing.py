@@ -13,6 +13,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
 from ..code.separate import node_levels
+from ..code.transform import rows_of
 from ..wire._protocol import TAIL_CHIPS
 from .fit import (
     CHIPS_AT_ONCE,
@@ -142,13 +143,13 @@ class LineRecogniser:
         chips = np.subtract(volts, self._line.level_v, dtype=np.float32)
         chips = chips.reshape(spec.line_bits, spec.order)
         words = read_words(chips[None], spec)
+        levels = node_levels(words.rows[0], spec, self._line.level_known)
         if self._line.is_silent(words.amplitude[0]):
             if self._is_astray(words):
                 return Verdict(rejected=MISFIT)
-            return self._line.silent(frame, self._line.sample_power(volts))
+            return self._line.silent(frame, self._line.sample_power(volts), levels)
         if not words.believable(spec):
             return Verdict(rejected=MISFIT)
-        levels = node_levels(words.rows[0], spec)
         doubtful = self._doubtful(chips, words, words.is_clear(spec))
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
 
@@ -189,7 +190,7 @@ class LineRecogniser:
         spec, size = self._spec, line.volts.size
         power = self._chip_power(line)
         if power <= self._line.least_power:
-            return self._faint(frame, power)
+            return self._faint(frame, line, power)
         fits = [self._usual(line)]
         verdict = self._chosen(frame, line, fits)
         if verdict.over or verdict.due:
@@ -197,7 +198,7 @@ class LineRecogniser:
         if power <= LIMITS.faint_power * self._line.noise:
             if verdict.rejected:
                 return Verdict(over=frame.start + size, rejected=NOISY)
-            return self._faint(frame, power)
+            return self._faint(frame, line, power)
         rejected, longest = verdict.rejected, size
         if not spec.resync_chips:
             # The tail shows the level, or that it did not change: row 0 would take that for a word.
@@ -214,7 +215,7 @@ class LineRecogniser:
                         return verdict
                     rejected = verdict.rejected or rejected
         if rejected is None:
-            return self._faint(frame, power)
+            return self._faint(frame, line, power)
         return Verdict(over=frame.start + longest + math.ceil(self._line.chip), rejected=rejected)
 
     def _usual(self, line: Line) -> Fit:
@@ -265,9 +266,13 @@ class LineRecogniser:
             np.abs(spare).mean(axis=0, dtype=np.float32)
         )
 
-    def _faint(self, frame: MarkedFrame, power: float) -> Verdict:
-        """A silent frame, from the power of its chips, V²."""
-        return self._line.silent(frame, power * self._line.chip)
+    def _faint(self, frame: MarkedFrame, line: Line, power: float) -> Verdict:
+        """A frame of no word that is loud enough, from the power of its chips, V²."""
+        levels = None
+        if power > self._line.silent_power:
+            edges = self._carried.edges if self._carried else self._nominal
+            levels = node_levels(rows_of(edges.chips(line), self._spec), self._spec)
+        return self._line.silent(frame, power * self._line.chip, levels)
 
     def _ended(
         self,

@@ -16,9 +16,10 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
+from ..code.amplitude import MOVED_SHARE, rises
 from ..code.frame import BIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
-from .fit import ChipEdges, Fit, least_power, lowest_power
+from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
 from .limits import LIMITS
 from .timing import (
     ABSURD,
@@ -134,7 +135,7 @@ class MarkedLine:
         self.nominal = Fit(-0.5, self.chip)  # sample i stands for i − ½ … i + ½
         length = spec.chips if self.integrated else spec.span_chips
         self.size = math.ceil(length * self.chip - 0.5)
-        self.least_power = least_power(spec)
+        self.least_power, self.silent_power = least_power(spec), silent_power(spec)
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset. So
         # it is, nearly, where rows are scrambled: off by √(n/kN)·A, of which a row shows a √N-th.
         self.mean_is_offset = (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR
@@ -185,7 +186,7 @@ class MarkedLine:
         if math.isnan(power):
             return Verdict(rejected=ABSURD)
         # Chips are means of samples, so they have no more power than the samples.
-        return None if power > self.least_power else self.silent(frame, power)
+        return None if power > self.silent_power else self.silent(frame, power)
 
     def sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
@@ -203,10 +204,11 @@ class MarkedLine:
         strongest = float(amplitude.max())
         return strongest**2 <= max(self.least_power, LIMITS.loud**2 * self.noise / self.spec.order)
 
-    def silent(self, frame: MarkedFrame, power: float) -> Verdict:
+    def silent(self, frame: MarkedFrame, power: float, levels: NodeLevels | None = None) -> Verdict:
         """A frame in which no node spoke; rejected where one that did might not show.
 
-        power: mean power of its samples, V², all of it noise.
+        power: mean power of its samples, V², all of it noise. levels: of the nodes, which hold
+        words that are too faint, or noise; None where the power excludes these.
         """
         clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
         if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
@@ -214,7 +216,27 @@ class MarkedLine:
         if self.spec.scramble and power > self.most_silent_power:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
-        return self._decided(frame.start, self.nominal, None, noise_v, clipped)
+        doubtful = None
+        if levels is not None and not self._holds_more(levels):
+            levels = None
+            if not self.integrated and power > self._most_explained * self.chip:
+                doubtful = np.ones(self.spec.nodes, bool)
+        return self._decided(frame.start, self.nominal, levels, noise_v, clipped, doubtful)
+
+    def _holds_more(self, levels: NodeLevels) -> bool:
+        """Whether a row holds more than noise, or the line moves."""
+        swing_v = self.spec.node_swing_v or 0.0
+        squares = np.einsum("kn,kn->n", levels.values, levels.values)
+        if rises(squares, np.float32(swing_v), levels.noise_v, self.spec.line_bits).any():
+            return True
+        if levels.rows is None or self.spec.first_row == 0 or not swing_v:
+            return False
+        return float(levels.rows[:, 0].var()) > (MOVED_SHARE * swing_v) ** 2
+
+    @property
+    def _most_explained(self) -> float:
+        """Power of chips, V², up to which it is the gap's noise."""
+        return LIMITS.carried_noise * self.noise + self.silent_power
 
     @property
     def most_silent_power(self) -> float:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE
+from ..code.amplitude import FAINT_SHARE, LEAST_SHARE, MOVED_SHARE, hiding_rho, most_noise_power
 from ..code.frame import FrameSpec
 from ..code.separate import frame_fields
-from ..words import lateness, limits
+from ..words import lateness, limits, tones
 from ..words.decode import nobody
-from ..words.health import WEAK_RHO, NodeHealth
+from ..words.health import NodeHealth
 from ..words.stages import most_square
 from .calibration import Calibration
 from .stages import Bounds, Kept, Trust
@@ -83,8 +83,6 @@ class Readout:
                 uncalibrated=Status.UNCALIBRATED,
                 masked=Status.MASKED,
                 faulty=Status.FAULTY,
-                weak_v=health.weak_v,
-                weak_rho=WEAK_RHO,
                 codes=len(table_v),
                 pieces=len(curves.pieces),
                 taxels=self.taxels,
@@ -112,6 +110,11 @@ def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
     return {
         "threshold": threshold,
         "faint_share": FAINT_SHARE,
+        "least_squares": spec.line_bits * LEAST_SHARE**2,
+        "moved_share": MOVED_SHARE,
+        "tone_share": tones.least_left(spec),
+        "hiding_rho": hiding_rho(spec.line_bits),
+        "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),
         "sound_share": limits.SOUND_SHARE,
         "most_square": most_square(spec.line_bits),
         "a_chip": lateness.least_left(spec),

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
+from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..places.layout import Layout
 from ..words.decode import AUTO_FLOOR, Words
 from ..words.health import NodeHealth, NodeState
-from ..words.lateness import displaced
-from ..words.limits import LEAST_NOISE
+from ..words.lateness import out_of_place
+from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
@@ -279,7 +280,9 @@ class Taxels:
             if look != LEFT:
                 break
             least_v = float(readout.expected_v.min())
-            if displaced(levels, floats[0], active, least_v, spec) is not None:
+            if out_of_place(levels, floats[0], active, least_v, spec) is not None:
+                return None
+            if toned(levels, floats[0], active, spec) is not None:
                 return None
             in_place = True
         if look == ODD:
@@ -288,7 +291,9 @@ class Taxels:
         doubtful, doubled, odd = doubts if look == DOUBTFUL else (no, no, no)
         amplitude_v, rho, margin = floats
         sigma = noise_v * math.sqrt(spec.order)
-        words = Words(active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, sigma)
+        words = Words(
+            active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, no, sigma
+        )
         health.frames_to_verdict -= 1
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         if not 0 <= t_device - chain.looked_s < LOOK_S:

@@ -12,13 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE, usual_amplitude
+from ..code.amplitude import (
+    ACTIVE_SHARE,
+    FAINT_SHARE,
+    MOVED_SHARE,
+    pooled_noise,
+    rises,
+    usual_amplitude,
+)
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .lateness import out_of_place
 from .leakage import unexplained
 from .limits import CLEAR_RHO, SOUND_SHARE, UNLIKE
 from .stages import decide, find_active, measure
+from .tones import toned
 
 AUTO_FLOOR = 6.0
 """With the amplitude unknown, words below this many noise deviations count as silence. Noise alone
@@ -61,6 +69,8 @@ class Words:
         much lower one: more than one node speaks on their row.
     odd: (n,) bool, active words whose parity had to be mended.
     astray: (n,) bool, nodes on whose rows there may be another one's word, of a node out of time.
+    faint: (n,) bool, nodes that did not speak loudly enough, but on whose rows there is more than
+        noise and their neighbours explain.
     noise_rms_v: σ, noise of one chip sample, V; NaN if unknown.
 
     Treat the arrays as read-only: frames share those in which no node is True or heard.
@@ -75,6 +85,7 @@ class Words:
     doubled: Bools
     odd: Bools
     astray: Bools
+    faint: Bools
     noise_rms_v: float
 
     @property
@@ -106,7 +117,7 @@ class Words:
 def silent(nodes: int, noise_rms_v: float) -> Words:
     """The words of a frame in which no node spoke; these share their arrays."""
     no, codes, nothing = _zeros(nodes)
-    return Words(no, codes, nothing, nothing, nothing, no, no, no, no, noise_rms_v)
+    return Words(no, codes, nothing, nothing, nothing, no, no, no, no, no, noise_rms_v)
 
 
 def nobody(nodes: int) -> Bools:
@@ -134,7 +145,8 @@ def decode(
     amplitude, scalar or (n,), V; the specification's by default, and where that has none, the
     usual one of the frame. Activity is decided per word and not per bit: k levels average out the
     noise, which takes lost words from 0.32 to 1e-4 at ρ = 4. A word that louder ones explain by
-    leakage is none. The silence of a node that was heard, if faintly, is doubtful.
+    leakage is none, nor one that tones or an offset explain. Silence is doubtful where a row holds
+    more than noise and leakage.
 
     With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
     likely even word) and is doubtful.
@@ -147,11 +159,13 @@ def decode(
     if swing_v is None:
         swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
     expected = _of_each(swing_v, spec.nodes)
-    active, faint, any_faint = find_active(amplitude, expected, threshold)
-    astray = np.zeros_like(active)
+    bits = spec.line_bits
+    active, faint, any_faint = find_active(measures, expected, threshold, noise, bits)
+    astray = hidden = np.zeros_like(active)
     if any_faint:
         sound = SOUND_SHARE * np.minimum(expected, amplitude.max())
-        left = np.abs(unexplained(levels, active & ~faint, faint, spec)).mean(axis=0)
+        rest, rest_noise = unexplained(levels, active & ~faint, faint, spec)
+        left = np.abs(rest).mean(axis=0)
         amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
         measures = measures._replace(amplitude=amplitude)
         spoke = amplitude > np.float32(threshold) * expected
@@ -162,24 +176,39 @@ def decode(
             # A line that weakens words weakens faint ones, too.
             astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
         active = spoke & ~astray
+        squares = np.einsum("kn,kn->n", rest, rest)
+        rest_noise = pooled_noise(rest_noise, squares[~spoke], bits)
+        hidden = ~spoke & rises(squares, expected, rest_noise, bits)
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
-        measures, active, expected, spec.sign_mask, noise, spec.line_bits, spec.parity
+        measures, active, expected, spec.sign_mask, noise, bits, spec.parity
     )
     if uneven:
         doubtful |= _disturbed(np.abs(values), amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
-    doubtful |= astray
+    doubtful |= astray | hidden
     if active.any():
         others = out_of_place(levels, amplitude, active, float(expected.min()), spec)
         if others is not None:  # any silent node may be the one that spoke
             astray |= others
             doubtful |= others | ~active
+        explained = toned(levels, amplitude, active, spec)
+        if explained is not None:
+            active &= ~explained
+            doubtful |= explained
+        if levels.level_unknown and active[0]:  # an offset may be that word
+            active[0], doubtful[0] = False, True
+    if levels.rows is not None and spec.first_row > 0 and not spec.scramble:
+        moved = float(levels.rows[:, 0].var())
+        if moved > (MOVED_SHARE * float(expected.min())) ** 2:
+            doubtful |= ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
-    return Words(active, codes, amplitude, rho, margin, doubtful, doubled, odd, astray, sigma)
+    return Words(
+        active, codes, amplitude, rho, margin, doubtful, doubled, odd, astray, hidden, sigma
+    )
 
 
 def _of_each(swing_v: ArrayLike, nodes: int) -> Floats32:

@@ -26,6 +26,10 @@ amplitude.ACTIVE_SHARE, so that a weak node is reported before its words are los
 MOST_UNEVEN, MOST_DOUBLED, MOST_ODD = 0.5, 0.25, 0.25
 """Shares of a node's words beyond which the node is faulty (uneven words; odd parity though every
 bit is clear) or doubled. Chosen; words that are no words have odd parity in half of all cases."""
+MOST_FAINT, FAINT_FADES = 8.0, 0.98
+"""Frames with a faint word on a silent node's row, more than it spoke in, from which on it is weak;
+and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
+to 20, noise (amplitude.BY_CHANCE) to 1."""
 WEAK_RHO = 8.0
 """ρ above which words below the threshold are noticed as those of a weak node. Chosen: at half the
 amplitude of a node at ρ = 16."""
@@ -65,6 +69,7 @@ class NodeHealth:
         self.invalid = np.zeros(spec.nodes, dtype=bool)
         self.sums = np.zeros((5, spec.nodes), dtype=np.float32)
         self._words, self._amplitude_v, self._uneven, self._doubled, self._odd = self.sums
+        self._faint = np.zeros(spec.nodes, dtype=np.float32)
         self.weak_v = FAINT_SHARE * (self._nominal_v or math.nan)
         self.frames_to_verdict = JUDGE_FRAMES
         self.any_suspect = False
@@ -78,6 +83,7 @@ class NodeHealth:
     def update(self, words: Words) -> None:
         """Count one frame's words."""
         self.any_suspect = count(words, self.weak_v, self.sums, self._suspected)
+        self._faint += words.faint
         self.frames_to_verdict -= 1
         if self.frames_to_verdict == 0:
             self.frames_to_verdict = JUDGE_FRAMES
@@ -108,6 +114,9 @@ class NodeHealth:
         verdict[twice | (self._doubled > MOST_DOUBLED * self._words)] = NodeState.DOUBLED
         unknown = heard & (self.state == NodeState.UNHEARD)
         state = np.where(due, verdict, np.where(unknown, NodeState.OK, self.state))
+        is_faint = self._faint > np.maximum(MOST_FAINT, self._words)
+        state[is_faint & (state < NodeState.WEAK)] = NodeState.WEAK
+        self._faint *= np.float32(FAINT_FADES)
         if not np.array_equal(state, self.state):  # others keep what follows from these
             self.state, self.invalid = state, state >= NodeState.FAULTY
         if self._nominal_v is not None and self.swing_v is not None:

@@ -64,18 +64,9 @@ def out_of_place(
         weakest = min(weakest, expected)
     if left < few * least_left(spec) * weakest**2 / spec.order:
         return None
-    return displaced(levels, amplitude, active, expected, spec)
-
-
-def displaced(
-    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
-) -> Bools | None:
-    """As out_of_place, of words that leave over that much."""
-    assert levels.rows is not None
     if spec.scramble:
         others, hidden = late_scrambled(levels, amplitude, active, expected, spec)
         return others if hidden or others.any() else None
-    spoken = amplitude[active]
     least = float(spoken.min())
     if spoken.size <= FEW and (
         least < PART * expected

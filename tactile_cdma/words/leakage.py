@@ -9,6 +9,8 @@ shifts: then a loud node shows in a silent one's row, in every bit with the same
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
@@ -21,8 +23,12 @@ TAPS = (1, -1)
 where samples are late of the one after. Chosen."""
 
 
-def unexplained(levels: NodeLevels, loud: Bools, faint: Bools, spec: FrameSpec) -> Floats32:
+def unexplained(
+    levels: NodeLevels, loud: Bools, faint: Bools, spec: FrameSpec
+) -> tuple[Floats32, float]:
     """Levels of all nodes without what leaks from chips of the loud ones, (k, n) float32, V.
+
+    Also the noise of one level, V RMS, without that leakage.
 
     loud: (n,) bool, nodes whose words are known to have been sent; their levels are returned as
     they are. faint: (n,) bool, nodes in question. One share for each of TAPS, the same for all
@@ -50,7 +56,9 @@ def unexplained(levels: NodeLevels, loud: Bools, faint: Bools, spec: FrameSpec) 
     cause, effect = cause.reshape(len(TAPS), -1), effect.ravel()
     share = np.linalg.lstsq(cause @ cause.T, cause @ effect, rcond=None)[0]
     left: Floats32 = values - np.tensordot(share.astype(np.float32), leaked, 1) * ~loud
-    return left
+    free = effect.size - int(faint.sum()) * spec.line_bits - int(loud.sum()) - len(TAPS)
+    noise_v = math.sqrt(float(np.square(effect - share @ cause).sum()) / max(free, 1))
+    return left, min(noise_v, levels.noise_v)
 
 
 def _uneven(values: Floats32, signs: Floats32) -> Floats32:

@@ -26,5 +26,3 @@ UNLIKE = 0.2
 LOWER_SHARE = 0.5
 """Share of a word's strongest level below which its weakest one is that of fewer nodes. Chosen:
 three nodes give 3 and 1."""
-LEAST_NOISE = 1e-12
-"""V; less is taken for this, so that ρ stays finite."""

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE
+from ..code.amplitude import FAINT_SHARE, LEAST_NOISE, hiding_rho, rises
 from .limits import (
     CLEAR_RHO,
     DOUBLE_SHARE,
-    LEAST_NOISE,
     LOW_MARGIN,
     LOW_RHO,
     LOWER_SHARE,
@@ -76,16 +75,21 @@ def measure(values: Floats32) -> Measures:
 
 
 def find_active(
-    amplitude: Floats32, expected: Floats32, threshold: float
+    measures: Measures, expected: Floats32, threshold: float, noise: float, bits: int
 ) -> tuple[Bools, Bools, bool]:
-    """Words that were spoken; those of a node that is too weak, and whether there are any.
+    """Words that were spoken; those of a node that is too weak; whether any may be.
 
-    amplitude, expected: (n,) V. threshold: share of the expected amplitude of words that count.
+    Noise that would hide such a word may be what leaks from neighbours. expected: (n,) V.
+    threshold: share of the expected amplitude of words that count. noise: RMS of a level, V. bits:
+    of a word.
     """
+    amplitude = measures.amplitude
     active = amplitude > np.float32(threshold) * expected
     sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
     faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
-    return active, faint, bool(faint.any())
+    faint |= ~active & rises(measures.squares, expected, noise, bits)
+    hiding = expected * np.float32(1 / max(noise, LEAST_NOISE)) < np.float32(hiding_rho(bits))
+    return active, faint, bool((faint | ~active & hiding).any())
 
 
 def decide(

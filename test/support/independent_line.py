@@ -258,18 +258,23 @@ class Line:
         which the raster jumps by a chip, either way. stretch: each frame's chips last longer by up
         to this share, uniform. clock_error: of the nodes' chips and frames, relative.
     skew_chips: each node is late by up to this, uniform and fixed. late: (node, chips) pairs.
+    slow: (node, share) pairs, whose chips last longer by this, relative to the others'.
+    dropouts: (node, share) pairs: in this share of its words a node stops after its first bit.
     edge_jitter_chips: standard deviation of every edge, common to the nodes.
 
     Voltages:
     noise_v: standard deviation of the mean over one chip; white. offset_v: level in silence.
     spread: standard deviation of the nodes' amplitudes, relative. gains: (node, factor) pairs.
+    gain: factor of all nodes' amplitudes.
     droop: share of the amplitude lost by the frame's end. ripple, ripple_hz: of the amplitudes,
         relative peak. rise_chips, fall_chips: duration of an edge's ramp.
     low_pass_chips: time constant. ringing, ringing_chips: overshoot of a step, relative, and its
         period. high_pass_hz: AC coupling.
     hum_v, hum_hz: peak. impulses_hz, impulse_v, impulse_chips: rate, height (either sign), width.
+    bursts_hz, burst_v, burst_tone_hz, burst_s: rate, peak, frequency and decay of ringing.
     steps_hz, step_v: the baseline jumps, up and down in turn.
     amplifier_v: the amplifier's rails about its level in silence, which the digitizer cannot see.
+    onset: share of the recording after which gain, gains, offset, hum and bursts set in.
     """
 
     start_jitter_chips: float = 0.0
@@ -278,11 +283,14 @@ class Line:
     clock_error: float = 0.0
     skew_chips: float = 0.0
     late: tuple[tuple[int, float], ...] = ()
+    slow: tuple[tuple[int, float], ...] = ()
+    dropouts: tuple[tuple[int, float], ...] = ()
     edge_jitter_chips: float = 0.0
     noise_v: float = 0.01
     offset_v: float = 0.0
     spread: float = 0.0
     gains: tuple[tuple[int, float], ...] = ()
+    gain: float = 1.0
     droop: float = 0.0
     ripple: float = 0.0
     ripple_hz: float = 100.0
@@ -297,9 +305,14 @@ class Line:
     impulses_hz: float = 0.0
     impulse_v: float = 1.0
     impulse_chips: float = 0.2
+    bursts_hz: float = 0.0
+    burst_v: float = 1.0
+    burst_tone_hz: float = 20e3
+    burst_s: float = 2e-4
     steps_hz: float = 0.0
     step_v: float = 0.0
     amplifier_v: float = np.inf
+    onset: float = 0.0
 
     def starts(self, skin: Skin, frames: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """Start of every frame, chips, and the duration of its chips, nominal ones."""
@@ -405,9 +418,10 @@ def render(
         taken, marks = _slipped(skin, digitizer, len(instants), marks, rng)
         instants = instants[taken]
     sigma_v = line.noise_v * np.sqrt(digitizer.samples_per_chip)
-    read = volts[(instants * cells).astype(np.int64)] + line.offset_v
+    read = volts[(instants * cells).astype(np.int64)]
     phase = 2 * np.pi * (line.hum_hz * skin.chip_s * instants + rng.uniform(0, 1))
-    read += line.hum_v * np.sin(phase)
+    disturbed = instants >= line.onset * length
+    read += disturbed * (line.offset_v + line.hum_v * np.sin(phase))
     read += sigma_v * rng.standard_normal(instants.shape)
     lsb_v, top = digitizer.volts_per_count, 2 ** (digitizer.adc_bits - 1)
     counts = np.clip(np.round(read / lsb_v), -top, top - 1)
@@ -436,15 +450,19 @@ def _line_volts(
 ) -> Floats:
     """Mean voltage of every cell, without offset, hum and noise; (length · cells,)."""
     delay = rng.uniform(0, 1, skin.nodes) * line.skew_chips
-    gain = 1 + line.spread * rng.standard_normal(skin.nodes)
+    usual = 1 + line.spread * rng.standard_normal(skin.nodes)
+    gain = usual * line.gain
     for node, chip in line.late:
         delay[node] += chip
     for node, factor in line.gains:
         gain[node] *= factor
     steps = [
-        _frame_steps(skin, line, codes[f], starts[f], chips[f], delay, gain, rng)
+        _frame_steps(
+            skin, line, codes[f], starts[f], chips[f], delay,
+            gain if starts[f] >= line.onset * length else usual, rng,
+        )
         for f in range(len(codes))
-    ]
+    ]  # fmt: skip
     at, height = (np.concatenate(parts) for parts in zip(*steps, strict=True))
     at, height = _ramped(at, height, height > 0, line.rise_chips)
     at, height = _ramped(at, height, height < 0, line.fall_chips)
@@ -459,6 +477,8 @@ def _line_volts(
         height = line.impulse_v * rng.choice([-1.0, 1.0], at.size)
         ends = np.append(at, at + line.impulse_chips)
         volts += _stairs(ends, np.append(height, -height), length, cells)
+    if line.bursts_hz:
+        volts += _ringing(skin, line, length, cells, rng)
     if line.steps_hz:
         at = np.sort(rng.uniform(0, length, rng.poisson(line.steps_hz * duration_s)))
         volts += _stairs(at, line.step_v * (1 - 2 * (np.arange(at.size) % 2)), length, cells)
@@ -480,10 +500,30 @@ def _frame_steps(
     levels = skin.waveforms(codes) * gain[nodes, None] * (1 - line.droop * count / skin.chips)
     t_s = (start + chip * count) * skin.chip_s
     levels *= 1 + line.ripple * np.sin(2 * np.pi * line.ripple_hz * t_s)
+    for node, share in line.dropouts:
+        if rng.random() < share:
+            levels[nodes == node, rng.integers(skin.order, skin.chips) :] = 0.0
     jitter = line.edge_jitter_chips * rng.standard_normal(skin.chips + 1)
-    edges = start + chip * (np.arange(skin.chips + 1) + jitter)
+    longer = np.ones(skin.nodes)
+    for node, share in line.slow:
+        longer[node] += share
+    edges = start + chip * longer[nodes, None] * (np.arange(skin.chips + 1) + jitter)
     heights = np.diff(levels, axis=1, prepend=0.0, append=0.0)
     return (edges + delay[nodes, None]).ravel(), heights.ravel()
+
+
+def _ringing(skin: Skin, line: Line, length: int, cells: int, rng: np.random.Generator) -> Floats:
+    """Bursts of a decaying tone, V, (length · cells,)."""
+    cell_s, volts = skin.chip_s / cells, np.zeros(length * cells)
+    begin = line.onset * length
+    bursts = rng.poisson(line.bursts_hz * (length - begin) * skin.chip_s)
+    t_s = np.arange(round(6 * line.burst_s / cell_s)) * cell_s
+    for at in rng.uniform(begin, length, bursts):
+        phase = 2 * np.pi * (line.burst_tone_hz * t_s + rng.uniform(0, 1))
+        shape = line.burst_v * np.exp(-t_s / line.burst_s) * np.sin(phase)
+        into = volts[int(at * cells) :][: t_s.size]
+        into += shape[: into.size]
+    return volts
 
 
 def _ramped(

@@ -193,6 +193,7 @@ class PatchScene:
         stamp_ns, device_us = self._now
         self._now = stamp_ns + round(silent_s * 1e9), device_us + round(silent_s * 1e6)
         self._pressure_pa = np.full(len(self._layout), np.nan, dtype=np.float32)
+        self._unsure = False
         self._contacts = _NO_CONTACTS
         for curve in ("peak", "force", *(f"force/contact_{slot}" for slot in self._slots.values())):
             self._extend(curve, self._now, math.nan)

@@ -8,21 +8,27 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.line_packets import introduction, packets
 from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import Origin, SourceWatch
 from tactile_cdma.driver.driver import Driver
+from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.identity import parse_id, shown_id
 from tactile_cdma.wire.messages import Configure, GetInfo, Info, Start, Stop
+from tactile_cdma.wire.packets import PacketWriter
 from test.support.boards import board, board_id, plugged
 from test.support.hosts import Talk, Watch
+from test.support.independent_line import Digitizer, Line, Skin, render
+from test.support.independent_line import Talk as Saying
 from test.support.waiting import wait_for
 
 SEPARATORS = ("", ":", "-", "_", ".", " ")
@@ -158,3 +164,20 @@ def test_a_recording_is_of_the_right_board_only(
     assert packets > 50  # it was started
     main(["record", two_boards[0], *options])
     assert "wrong digitizer" in capsys.readouterr().err
+
+
+def test_values_of_one_board_are_not_those_of_another() -> None:
+    """It answers in mid-stream, on a cable that was moved: its nodes have not spoken yet."""
+    config, digitizer, writer = SkinConfig.of({}), Digitizer(), PacketWriter()
+    info, pipeline = introduction(config, digitizer), Pipeline(config, background=False)
+    valid = []
+    for number, share in ((1, 1.0), (2, 0.0)):
+        said = render(Skin(), Saying(share=share), Line(), digitizer, 5, seed=1)
+        pipeline.feed(writer.encode(replace(info, digitizer_id=bytes(7) + bytes([number]))), 0.0)
+        length = said.runs[-1].first_index + said.runs[-1].counts.size
+        offset = (number - 1) * length
+        for _, t_host, data in packets(said, writer, offset, offset / digitizer.samples_per_chip):
+            for frame in pipeline.feed(data, t_host):
+                valid.append(np.isfinite(frame.readings.pressure_pa).all())
+    assert valid[:5] == [True] * 5
+    assert len(valid) >= 9 and not any(valid[5:])

@@ -157,7 +157,7 @@ def test_words_of_a_sound_skin_are_read_in_one_call(
 ) -> None:
     """Of few words Python is asked where they leave energy over; those of sound nodes do not."""
     looked: list[object] = []
-    monkeypatch.setattr(taxels, "displaced", lambda *arguments: looked.append(arguments))
+    monkeypatch.setattr(taxels, "out_of_place", lambda *arguments: looked.append(arguments))
     config = SkinConfig.of(parameters)
     pipeline = Pipeline(config)
     frames = pipeline.feed(sent(tuple(parameters.items()), f"sim://?seed=1&{options}"), 0.0)

@@ -433,7 +433,7 @@ def test_hum_costs_no_frame() -> None:
     assert right(run(LineTiming(SPEC, RAW.rate_hz), hum), ALWAYS, RAW) == list(range(20))
 
 
-@pytest.mark.parametrize(("before", "lost"), [(LIMITS.proven_ends, 0), (5, 10)])
+@pytest.mark.parametrize(("before", "lost"), [(LIMITS.proven_ends, 0), (5, 6)])
 def test_a_late_node_costs_the_others_nothing_once_frames_are_known(before: int, lost: int) -> None:
     """Before that, it may as well be that frames are longer than specified."""
     size = round(SPEC.frame_period_s * RAW.rate_hz)

@@ -22,6 +22,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Quiet, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from tactile_cdma.words.decode import decode as read_words
 
 CONFIGS = {
     "raw": {},
@@ -64,7 +65,7 @@ def decoded(config: SkinConfig, received: list[object]) -> tuple[Pipeline, list[
 @pytest.mark.parametrize("name", CONFIGS)
 def test_the_host_reads_the_same_with_and_without_the_silence(name: str, scene: str) -> None:
     config = SkinConfig.of(CONFIGS[name])
-    query = f"scene={scene}&seed=2&noise=0.008&offset=0.3&heartbeat=150"
+    query = f"scene={scene}&seed=2&noise=0.004&offset=0.3&heartbeat=150"
     everything = packets(config, query, 3.0, 0)
     audible = packets(config, query, 3.0, quiet_uv(config.spec))
     assert not any(isinstance(packet, Quiet) for packet in everything)
@@ -159,14 +160,16 @@ def test_the_limit_keeps_every_node_below_the_least_that_is_heard(
     row = spec.book.rows([rng.integers(1, spec.order)])[0]
     bits = rng.choice([-1, 1], spec.line_bits)
     chips = (offset_v + half_v * np.outer(bits, row)).astype(np.float32)
-    assert np.abs(correlate(chips, spec.book)[:, spec.rows]).max() < 0.25 * spec.node_swing_v
+    assert np.abs(correlate(chips, spec.book)[:, spec.rows]).max() < 0.15 * spec.node_swing_v
     samples = np.repeat(chips.ravel(), samples_per_chip)
     timing = LineTiming(spec, samples_per_chip / spec.chip_s)
     tail = np.full(3 * samples_per_chip, offset_v, np.float32)
     gap = np.full(200, offset_v, np.float32)
     frames = timing.feed(SampleBlock(0, np.concatenate((samples, tail)), True))
     frames += timing.feed(SampleBlock(samples.size + tail.size, gap))
-    assert [frame.levels for frame in frames] == [None]
+    assert len(frames) == 1
+    levels = frames[0].levels
+    assert levels is None or not read_words(levels, spec).active.any()
 
 
 @given(st.integers(1, 500), st.floats(-5, 5), st.floats(0, 1))

@@ -158,8 +158,6 @@ def test_a_node_that_is_not_as_it_should_be_is_named(
     change: str, state: NodeState, known: bool
 ) -> None:
     spec = SPEC if known else replace(SPEC, amplitude_v=None)
-    if change == "weak" and not known:  # less than half the frame's strongest is silence then
-        state = NodeState.UNHEARD
     health = NodeHealth(spec)
     feed(health, scenes(change, spec), spec)
     assert health.state[4] == state

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Silence and words are claims: none is made of faint words, tones, offsets or broken-off words."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.doubt.tally import Tally
+from benchmarks.doubt.words import TIMINGS, compare, decode
+from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.separate import separate
+from tactile_cdma.words.decode import decode as read_words
+from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
+from test.support.independent_line import Line, Skin, Talk, render
+
+FEW = Talk(speakers=(0, 2, 3, 5), share=0.6, stay=8)
+OLD = Skin(order=16, first_row=0, sign_seed=None, polarity=-1, period_chips=208)
+LONG = Skin(nodes=39, order=40, period_chips=520)
+
+
+def tally(line: Line, talk: Talk, skin: Skin, timing: str, frames: int = 40) -> Tally:
+    recording = render(skin, talk, line, TIMINGS[timing], frames, seed=7)
+    counts, complaints = compare(recording, decode(recording), line)
+    assert not counts.unflagged, complaints
+    assert not counts.phantom
+    return counts
+
+
+@pytest.mark.parametrize("timing", TIMINGS)
+@pytest.mark.parametrize(("share", "rho"), [(0.17, 20), (0.15, 70), (0.24, 40)])
+def test_a_faint_word_is_no_silence(share: float, rho: float, timing: str) -> None:
+    line = Line(gains=((2, share),), noise_v=0.3 * 20**0.5 / rho)
+    counts = tally(line, FEW, Skin(), timing)
+    assert counts.wrong_flagged > 10, "it had something to hide"
+    assert counts.right > 30
+    assert counts.silent_flagged < 0.05 * counts.silences
+
+
+@pytest.mark.parametrize("timing", TIMINGS)
+@pytest.mark.parametrize(
+    "talk", [Talk(share=0.5), Talk(speakers=(2,), share=0.5)], ids=["all", "one"]
+)
+def test_a_skin_whose_supply_sags_is_not_silent(talk: Talk, timing: str) -> None:
+    counts = tally(Line(gain=0.2), talk, Skin(), timing)
+    assert counts.wrong_flagged + counts.lost == counts.words > 0
+
+
+@pytest.mark.parametrize("timing", TIMINGS)
+def test_a_word_that_breaks_off_is_no_silence(timing: str) -> None:
+    counts = tally(Line(dropouts=((2, 1.0),)), FEW, Skin(), timing)
+    assert counts.wrong_flagged > 3
+
+
+@pytest.mark.parametrize("share", [0.005, 0.01])
+def test_a_node_whose_clock_is_off_costs_its_own_words(share: float) -> None:
+    """Once it is known that few nodes are late: its chips are on the line after every frame."""
+    counts = tally(Line(slow=((2, share),)), Talk(), Skin(), "marks", 60)
+    assert counts.lost < 0.25 * counts.words
+    assert counts.right > 0.6 * counts.words
+
+
+@pytest.mark.parametrize("hum_hz", [100.0, 200.0, 250.0, 300.0, 500.0])
+@pytest.mark.parametrize("talk", [Talk(share=0), Talk(together=1)], ids=["nobody", "one"])
+def test_hum_is_no_word(talk: Talk, hum_hz: float) -> None:
+    """Of 0.2 to 1 period per bit: on row 20 it is alike in all bits, or turns with each."""
+    for volts in (0.3, 0.6, 1.2):
+        tally(Line(hum_v=volts, hum_hz=hum_hz), talk, LONG, "means", 20)
+
+
+@pytest.mark.parametrize("periods", np.arange(0.1, 1.55, 0.1))
+def test_a_tone_speaks_for_nobody(periods: float) -> None:
+    spec = FrameSpec(nodes=39, order=40, frame_period_s=0.03)
+    bits = np.arange(400).reshape(10, 40) / 40
+    spoke = 0
+    for phase in np.arange(0, 1, 0.1):
+        for volts in (0.2, 0.3, 0.6, 1.2):
+            tone = volts * np.sin(2 * np.pi * (periods * bits + phase))
+            words = read_words(separate(tone.astype(np.float32), spec), spec)
+            assert not (words.active & ~words.doubtful).any()
+            spoke += words.doubtful.any()
+    assert spoke > 10 or periods < 0.15, "it had something to say"
+
+
+def test_words_in_a_tone_of_a_third_of_an_amplitude_are_heard() -> None:
+    flagged = total = 0
+    spec, rng = FrameSpec(nodes=39, order=40, frame_period_s=0.03), np.random.default_rng(3)
+    time = np.arange(400).reshape(10, 40) / 40
+    for _ in range(40):
+        codes, active = rng.integers(0, 1024, 39), rng.random(39) < 0.5
+        active[19] = True
+        hum = 0.1 * np.sin(2 * np.pi * (rng.uniform(0.1, 1.5) * time + rng.uniform()))
+        chips = line_chips(spec, codes, active) + hum + rng.normal(0, 0.02, (10, 40))
+        words = read_words(separate(chips.astype(np.float32), spec), spec)
+        assert np.array_equal(words.active, active)
+        assert np.array_equal(words.codes[active], codes[active])
+        flagged += int((words.doubtful & active).sum())
+        total += int(active.sum())
+    assert flagged < 0.05 * total
+
+
+@pytest.mark.parametrize("offset", [-1.5, -0.6, 0.8, 1.5])
+def test_an_offset_is_not_the_word_of_a_dead_node_on_row_0(offset: float) -> None:
+    """One value per chip shows no gap, whose level would tell."""
+    talk = Talk(speakers=tuple(range(1, 16)), share=0.4)
+    counts = tally(Line(offset_v=0.3 * offset), talk, OLD, "means")
+    assert counts.right > 200
+
+
+def test_a_word_of_changing_bits_on_row_0_is_heard() -> None:
+    counts = tally(Line(), Talk(speakers=(0, 4)), OLD, "means")
+    assert counts.right > 0.95 * counts.words
+
+
+def test_silence_in_noise_is_certain() -> None:
+    spec, rng = FrameSpec(), np.random.default_rng(5)
+    flagged = total = 0
+    for rho in (8, 15, 60):
+        sigma = 0.3 * np.sqrt(20) / rho
+        for _ in range(120):
+            active = rng.random(16) < 0.3
+            chips = line_chips(spec, rng.integers(0, 1024, 16), active)
+            chips = chips + rng.normal(0, sigma, chips.shape)
+            words = read_words(separate(chips.astype(np.float32), spec), spec)
+            flagged += int((words.doubtful & ~active).sum())
+            total += int((~active).sum())
+    assert flagged < 0.01 * total
+
+
+@pytest.mark.parametrize(("every", "verdicts"), [(1, 3), (15, 10)])
+def test_a_node_that_always_speaks_faintly_is_named_weak(every: int, verdicts: int) -> None:
+    rng, health, spec = np.random.default_rng(1), NodeHealth(FrameSpec()), FrameSpec()
+    sound, weak = np.arange(16) < 8, np.arange(16) == 11
+    for frame in range(verdicts * JUDGE_FRAMES):
+        codes = rng.integers(0, 1024, 16)
+        chips = line_chips(spec, codes, sound)
+        if frame % every == 0:
+            chips = chips + line_chips(spec, codes, weak, 0.045)
+        chips = chips + rng.normal(0, 0.067, chips.shape)  # ρ = 20, of the faint words 3
+        words = read_words(separate(chips.astype(np.float32), spec), spec, swing_v=health.swing_v)
+        health.update(words)
+    assert health.nodes(NodeState.WEAK) == [12]
+    assert not words.active[11], "it is not heard for that"
+    assert (health.state[12:] == NodeState.UNHEARD).all()
