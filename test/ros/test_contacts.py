@@ -16,6 +16,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from tactile_cdma.msg import TactileArray, TactileContacts
+from tactile_cdma.ros.driver.frames import COUNTED_S
 from tactile_cdma.ros.driver.markers import BLIND, SURFACE
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -198,7 +199,8 @@ def test_contacts_are_followed_only_while_somebody_subscribes() -> None:
                     client.destroy_subscription(subscription)
             wait_for(lambda: not node.count_subscribers("/skin/contacts"))
             heard = len(client.arrays)
-            wait_for(lambda heard=heard: len(client.arrays) > heard + 10)
+            unnoticed = heard + 2 * COUNTED_S / PERIOD_S
+            wait_for(lambda unnoticed=unnoticed: len(client.arrays) > unnoticed)
 
 
 def _pressed(client: Client, history: list[bool]) -> int:

@@ -157,14 +157,14 @@ def test_nothing_is_wrong_with_a_sound_skin(
 
 
 def test_what_the_digitizer_leaves_out_is_told() -> None:
-    """Nodes of 50 mV hide where samples are sent only if they differ by 135 mV."""
+    """Nodes of 20 mV hide where samples are sent only if they differ by 81 mV."""
     strong = SkinConfig.of({"amplitude_mv": 300.0})
     for scene in ("idle", "press"):  # nodes that speak together are sent
-        hidden = packets_of(f"sim://?scene={scene}&amplitude_mv=50&heartbeat=20", strong)
+        hidden = packets_of(f"sim://?scene={scene}&amplitude_mv=20&heartbeat=20", strong)
         found = checks(hidden, amplitude_mv=0.0)
         assert found["nodes"][0].verdict is not Grade.OK
         assert found["quiet"][0].verdict is Grade.WARNING
-        assert "differs by less than 135 mV" in found["quiet"][0].text
+        assert "differs by less than 81 mV" in found["quiet"][0].text
 
 
 @pytest.mark.parametrize("line", ["rail=1", "noise=2"])
