@@ -35,8 +35,8 @@ are few."""
 TONES = 3
 """Tones that are looked for, the strongest first. Chosen: mains and two harmonics."""
 PROVEN = 15.0
-"""Energy that a tone explains, over that of as many levels of what it leaves, from which on it is
-one. Chosen: noise reaches log(400) = 6 with the best of so many tones."""
+"""A tone is one where noise alone would explain as much once in e¹⁵ times. Chosen: noise reaches
+log(400) = 6 with the best of so many tones."""
 HALF = 0.5
 """Share of a word's level that tones may explain, RMS. Chosen: as for a word that was spoken."""
 RIDGE = 1e-3
@@ -136,8 +136,9 @@ def _strongest(
     height = ((imaginary * x + cross * y) + 1j * (cross * x + real * y)) / determinant
     explained = height.real * x + height.imag * y
     best = int(np.argmax(explained))
-    left = float(np.square(seen).sum()) - float(explained[best])
-    if 0.5 * float(explained[best]) * (bits * float(free.sum()) - 2) < PROVEN * left:
+    total, others = float(np.square(seen).sum()), bits * float(free.sum()) - 2
+    # Two parameters leave of white noise less than a share s with probability s^(others/2).
+    if total - float(explained[best]) > total * math.exp(-2 * PROVEN / max(others, 1.0)):
         return None
     return best, complex(height[best])
 

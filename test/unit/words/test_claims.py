@@ -14,6 +14,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import separate
 from tactile_cdma.words.decode import decode as read_words
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
+from tactile_cdma.words.tones import toned
 from test.support.independent_line import Line, Skin, Talk, render
 
 FEW = Talk(speakers=(0, 2, 3, 5), share=0.6, stay=8)
@@ -99,6 +100,15 @@ def test_words_in_a_tone_of_a_third_of_an_amplitude_are_heard() -> None:
         flagged += int((words.doubtful & active).sum())
         total += int(active.sum())
     assert flagged < 0.05 * total
+
+
+def test_noise_is_no_tone() -> None:
+    """Of few rows on which nobody spoke, the best of 400 tones explains much by chance."""
+    spec, rng = FrameSpec(), np.random.default_rng(8)
+    faint, everybody = np.full(16, 0.01, np.float32), np.ones(16, bool)
+    for _ in range(3000):
+        levels = separate(rng.normal(0, 0.3, (10, 20)).astype(np.float32), spec)
+        assert toned(levels, faint, everybody, spec) is None
 
 
 @pytest.mark.parametrize("offset", [-1.5, -0.6, 0.8, 1.5])
