@@ -156,6 +156,15 @@ def test_nothing_is_wrong_with_a_sound_skin(
     assert found["nodes"][0].text == f"{nodes} of {nodes} spoke"
 
 
+def test_an_offset_is_not_counted_as_the_dead_node_on_row_0() -> None:
+    """Of one value per chip, row 0 alone holds the line's level."""
+    row_0 = {"order": 16, "first_row": 0, "samples_per_chip": 1}
+    dead = packets_of("sim://?scene=all&dead=1&offset=0.3", SkinConfig.of(row_0))
+    [nodes] = checks(dead, **row_0)["nodes"]
+    assert nodes.verdict is Grade.WARNING
+    assert "15 of 16 spoke, not heard: node 1" in nodes.text
+
+
 def test_what_the_digitizer_leaves_out_is_told() -> None:
     """Nodes of 20 mV hide where samples are sent only if they differ by 81 mV."""
     strong = SkinConfig.of({"amplitude_mv": 300.0})
