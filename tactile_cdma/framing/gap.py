@@ -43,6 +43,7 @@ from .fit import (
     Line,
     WordFit,
     compiled_code,
+    integrate,
     read_words,
     refine,
 )
@@ -59,9 +60,9 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
-_STILL_CHIPS = 0.005
-"""Change of an expected frame's edges, chips, below which it is as good as refined. Chosen: leaves
-1e-4 of the words' power over."""
+_STILL_MISFIT = 1e-3
+"""Misfit of a frame where it is expected below which it need not be refined. Chosen: edges 0.02 chip
+off; see LIMITS.carried_misfit."""
 _LEAST_CHIP = 0.5
 """Share of an expected chip duration below which a refined one fits no frame: most edges were out
 of view. Chosen."""
@@ -161,7 +162,7 @@ class GapSearch(BurstSearch):
             wide=WIDE,
             ruled_out=RULED_OUT,
             settled_chips=SETTLED_CHIPS,
-            still_chips=_STILL_CHIPS,
+            still_misfit=_STILL_MISFIT,
             least_chip=_LEAST_CHIP,
             uneven=UNEVEN,
             spread=LIMITS.spread,
@@ -196,11 +197,10 @@ class GapSearch(BurstSearch):
         """The frame where it is surely expected, refined on its own edges."""
         if expected is None or not self.is_sure(expected):
             return None
-        place = Fit(expected.start, expected.chip)
-        fit = refine(line, place, self.spec)
-        longer = abs(fit.chip - place.chip) * self.spec.span_chips
-        if abs(fit.start - place.start) + longer < _STILL_CHIPS * place.chip:
-            fit = place
+        start, chip, spec = np.array([expected.start]), np.array([expected.chip]), self.spec
+        fit = Fit(expected.start, expected.chip)
+        if not read_words(integrate(line, start, chip, spec), spec).misfit.item() < _STILL_MISFIT:
+            fit = refine(line, fit, spec)
         within = fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size
         return fit if within and fit.chip > _LEAST_CHIP * expected.chip else None
 
