@@ -268,7 +268,9 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
 
     sum_up(frame, rows, amplitude, uneven);
     float floor = floor_of(frame, amplitude);
-    for (size_t i = 0; i < frame->nodes; i++) {
+    for (size_t i = 0; i < frame->nodes && !misfit; i++)
+        amplitude[i] *= amplitude[i] > floor ? 1.0f : 0.0f;
+    for (size_t i = 0; i < frame->nodes && misfit; i++) {
         bool active = amplitude[i] > floor;
         uneven[i] = active ? uneven[i] - amplitude[i] * amplitude[i] : 0.0f;
         amplitude[i] = active ? amplitude[i] : amplitude[i] * 0.0f; /* NaN stays */
