@@ -27,12 +27,11 @@ def main() -> None:
     waves, heard = Waves(), words.Words()
     claims = [*scaling.claims(), *sensor.claims(), *waves.claims(), *heard.claims()]
     report.table(HEADERS, [claim.row for claim in claims])
-    others = [
-        [name, nodes, *(("–", "–") if found is None else (found[0], 1e3 * found[1]))]
-        for nodes in scaling.SIZES
-        for name, found in scaling.ways(nodes).items()
-    ]
-    report.table(["way", "nodes", "wires", "ms"], others)
+    by_size = [scaling.ways(nodes) for nodes in scaling.SIZES]
+    report.table(
+        ["wires; ms to read all", *(f"{nodes} nodes" for nodes in scaling.SIZES)],
+        [[name, *(_found(ways[name]) for ways in by_size)] for name in by_size[0]],
+    )
     figure = Figure(figsize=(16, 9.5), layout="constrained")
     axes: dict[str, Axes] = figure.subplot_mosaic([row.split() for row in PANELS])
     sensor.draw(axes["6a"], axes["6b"], axes["6c"])
@@ -42,3 +41,7 @@ def main() -> None:
     counts = Counter(claim.verdict for claim in claims)
     verdicts = {name: counts[name] for name in (REPRODUCED, EXCEEDED, DIFFERS, MISSING)}
     report.finish(figure, figures=OF_THE_PAPER, **verdicts)
+
+
+def _found(way: tuple[int, float] | None) -> str:
+    return "–" if way is None else f"{way[0]}; {1e3 * way[1]:.3g}"
