@@ -37,6 +37,8 @@ MOST_STEPS = 2_000_000
 LEAST_FRAMES, LEAST_SPEAK, MOST_SPEAK = 8, 10, 200
 """Frames of a recording, and nodes that transmit in one, where either would take longer. Fewer
 nodes than LEAST_SPEAK take no less time to decode."""
+WEAKEST, LEAST_RHO = 0.15, 4.0
+"""Share of a node's amplitude, and its rho, below which docs/signal-model.md promises nothing."""
 Draw: TypeAlias = np.random.Generator
 Effect: TypeAlias = Callable[["Mixture", Draw], "Mixture"]
 
@@ -64,6 +66,12 @@ class Mixture(LineCondition):
     @property
     def bit_hz(self) -> float:
         return 1 / (self.skin.order * self.skin.chip_s)
+
+    @property
+    def weakest(self) -> float:
+        """Share of its amplitude that a node needs, to be more than noise."""
+        rho = math.sqrt(self.skin.order) * self.swing_v / self.line.noise_v
+        return max(WEAKEST, LEAST_RHO / rho)
 
     def with_line(self, **changes: Any) -> Mixture:
         """The same with another line."""
@@ -138,9 +146,9 @@ def offset(mixture: Mixture, draw: Draw) -> Mixture:
 def weak(mixture: Mixture, draw: Draw) -> Mixture:
     """Some nodes, or all, are not as loud as they should be."""
     if draw.random() < 0.3:
-        return mixture.with_line(gain=between(draw, 0.12, 1))
+        return mixture.with_line(gain=between(draw, mixture.weakest, 1))
     return mixture.with_line(
-        gains=tuple((node, between(draw, 0.1, 0.9)) for node in mixture.some(draw))
+        gains=tuple((node, between(draw, mixture.weakest, 1)) for node in mixture.some(draw))
     )
 
 
@@ -234,9 +242,10 @@ def mixture_of(number: int) -> Mixture:
     draw = np.random.default_rng(number)
     timing = str(draw.choice(list(TIMINGS)))
     skin, count = draw_skin(draw), int(draw.integers(1, 5))
+    swing_v = skin.amplitude_v / (2 if skin.drive == "unipolar" else 1)
     rho, gap = between(draw, 8, 100), between(draw, 0.2, 0.9)
     line = Line(
-        noise_v=math.sqrt(skin.order) * skin.amplitude_v / rho,
+        noise_v=math.sqrt(skin.order) * swing_v / rho,
         onset=float(draw.choice([0.0, draw.uniform(0.1, 0.8)])),
     )
     chosen = draw.choice(len(EFFECTS), count, replace=False)
@@ -282,11 +291,11 @@ def draw_skin(draw: Draw) -> Skin:
 def draw_talk(skin: Skin, draw: Draw) -> Talk:
     """All nodes at once, few, or those that have something to say."""
     words = str(draw.choice(["random", "random", "slow", "equal", "extreme"]))
-    few, most = min(skin.nodes, int(draw.integers(1, 4))), min(1.0, MOST_SPEAK / skin.nodes)
+    few, most = int(draw.integers(1, 4)), min(1.0, MOST_SPEAK / skin.nodes)
     kinds = (
         Talk(share=most, words=words),
         Talk(share=0.3 * most, stay=8, words=words),
-        Talk(together=few, words=words),
-        Talk(speakers=few, words=words),
+        Talk(together=few if few < skin.nodes else 0, words=words),
+        Talk(speakers=min(few, skin.nodes), words=words),
     )
     return kinds[int(draw.integers(len(kinds)))]
