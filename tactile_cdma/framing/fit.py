@@ -254,10 +254,10 @@ class WordFit:
         """What the bit that leaves the most leaves more than the others, V²."""
         rows, amplitude = self.rows[0], self.amplitude[0]
         meant = rows if spec.first_row == 0 else rows[:, 1:]
-        left = np.einsum("kr,kr->k", meant, meant)
+        left: Floats32 = np.einsum("kr,kr->k", meant, meant)
         left -= 2 * np.abs(rows[:, spec.node_slice]) @ amplitude
         most = float(left.max())
-        return most - (float(left.sum()) - most) / (left.size - 1)
+        return most - (float(left.sum()) - most) / (len(left) - 1)
 
     def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""

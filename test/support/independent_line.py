@@ -457,7 +457,9 @@ def render(
         instants = instants[:, 0] - 0.5 / digitizer.samples_per_chip
     first, last = np.searchsorted(instants, (starts, starts + skin.chips * chips))
     truth = tuple(
-        Truth(float(starts[f]), float(chips[f]), codes[f], float(at_rail[first[f] : last[f]].mean()))
+        Truth(
+            float(starts[f]), float(chips[f]), codes[f], float(at_rail[first[f] : last[f]].mean())
+        )
         for f in range(frames)
     )
     runs = _runs(skin, digitizer, instants, counts.astype(np.int16), marks, rng)
