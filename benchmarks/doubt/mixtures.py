@@ -184,17 +184,15 @@ def slow(mixture: Mixture, draw: Draw) -> Mixture:
 
 def edges(mixture: Mixture, draw: Draw) -> Mixture:
     """Edges are slow, ring or jitter."""
-    return mixture.with_line(
-        **draw.choice(
-            [
-                {"low_pass_chips": between(draw, 0.05, 0.6)},
-                {"ringing": between(draw, 0.1, 0.7)},
-                {"edge_jitter_chips": between(draw, 0.02, 0.2)},
-                {"rise_chips": between(draw, 0.1, 0.8)},
-                {"skew_chips": between(draw, 0.05, 0.5)},
-            ]
-        )
-    )
+    kinds = {
+        "low_pass_chips": (0.05, 0.6),
+        "ringing": (0.1, 0.7),
+        "edge_jitter_chips": (0.02, 0.2),
+        "rise_chips": (0.1, 0.8),
+        "skew_chips": (0.05, 0.5),
+    }
+    kind = str(draw.choice(list(kinds)))
+    return mixture.with_line(**{kind: between(draw, *kinds[kind])})
 
 
 def clipping(mixture: Mixture, draw: Draw) -> Mixture:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -81,7 +82,9 @@ def _rivals(
 
     def beside_shifted(rival: WordFit) -> Floats32:
         unseen = np.square(_meant(rival, ends, spec))
-        return cut - [one[chip].sum() for one, chip in zip(unseen, hidden, strict=True)]
+        out_of_view = [one[chip].sum() for one, chip in zip(unseen, hidden, strict=True)]
+        beside: Floats32 = cut - np.array(out_of_view)
+        return beside
 
     rows = rows_of(whole, spec)
     yield rows, beside_shifted
@@ -96,12 +99,15 @@ def _rivals(
     for moved, shift in zip(within, (-1, 1), strict=True):
         _move(chips, shift, moved)
     for rows_within, cut_off, unseen in zip(rows_of(within, spec), (-1, 0), (0, -1), strict=True):
-        yield (
-            np.where(alone, rows_within, own),
-            lambda rival, cut_off=cut_off, unseen=unseen: (
-                power[:, cut_off] - np.square(_meant(rival, bit, spec)[:, unseen])
-            ),
-        )
+        rival_rows = np.where(alone, rows_within, own)
+        yield rival_rows, partial(_beside_bit, power[:, cut_off], unseen, spec)
+
+
+def _beside_bit(cut: Floats32, unseen: int, spec: FrameSpec, rival: WordFit) -> Floats32:
+    """What is left beside a bit that is a chip off, (k,) V²; unseen: its chip out of view."""
+    meant = _meant(rival, np.arange(len(cut)), spec)[:, unseen]
+    beside: Floats32 = cut - np.square(meant)
+    return beside
 
 
 def _beside_double(chips: Floats32, rival: WordFit, spec: FrameSpec) -> Floats32:
@@ -135,7 +141,8 @@ def _meant(words: WordFit, bit: Indices, spec: FrameSpec) -> Floats32:
 def _signs(words: WordFit, spec: FrameSpec) -> Floats32:
     """Of every node's bits, (c, k, n); 0 of silent ones."""
     signs: Floats32 = np.sign(words.rows[..., spec.node_slice])
-    return signs * (words.amplitude > 0)[:, None]
+    signs *= (words.amplitude > 0)[:, None]
+    return signs
 
 
 def _move(chips: Floats32, shift: int, moved: Floats32) -> None:
