@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma export`: writes frames of recordings and bags for other programs."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Sequence

@@ -7,8 +7,6 @@ Memory is bounded: a tick is done as soon as every stream that goes on has passe
 before the interval of the next one is reduced to what is still known then.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence

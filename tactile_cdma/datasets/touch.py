@@ -2,8 +2,6 @@
 
 """A patch's frames at the ticks of another clock: its last samples, their mean, or the last one."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 """Files to decode offline: oscilloscope captures as CSV, recordings or raw bytes of a port."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

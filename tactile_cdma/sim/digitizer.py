@@ -6,8 +6,6 @@
 `Schedule` decides when. So the same samples come at any pace, through any transport.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

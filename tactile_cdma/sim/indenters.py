@@ -6,8 +6,6 @@ The cover is a Winkler foundation: every point of the surface is a spring of its
 normal, so that pressure = stiffness · depth; docs/simulation.md has what that leaves out.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ have. So each object that touches the geom is pressed into the cover until that 
 MuJoCo's normal force, and the skin reads what the physics carries.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import import_module
 from typing import Any

@@ -2,8 +2,6 @@
 
 """~/sim/objects: what other programs press on a simulated skin."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
