@@ -24,7 +24,7 @@ from .hum import Hum
 from .impulses import without_impulses
 from .judge import Judgement
 from .limits import LIMITS
-from .raster import Expected, Raster
+from .raster import ON_RASTER, Expected, Raster
 from .timing import (
     ABSURD,
     AT_RAIL,
@@ -369,7 +369,13 @@ class GapTiming(Timing):
         if clipped > LIMITS.deafened:
             doubtful = np.ones(spec.nodes, bool)
         unaided = found.unaided if found.decided else None
-        return self._emit(fit, unaided, levels, beside.level, clipped, doubtful)
+        expected = self._raster.expect(self._cursor + fit.start, self._cursor)
+        placed = (
+            expected is not None
+            and self._search.is_sure(expected)
+            and abs(fit.start - expected.start) < ON_RASTER * fit.chip
+        )
+        return self._emit(fit, unaided, levels, beside.level, clipped, doubtful, placed)
 
     def _take_sound(self, look: Look, gap: Gap, raw: Floats) -> list[FrameLevels]:
         """The frame in which the kernel found nothing odd; none if a rail may hide words."""
@@ -400,11 +406,12 @@ class GapTiming(Timing):
         left_v: float,
         clipped: float,
         doubtful: Bools | None = None,
+        placed: bool = True,
     ) -> list[FrameLevels]:
         """The frame, after the silent slots before it.
 
         fit: from the cursor on. unaided: see Judgement; None where its place is not decided.
-        left_v: of the gap's level around it.
+        left_v: of the gap's level around it. placed: see FrameLevels.
         """
         assert self._gap is not None
         end = fit.end(self._spec)
@@ -417,9 +424,8 @@ class GapTiming(Timing):
             levels.values[:, 0] -= np.float32(left_v)
         noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
         level_v = self._gap.level + left_v
-        frames.append(
-            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, doubtful)
-        )
+        heard = levels, noise_rms_v, level_v, clipped, doubtful, placed
+        frames.append(FrameLevels(fit.start, fit.chip, *heard))
         self._heard_one, self._failures = True, 0
         if unaided is not None:
             self._raster.learn(fit, unaided)
