@@ -265,10 +265,11 @@ def test_encodings_padding_and_lines_at_the_end_do_not_matter(
     check(decoded(path, capsys)[0])
 
 
+@pytest.mark.parametrize("form", ["{v:.6f}", "{v:.6f},{w:.6f}", "{i},{v:.6f}"])
 def test_a_file_of_values_needs_a_rate_from_the_user_or_the_file_beside_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line, form: str
 ) -> None:
-    path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows("{v:.6f}")))
+    path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows(form)))
     assert main(["decode", str(path)]) == 1
     out, err = capsys.readouterr()
     assert out == "" and "no rate in the header: tell it by --rate" in err
@@ -336,6 +337,16 @@ def test_a_wrong_guess_is_refused(
     out, err = capsys.readouterr()
     assert out == ""
     assert message in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("options", [[], ["--rate", "160e3"]])
+def test_commas_that_separate_and_are_decimal_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line, options: list[str]
+) -> None:
+    rows = Line(line.t * 1e3, line.v, line.w).rows("{t:.6f},{v:.5f}")
+    content = text("Time (ms),CH1 (V)", rows=[row.replace(".", ",") for row in rows])
+    assert main(["decode", str(write(tmp_path / "scope.csv", content)), *options]) == 1
+    assert capsys.readouterr().out == ""
 
 
 def test_options_for_scopes_are_refused_for_recordings(
