@@ -23,7 +23,7 @@ enum pin {
     PIN_LED = 25,
     PIN_LINE = 26,
 };
-enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART };
+enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART, DMA_PINS };
 
 /* clocks: crystal, PLLs, watchdog, time, and the tick that wakes main() */
 void clocks_init(void);

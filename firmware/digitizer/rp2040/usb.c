@@ -3,6 +3,7 @@
 /* A USB CDC ACM device: bytes both ways in bulk packets. Line coding and DTR are accepted and ignored.
  */
 #include "byte_ring.h"
+#include "nodes.h"
 #include "registers.h"
 #include "rp2040.h"
 #include "usb_descriptors.h"
@@ -125,7 +126,7 @@ static void reply_string(const struct setup_packet *setup)
 {
     static const char *const texts[] = {
         [USB_MANUFACTURER] = "tactile_cdma",
-        [USB_PRODUCT] = "Tactile skin digitizer",
+        [USB_PRODUCT] = nodes_product,
     };
     static const char digits[] = "0123456789ABCDEF";
     static uint8_t string[USB_PACKET];
