@@ -6,8 +6,8 @@
     python firmware/generate.py --check    writes nothing; lists stale files, exit code 1 if any
 
 Generated are the C header, the Python tables, the field tables, the code books and the example in
-docs/protocol.md, the memories of the demonstrator's nodes, and the test vectors that C and Python share. Only this script needs pyyaml, not
-the firmware.
+docs/protocol.md, the memories of the demonstrator's nodes, and the test vectors that C and Python
+share. Only this script needs pyyaml, not the firmware.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ def outputs() -> Iterator[tuple[str, str]]:
     make_vectors = importlib.import_module("make_vectors")  # imports the Python tables
     yield VECTORS, make_vectors.protocol_vectors()
     yield CODES, make_vectors.code_vectors()
-    yield DEMO, f"// {LICENCE}\n\n/* {NOTICE} */\n{make_vectors.demo_memories()}"
+    head = f"// {LICENCE}\n\n/* {NOTICE} */\n#include <stdint.h>\n\n"
+    yield DEMO, head + make_vectors.demo_memories()
     examples = {
         "books": make_vectors.book_table(),
         "signs": make_vectors.sign_table(),
@@ -143,7 +144,7 @@ def python_tables(definition: Definition) -> str:
         f'SIMULATED_ID = bytes.fromhex("{definition["simulated_id"].encode().hex()}")',
         *(f"SYNC_{name.upper()} = {value}" for name, value in definition["sync"].items()),
         *(f"NODE_{name.upper()} = {value}" for name, value in definition["node_memory"].items()),
-        *(f"DEMO_{name.upper()} = 0x{value:X}" for name, value in definition["demonstrator"].items()),
+        *(f"DEMO_{name.upper()} = {value}" for name, value in definition["demonstrator"].items()),
     ]
     lines += [f"FLAG_{name} = 0x{1 << f['bit']:02X}" for name, f in definition["flags"].items()]
     packets = definition["packets"]
@@ -235,7 +236,7 @@ def c_header(definition: Definition) -> str:
         f"#define TP_MAX_PACKET_US {definition['max_packet_us']}",
         f"#define TP_TAIL_CHIPS {definition['tail_chips']}",
         f"#define TP_MAX_GAP {definition['max_gap']}",
-        "/* first bytes of tp_info.digitizer_id wherever nothing is measured; a demonstrator's last */",
+        "/* tp_info.digitizer_id begins so where nothing is measured; a demonstrator's ends so */",
         f"#define TP_SIMULATED_ID {c_string(definition['simulated_id'])}",
         *(
             f"#define TP_DEMO_{name.upper()} 0x{value:X}u"

@@ -146,6 +146,7 @@ void demonstrator_plan(struct demonstrator *d)
             add_chips(d, i);
         event_frame(&node->event, call, talks, node->code);
     }
+    d->chips[d->chip_count] = (uint16_t)d->chips[d->chip_count - 1];
 }
 
 enum tp_result demonstrator_touch(struct demonstrator *d, const struct tp_touch *touch)

@@ -31,7 +31,7 @@ struct demonstrator {
     struct demo_node nodes[DEMO_NODES];
     uint32_t chip_count; /* chips of a frame */
     /* Chips of the present frame: levels of node n in bit n - 1, its direction (1: it talks) 16 bits
-     * above. The chip after the last one is 0: all nodes have released the line. */
+     * above. After the last one all nodes release the line, whose levels stay until they have. */
     uint32_t chips[DEMO_CHIPS + 1];
     uint8_t scene;       /* enum tp_scene */
     uint32_t scene_frame; /* frames since it began */

@@ -26,7 +26,7 @@
 #define TP_MAX_PACKET_US 3000
 #define TP_TAIL_CHIPS 3
 #define TP_MAX_GAP 4096
-/* first bytes of tp_info.digitizer_id wherever nothing is measured; a demonstrator's last */
+/* tp_info.digitizer_id begins so where nothing is measured; a demonstrator's ends so */
 #define TP_SIMULATED_ID "\163\151\155\000"
 #define TP_DEMO_WIRED 0xDE01u
 #define TP_DEMO_WIRELESS 0xDE02u

@@ -2,9 +2,9 @@
 
 """Run the demonstrator's image and compare every word: `make demo-test`.
 
-Its pins, joined by resistors at its converter, and the same board with nothing wired, are run in an
-emulated RP2040 with a USB host, through the driver's pipeline. What should be heard follows from the
-scenes' definition and the nodes' rules of speaking, both written down here once more.
+The board with its pins joined by resistors at its converter, and with nothing wired, runs in an
+emulated RP2040 with a USB host, whose bytes go through the driver's pipeline. What should be heard
+follows from the scenes' definition and the nodes' rules of speaking, written down here once more.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,10 @@ from numpy.typing import NDArray
 from rp2040 import EmulatorError, Line, Network, Rp2040
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.wire._protocol import Scene
-from tactile_cdma.wire.messages import Command, RollCall, Touch
+from tactile_cdma.wire.messages import Command, Stretch
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from trial import Marks
 
@@ -36,6 +37,8 @@ NODES = 16
 RESISTORS = Network((100e3,) * NODES)
 SECONDS = 10.0
 """Of the demonstrator's time: more than one round of its scenes."""
+READY_S = 0.05
+"""By this time the host has configured the device."""
 STEP_S = 0.02
 REST, HEARTBEAT, THRESHOLD = 1015, 78, 1
 """In the nodes' memories: LSB, frames, LSB."""
@@ -57,7 +60,8 @@ class Press:
         """(16,) what the nodes measure; the depth rises in 32 frames, and falls in as many."""
         deepest = self.depth * min(frame, self.frames - frame, 32) // 32
         squares = (X - self.x - self.x_speed * frame) ** 2 + (Y - self.y) ** 2
-        return REST - np.floor(deepest * np.maximum(1 - squares / 2, 0)).astype(np.int64)
+        fallen: Codes = np.floor(deepest * np.maximum(1 - squares / 2, 0)).astype(np.int64)
+        return REST - fallen
 
 
 TABLE = {
@@ -86,7 +90,9 @@ class Nodes:
 
     def speak(self, frame: int, codes: Codes, called: int | None = None) -> NDArray[np.bool_]:
         """(16,) who speaks. called: the only one who may, in a roll call."""
-        speaks = (np.abs(codes - REST) > THRESHOLD) | (np.abs(codes - self.last) > THRESHOLD)
+        speaks: NDArray[np.bool_] = (np.abs(codes - REST) > THRESHOLD) | (
+            np.abs(codes - self.last) > THRESHOLD
+        )
         speaks |= self._turn == frame % HEARTBEAT
         if called is not None:
             speaks = np.arange(NODES) == called
@@ -96,70 +102,71 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the driver made of the stream. codes, active: by the frame's number since START, (16,)."""
+    """What the driver made of the stream.
+
+    codes, active: (16,) by the frame's number since START. called: numbers of a roll call's frames.
+    """
 
     codes: dict[int, NDArray[np.int32]]
     active: dict[int, NDArray[np.bool_]]
+    called: list[int]
     lost_samples: int
-    info_id: bytes
+    digitizer_id: bytes
 
 
 def listen(
     line: Line | Network,
     seconds: float = SECONDS,
-    commands: Callable[[float], list[Command]] = lambda now_s: [],
-    values: dict[str, object] | None = None,
-    on_chip: Callable[[Rp2040], None] = lambda chip: None,
+    script: dict[float, list[Command]] | None = None,
+    **watched: Any,
 ) -> Heard:
-    """Run the image and decode. commands: to be sent at a time, asked for after every step.
+    """Run the image and decode as the driver does.
 
-    values: parameters that differ from demo_skin.yaml. on_chip: called once the stream runs.
+    script: commands, by the time at which they are sent, s. watched: on_sync, on_pin of Rp2040.
     """
-    config = SkinConfig.of(read_file(PARAMS) | (values or {}))
+    config = SkinConfig.of(read_file(PARAMS))
     pipeline, parser, marks = Pipeline(config, background=False), PacketParser(), Marks(config)
-    writer, heard = PacketWriter(), Heard({}, {}, 0, b"")
-    frames = []
-    with Rp2040(IMAGE, line) as chip:
+    writer, left = PacketWriter(), dict(script or {})
+    frames: list[TactileFrame] = []
+    called: list[bool] = []
+    with Rp2040(IMAGE, line, **watched) as chip:
         chip.plug_usb()
-        chip.run(0.05)
+        chip.run(READY_S)
         chip.write_usb(Session(config).open())
-        on_chip(chip)
         while chip.now < seconds:
+            for due_s in [due_s for due_s in left if due_s <= chip.now]:
+                chip.write_usb(b"".join(map(writer.encode, left.pop(due_s))))
             chip.run(chip.now + STEP_S)
             data = chip.read_usb()
             for packet in parser.feed(data):
                 marks.take(packet)
+                if isinstance(packet, Stretch) and packet.sync:
+                    called.append(packet.called)
             frames += pipeline.feed(data, chip.now)
-            for command in commands(chip.now):
-                chip.write_usb(writer.encode(command))
-    first_ns, period_ns = marks.marks_ns[0], config.spec.frame_period_s * 1e9
-    for frame in frames:
-        number = round((marks.nearest(frame) - first_ns) / period_ns)
-        heard.codes[number] = frame.words.codes
-        heard.active[number] = frame.words.active
+    period_ns = config.spec.frame_period_s * 1e9
+    numbers = [round((marks.nearest(frame) - marks.marks_ns[0]) / period_ns) for frame in frames]
     assert pipeline.digitizer.info is not None
     return Heard(
-        heard.codes,
-        heard.active,
+        {number: frame.words.codes for number, frame in zip(numbers, frames, strict=True)},
+        {number: frame.words.active for number, frame in zip(numbers, frames, strict=True)},
+        [number for number, is_called in enumerate(called) if is_called],
         pipeline.counters.lost_samples,
         pipeline.digitizer.info.digitizer_id,
     )
 
 
-def count_wrong(heard: Heard, truth: Callable[[int], Codes]) -> tuple[int, int]:
-    """Words of the table's scenes: right ones; and wrong, missing or made up ones."""
+def count_words(heard: Heard, truth: Callable[[int], Codes]) -> tuple[int, int]:
+    """Numbers of words that were right; and that were wrong, missing or made up."""
     nodes, right, wrong = Nodes(), 0, 0
     for number in range(max(heard.codes) + 1):
         codes = truth(number)
-        speaks = nodes.speak(number, codes)
-        if number not in heard.codes:
-            wrong += int(speaks.sum())
+        if number in heard.called:  # the driver takes no words from a roll call
+            nodes.speak(number, codes, heard.called.index(number))
             continue
-        active = heard.active[number]
-        same = active == speaks
-        same &= ~speaks | (heard.codes[number] == codes)
-        wrong += int(np.sum(~same))
-        right += int(np.sum(same & speaks))
+        speaks = nodes.speak(number, codes)
+        active = heard.active.get(number, np.zeros(NODES, bool))
+        good = (active == speaks) & (~speaks | (heard.codes.get(number) == codes))
+        right, wrong = right + int(np.sum(good & speaks)), wrong + int(np.sum(~good))
     return right, wrong
 
 
@@ -174,14 +181,18 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     seconds = parser.parse_args().seconds
     frames = wrong = lost = 0
-    for name, line in {"summed pins": RESISTORS, "a skin without a wire": floating}.items():
+    modes: dict[str, Line | Network] = {
+        "summed pins": RESISTORS,
+        "a skin without a wire": floating,
+    }
+    for name, line in modes.items():
         begin = time.monotonic()
         try:
             heard = listen(line, seconds)
         except EmulatorError as error:
             print(f"demo-test: {name}: {error}", file=sys.stderr)
             return 1
-        right, false = count_wrong(heard, all_scenes)
+        right, false = count_words(heard, all_scenes)
         frames, wrong = frames + len(heard.codes), wrong + false
         lost += heard.lost_samples
         print(

@@ -15,6 +15,7 @@
 //     'U' bytes            to UART0, from now on, at its speed
 //     'S' bytes            to USB
 //     'H' u8               USB host: 0 unplugged, 1 plugged in but not reading, 2 reading
+//     'L' u32              the USB host sets the port's speed, baud
 //     'C'                  the USB host clears the halt of the device's bulk IN endpoint
 //     'T' f64              stall the CPU for this many ns
 //     'M' f64              DMA takes no samples from the ADC for this many ns
@@ -22,7 +23,8 @@
 //
 // and gets
 //
-//     'D' time, f64        it has run until then; cycles awake of the CPU since power-up
+//     'D' time, f64, u8    it has run until then; cycles awake of the CPU since power-up; 1: it has restarted as
+//                          the boot ROM's USB drive, and runs no more
 //     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0), high (1) or released (2)
 //     'U' time, bytes      UART0 has sent them, the last one at that time
 //     'S' time, bytes      USB likewise
@@ -129,7 +131,7 @@ try {
       case 'R':
         chip.run(payload.readDoubleLE());
         flushUart();
-        send('D', chip.now, chip.cycles);
+        send('D', chip.now, chip.cycles, [Number(chip.isDrive)]);
         break;
       case 'U':
         chip.uartReceive(payload);
@@ -139,6 +141,9 @@ try {
         break;
       case 'H':
         host.plug(payload[0] > 0, payload[0] > 1);
+        break;
+      case 'L':
+        host.setBaud(payload.readUInt32LE());
         break;
       case 'C':
         host.clearHalt();

@@ -50,7 +50,7 @@ class EmulatorError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A line that the chip's own pins drive: resistors to it, and two that bias it to half the supply.
+    """A line that the chip's own pins drive, biased to half the supply by two resistors.
 
     ohms: from GPIO0, 1, … to GPIO26; None: not there. noise_counts: of the converter, rms.
     told: `on_pin` is called with these pins' changes.
@@ -107,6 +107,8 @@ class Rp2040:
         self.cycles = 0.0
         """Cycles that the CPU was awake since power-up."""
         self.led = False
+        self.is_drive = False
+        """It has restarted as the boot ROM's USB drive, and runs no more."""
         self.usb_device: UsbDevice | None = None
         """Set when a host has configured the device, after about 30 ms."""
         self._process = subprocess.Popen(
@@ -165,6 +167,10 @@ class Rp2040:
         """Plug in a USB host. If not `reading`, it takes no data from the device."""
         self._send(b"H", bytes([2 if reading else 1]))
 
+    def set_usb_baud(self, baud: int) -> None:
+        """Have the USB host set the port's speed."""
+        self._send(b"L", struct.pack("<I", baud))
+
     def clear_usb_halt(self) -> None:
         """Have the USB host clear the halt of the endpoint that it reads, halted or not."""
         self._send(b"C", b"")
@@ -209,7 +215,7 @@ class Rp2040:
             elif self._on_pin is not None:
                 self._on_pin(now_ns, pin, level)
         elif kind == "D":
-            self._now_ns, self.cycles = struct.unpack("<dd", payload)
+            self._now_ns, self.cycles, self.is_drive = struct.unpack("<dd?", payload)
         elif kind == "I":
             self.usb_device = _device(json.loads(payload))
         elif kind == "X":

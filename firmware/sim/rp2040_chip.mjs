@@ -12,6 +12,9 @@ const RESET_PWM = 1 << 14;
 const PIO_CTRL = 0x00;
 const PIO_OUT_OF_RESET = { pc: 0, waiting: false, outputShiftCount: 32, x: 0, y: 0 };
 const JMP_X_DEC = 0x0040;
+const ROM = { 0x14: 0x100, 0x18: 0x201, 0x200: 0x4770be00, 0x300: 0xe7febe01 }; // bkpt 0, bx lr; bkpt 1, b .
+const ROM_FUNCTIONS = 0x100;
+const ROM_RESET_TO_USB = 0x301;
 const SUPPLY_V = 3.3;
 const COUNTS = 4096;
 const PULL_OHMS = 60e3; // of a pad, 50 to 80 kΩ
@@ -42,6 +45,7 @@ export class Chip {
     this.#abortDma();
     this.#clockPio();
     this.#hearPins();
+    this.#standInForRom();
     this.#connectLine(typeof line === 'function' ? line : network(this.rp2040, line));
     this.#connectFlash(flashId);
     this.#paceUart(uartByte);
@@ -61,7 +65,8 @@ export class Chip {
   run(until) {
     const { clock, rp2040 } = this;
     const { core } = rp2040;
-    while (clock.nanosCounter < until) {
+    if (this.isDrive) clock.tick(until - clock.nanosCounter);
+    while (clock.nanosCounter < until && !this.isDrive) {
       // The emulator misses an interrupt that comes between its last check and WFI.
       if (core.waiting && core.pendingInterrupts & core.enabledInterrupts) core.waiting = false;
       if (core.waiting || clock.nanosCounter < this.stalledUntil) {
@@ -207,6 +212,19 @@ export class Chip {
         });
       }
     }
+  }
+
+  // There is no boot ROM. This has its function table with one entry, by which the image asks to restart as
+  // a USB drive; then the processor does no more.
+  #standInForRom() {
+    const { bootrom, core } = this.rp2040;
+    for (const [address, word] of Object.entries(ROM)) bootrom[address / 4] = word;
+    this.isDrive = false;
+    this.rp2040.onBreak = (number) => {
+      const [table, code] = core.registers;
+      if (number) this.isDrive = true;
+      else core.registers[0] = table === ROM_FUNCTIONS && code === 0x4255 ? ROM_RESET_TO_USB : 0;
+    };
   }
 
   // Emulated inputs do not see what their own pins put out.

@@ -15,6 +15,16 @@
 
 _Static_assert(OUTPUT_SIZE >= DG_OUTPUT_MIN(TP_MAX_SAMPLES), "output ring too small");
 
+static enum tp_result obey(uint8_t type, const uint8_t *payload, size_t size)
+{
+    if (type != TP_BOOTSEL)
+        return nodes_obey(type, payload, size);
+    if (size)
+        return TP_RESULT_BAD_LENGTH;
+    bootsel_ask();
+    return TP_RESULT_OK;
+}
+
 static struct dg_board board = {
     .ticks_per_us = TICKS_PER_US,
     .min_ticks = SAMPLER_MIN_TICKS,
@@ -23,6 +33,7 @@ static struct dg_board board = {
     .zero_count = 2048, /* the amplifier rests at half the supply */
     .min_count = 0,
     .max_count = 4095,
+    .command = obey,
 };
 static struct dg dg;
 static uint8_t output[OUTPUT_SIZE];
@@ -97,6 +108,7 @@ int main(void)
 
     for (;;) {
         watchdog_feed();
+        bootsel_when_asked();
         dg_loop_pass(&loop);
     }
 }

@@ -40,3 +40,9 @@ bool nodes_failed(void)
 {
     return sync_failed();
 }
+
+enum tp_result nodes_obey(uint8_t type, const uint8_t *payload, size_t size)
+{
+    (void)type, (void)payload, (void)size;
+    return TP_RESULT_UNKNOWN_COMMAND;
+}

@@ -74,6 +74,7 @@ struct psm { uint32_t frce_on, frce_off, wdsel, done; };
 struct watchdog { uint32_t ctrl, load, reason, scratch[8], tick; };
 #define WATCHDOG BLOCK(watchdog, 0x40058000u)
 #define WATCHDOG_ENABLE (1u << 30)
+#define WATCHDOG_PAUSE_DEBUG (7u << 24) /* while a debugger halts a core, as after a reset */
 #define WATCHDOG_TICK_ENABLE (1u << 9)
 
 struct timer {
@@ -208,6 +209,9 @@ struct usb_dpram {
 #define USB_BUF_STALL (1u << 11)
 #define USB_BUF_AVAILABLE (1u << 10)
 #define USB_BUF_LENGTH 0x3ffu
+
+/* The boot ROM's table of functions, and the one that looks a function up: their addresses. */
+extern const volatile uint16_t rom_functions, rom_lookup;
 
 /* Registers of the Cortex-M0+. */
 #define NVIC_ISER (*(volatile uint32_t *)0xe000e100u)

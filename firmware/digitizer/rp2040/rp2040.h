@@ -85,6 +85,10 @@ void usb_interrupt(void);
 /* flash_id: the flash's unique number; zeros where it has none */
 void flash_id(uint8_t id[8]);
 
+/* bootsel: restarts the board as a USB drive, soon after that was asked for */
+void bootsel_ask(void);
+void bootsel_when_asked(void);
+
 /* main: wakes main(), because an interrupt has left it work */
 void wake(void);
 

@@ -262,7 +262,7 @@ class SkinNode(ManagedNode):
         is_first, self._heard = self._heard is None, info
         warnings = self._watch.hear(info)
         if self._rest is not None:
-            self._rest.hear(self._watch.source.measured_by == Origin.SIMULATED)
+            self._rest.hear(self._watch.source.measured_by != Origin.BOARD)
         for warning in warnings or ():
             self.get_logger().warning(warning)
         if is_first or warnings is not None:

@@ -26,18 +26,6 @@ static struct demonstrator demo;
 static bool wired;
 static uint16_t rest; /* of the line, counts */
 
-static enum tp_result obey(uint8_t type, const uint8_t *payload, size_t size)
-{
-    struct tp_touch touch;
-
-    if (type != TP_TOUCH)
-        return TP_RESULT_UNKNOWN_COMMAND;
-    if (size != sizeof touch)
-        return TP_RESULT_BAD_LENGTH;
-    memcpy(&touch, payload, sizeof touch);
-    return demonstrator_touch(&demo, &touch);
-}
-
 /* Loads the nodes, finds out whether they are wired, and says so in the board's id. */
 void nodes_init(struct dg_board *board)
 {
@@ -53,7 +41,6 @@ void nodes_init(struct dg_board *board)
     memcpy(board->id + 4, board->id + 6, 2);
     memcpy(board->id, TP_SIMULATED_ID, 4);
     memcpy(board->id + 6, &kind, sizeof kind);
-    board->command = obey;
     board->layout = &setup_default.frame;
 }
 
@@ -103,4 +90,16 @@ size_t nodes_take(const uint16_t **samples, uint32_t *lost)
 bool nodes_failed(void)
 {
     return sync_failed() || (wired && pins_failed());
+}
+
+enum tp_result nodes_obey(uint8_t type, const uint8_t *payload, size_t size)
+{
+    struct tp_touch touch;
+
+    if (type != TP_TOUCH)
+        return TP_RESULT_UNKNOWN_COMMAND;
+    if (size != sizeof touch)
+        return TP_RESULT_BAD_LENGTH;
+    memcpy(&touch, payload, sizeof touch);
+    return demonstrator_touch(&demo, &touch);
 }
