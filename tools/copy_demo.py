@@ -58,7 +58,7 @@ def mounted() -> Path | None:
 
 
 def restarted(port: str) -> bool:
-    """Ask the board on a port, or the only demonstrator, to restart as a drive; False if none did."""
+    """Ask the board on a port, or the only demonstrator, to restart as a drive; whether one did."""
     ports = [port] if port else [p.device for p in comports() if p.product == DEMONSTRATOR]
     if len(ports) != 1:
         if ports:
