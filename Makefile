@@ -9,8 +9,8 @@
 # make firmware         build the images of nodes and digitizer, in firmware/build
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
 # make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes
-# make demo    the image that makes a Pico a skin: builds it, and copies it where a board takes it: a demonstrator, or PORT's
-# make demo-test  run it in an emulator, with its pins wired and without a wire; the last line has the counts
+# make demo    the image that makes a Pico a skin; copied to a demonstrator, or to the board at PORT
+# make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
 # make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
 # make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file
 # make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
