@@ -24,7 +24,7 @@ from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
 FRAME_PARAMETERS = (
     *("nodes", "bits", "parity", "order", "first_row", "resync_chips", "guard_chips"),
-    *("drive", "polarity", "scramble"),
+    *("drive", "polarity", "scramble", "codes"),
 )
 """Parameters that are fields of FrameSpec as they are."""
 
@@ -64,6 +64,8 @@ class SkinConfig:
             amplitude_v=get["amplitude_mv"] * 1e-3 or None,
             **{name: get[name] for name in FRAME_PARAMETERS},
         )
+        if spec.sparse:
+            _check_sparse(spec, get["timing"], get["samples_per_chip"])
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])
         if get["roll_call"]:
@@ -180,6 +182,18 @@ def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> Non
         raise SpecError(
             f"{reason}: resync_chips is {spec.resync_chips}, it must be 0 (restarts already "
             "correct the clocks)"
+        )
+
+
+def _check_sparse(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
+    reason = "sparse codes are told apart by whole chips of marked frames"
+    if timing == GAP:
+        raise SpecError(f"{reason}: timing is 'gap', it must be 'line'")
+    if samples_per_chip != 1:
+        raise SpecError(f"{reason}: samples_per_chip is {samples_per_chip}, it must be 1")
+    if spec.amplitude_v is None:
+        raise SpecError(
+            "sparse codes are told apart by how loud a node is: set amplitude_mv to what nodes have"
         )
 
 

@@ -161,7 +161,7 @@ def decode(
     expected = _of_each(swing_v, spec.nodes)
     bits = spec.line_bits
     active, faint, any_faint = find_active(measures, expected, threshold, noise, bits)
-    astray = hidden = np.zeros_like(active)
+    astray, hidden = np.zeros((2, len(active)), np.bool_)
     if any_faint:
         sound = SOUND_SHARE * np.minimum(expected, amplitude.max())
         rest, rest_noise = unexplained(levels, active & ~faint, faint, spec)
@@ -186,6 +186,7 @@ def decode(
         doubtful |= _disturbed(np.abs(values), amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
+    astray[list(levels.late)] = True
     doubtful |= astray | hidden
     if active.any():
         others = out_of_place(levels, amplitude, active, float(expected.min()), spec)
