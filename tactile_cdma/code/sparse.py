@@ -8,8 +8,8 @@ does not depend on the node: correlation with all codes scatters chips to places
 Walsh–Hadamard transform from there on. The cₜ of a bit differ, and each bit goes on where the one
 before ended, so that every bit has other codes.
 
-Code numbers are node numbers, mixed up: codes whose numbers XOR to 0 add up to little more often than
-others, and nodes beside each other, which are touched together, would have many such.
+Code numbers are node numbers, mixed up: codes whose numbers XOR to 0 add up to little more often
+than others, and nodes beside each other, which are touched together, would have many such.
 
 A node that is late sends another one's code: the scrambler, which all share, makes that noise.
 docs/protocol.md defines every chip.
