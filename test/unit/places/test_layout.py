@@ -195,8 +195,9 @@ def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:
     assert np.array_equal(grid.raster, np.arange(40).reshape(5, 8))
     assert np.array_equal(same.raster, grid.raster.repeat(2, axis=0).repeat(2, axis=1))
     pressure = np.linspace(0, 1e5, 40).astype(np.float32)
-    expected = heatmap(pressure, grid, 1e5, pixels=6)
-    assert np.array_equal(heatmap(pressure, same, 1e5, pixels=6), expected)
+    for pixels in (6, 32):  # without and with lines between taxels
+        expected = heatmap(pressure, grid, 1e5, pixels)
+        assert np.array_equal(heatmap(pressure, same, 1e5, pixels), expected)
 
 
 @pytest.mark.parametrize("name", [*SURFACES, "list"])

@@ -217,6 +217,7 @@ def test_a_sparkline_rises_where_its_values_do(values: list[float]) -> None:
 
 
 def test_the_scale_names_its_ends_or_is_left_out() -> None:
-    assert plain([scale(COLOURED, 80)])[0].split() == ["0", "140", "kPa"]
-    assert len(plain([scale(COLOURED, 20)])[0]) <= 20
+    assert plain([scale(COLOURED, 80)])[0].split() == ["0", "35", "140", "kPa", "x→", "y↑"]
+    for columns in range(80):
+        assert len(plain([scale(COLOURED, columns)])[0]) <= columns
     assert scale(COLOURED, 8) == ""
