@@ -6,8 +6,6 @@ The ROS node declares its parameters from this table, the command line takes def
 from it, and parameter files are checked against it. docs/parameters.md is generated from it.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import reprlib

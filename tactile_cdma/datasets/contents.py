@@ -2,8 +2,6 @@
 
 """What is in a bag, in names and texts for people."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

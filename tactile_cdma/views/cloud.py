@@ -2,8 +2,6 @@
 
 """The skin as a cloud of points: position, normal, pressure and colour in an array of records."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

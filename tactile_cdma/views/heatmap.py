@@ -2,8 +2,6 @@
 
 """Pressure as a picture: colours and rasters, for the Image topics and the terminal."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ No line exceeds the given width, whatever the terminal's size. Only the picture 
 contain escape sequences, and each of their lines ends with a reset.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections import defaultdict

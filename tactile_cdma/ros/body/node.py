@@ -5,8 +5,6 @@
 It subscribes only to what its own subscribers need.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from functools import partial

@@ -2,8 +2,6 @@
 
 """The parameters of the body node."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

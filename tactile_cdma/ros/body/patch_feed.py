@@ -2,8 +2,6 @@
 
 """Receives what one patch of a body publishes, while it is needed."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 
 """Publishes what people look at: heatmap, pressure image, points and markers of one skin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np
