@@ -19,10 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
 from .amplitude import LEAST_SHARE
 from .frame import FrameSpec
-from .transform import chips_of, rows_of
+from .sparse import code_places
+from .transform import chips_of, compiled_transform, rows_of
 
 SOFT_NOISE = 0.2
 """Noise of a level, of a node's amplitude, up to which words are hard. Chosen: five deviations."""
@@ -34,7 +36,8 @@ HARD_SHARE = 2.2
 """Mean |r| of a hard word, in deviations of noise. Chosen: noise has 0.8 ± 0.6/√k, and exceeds it
 at k = 10 once in a million."""
 SETTLED = 0.01
-"""Power by which words may still change, of what is left. Chosen: a percent of noise."""
+"""Power by which the amplitudes of words may change in the turn after, of what is left. Chosen: a
+percent of noise. Of m words they change by m/kN of what they do in this turn."""
 STALLED = 0.97
 """Ratio of noise to that of the turn before beyond which soft words get no better. Chosen."""
 MOST_TURNS = 24
@@ -58,20 +61,81 @@ class Detected(NamedTuple):
     settled: bool
 
 
-def detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Detected:
-    """Take the words of a frame apart. chips: (k, N) float32, V.
+class Detector:
+    """Takes the words of frames of one specification apart: in the kernel, where there is one."""
 
-    damping: share of the words before that soft ones keep: slower, and more often right.
-    """
+    def __init__(self, spec: FrameSpec) -> None:
+        assert spec.flips is not None, "sparse codes are scrambled"
+        self._spec = spec
+        self._kernel = None
+        if kernel.compiled is not None:
+            swing = spec.node_swing_v or 0.0
+            self._kernel = kernel.compiled.Sparse(
+                kernel.settings(
+                    "sparse_rules",
+                    swing=swing,
+                    least=LEAST_SHARE * swing,
+                    soft_noise=SOFT_NOISE,
+                    slope=SLOPE,
+                    log_odds=LOG_ODDS,
+                    hard_share=HARD_SHARE,
+                    settled=SETTLED,
+                    stalled=STALLED,
+                    turns=MOST_TURNS,
+                ),
+                compiled_transform(spec.book.plan, spreading=True),
+                np.ascontiguousarray(spec.flips),
+                code_places(spec.nodes, spec.line_bits, spec.order).astype(np.int32),
+                spec.code_numbers.astype(np.int32),
+                spec.nodes,
+            )
+
+    def detect(self, chips: Floats32, damping: float = 0.0) -> Detected:
+        """The words in chips (k, N) float32, V.
+
+        damping: share of the words before that soft ones keep: slower, and more often right.
+        """
+        spec = self._spec
+        if self._kernel is None:
+            return numpy_detect(chips, spec, damping)
+        rows = np.empty((spec.line_bits, spec.row_count), np.float32)
+        heard, left = np.empty(spec.nodes, np.bool_), np.empty_like(chips)
+        power = np.empty(spec.line_bits)
+        level, settled = self._kernel.detect(chips, damping, rows, heard, left, power)
+        return Detected(rows, heard, level, left, power, settled)
+
+    def loudness(self, chips: Floats32, lateness: int) -> Floats32:
+        """Mean |r| of every node, (n,) V, in chips (k, N) that are read so much later in bits."""
+        if self._kernel is None:
+            return numpy_loudness(chips, lateness, self._spec)
+        loudness = np.empty(self._spec.nodes, np.float32)
+        self._kernel.loudness(chips, abs(lateness), lateness > 0, loudness)
+        return loudness
+
+
+def numpy_loudness(chips: Floats32, lateness: int, spec: FrameSpec) -> Floats32:
+    """As Detector.loudness."""
+    read = np.zeros_like(chips)
+    if lateness > 0:
+        read[:, :-lateness] = chips[:, lateness:]
+    else:
+        read[:, -lateness:] = chips[:, :lateness]
+    own = np.abs(rows_of(read, spec)[:, spec.node_slice])
+    loudness: Floats32 = own.mean(axis=0, dtype=np.float32)
+    return loudness
+
+
+def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Detected:
+    """As Detector.detect."""
     swing, bits = np.float32(spec.node_swing_v or 0.0), spec.line_bits
     level = float(chips.mean(dtype=np.float64))
     left = chips - np.float32(level)
     words = np.zeros((bits, spec.row_count), np.float32)
-    nodes, before, soft = spec.node_slice, np.inf, True
+    nodes, before, soft, were_hard = spec.node_slice, np.inf, True, True
     rows, power, settled = words, np.zeros(bits), False
     heard = np.zeros(spec.nodes, np.bool_)
     odds = _prior(float(np.square(left).mean()), spec)
-    for _ in range(MOST_TURNS):
+    for turn in range(MOST_TURNS):
         rows = words + rows_of(left, spec)
         power = np.square(left, dtype=np.float64).mean(axis=1)
         noise = max(float(power.mean()) / spec.order, 1e-12 * float(swing) ** 2)
@@ -88,9 +152,13 @@ def detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Detected:
             heard = amplitude > np.float32(least)
             newer[:, nodes] = np.copysign(amplitude * heard, own)
             change = float(np.square(newer - words).sum()) / bits
-            if change < SETTLED * float(power.mean()):
-                settled = True
-                break
+            if were_hard and np.array_equal(np.sign(newer), np.sign(words)):
+                after = change * np.count_nonzero(heard) / spec.chips
+                settled = bool(after < SETTLED * float(power.mean()))
+                power -= min(change, float(power.min())) if settled else 0.0
+        were_hard = not soft
+        if settled or turn + 1 == MOST_TURNS:
+            break
         words = newer
         told = chips - chips_of(words, spec)
         if not soft:

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from ..base.arrays import Bools, Floats
-from ..code.detect import Detected, detect
+from ..code.detect import Detected, Detector
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import rows_of
@@ -73,7 +73,7 @@ class SparseRecogniser:
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
         self._capacity, self._noise = capacity(line.spec), _Noise()
-        self._turn = 0
+        self._turn, self._detector = 0, Detector(line.spec)
         # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
         assert line.spec.flips is not None, "sparse codes are scrambled"
         self._products = np.empty((line.spec.line_bits, line.spec.row_count), np.float32)
@@ -101,11 +101,12 @@ class SparseRecogniser:
             return verdict
         spec = self._spec
         chips = frame.volts[: spec.chips].astype(np.float32).reshape(spec.line_bits, spec.order)
-        found = detect(chips, spec)
+        found = self._detector.detect(chips)
         for damping in DAMPINGS[1:]:
             if self._words_explain(found):
                 break
-            found = min(found, detect(chips, spec, damping), key=lambda one: float(one.left.mean()))
+            other = self._detector.detect(chips, damping)
+            found = min(found, other, key=lambda one: float(one.left.mean()))
         explained, noise = self._words_explain(found), float(self._noise_of(found).mean())
         self._turn = (self._turn + 1) % len(LATENESSES)
         own_turn = LATENESSES[self._turn : self._turn + 1]
@@ -167,16 +168,12 @@ class SparseRecogniser:
     def _late(self, found: Detected, latenesses: tuple[int, ...]) -> tuple[int, ...]:
         """Nodes, counted from 0, whose words show in chips that are read that much later."""
         spec, late = self._spec, np.zeros(self._spec.nodes, np.bool_)
-        least = LATE_SHARE * (spec.node_swing_v or 0.0)
+        # Of noise |r| has a mean of 0.8, and that of a word scatters by 0.6/√k.
+        by_chance = math.sqrt(float(found.left.mean()) / spec.order)
+        by_chance *= 0.8 + 0.6 * BY_CHANCE / math.sqrt(spec.line_bits)
+        least = np.float32(max(LATE_SHARE * (spec.node_swing_v or 0.0), by_chance))
         for lateness in latenesses:
-            read = np.zeros_like(found.chips)
-            if lateness > 0:
-                read[:, :-lateness] = found.chips[:, lateness:]
-            else:
-                read[:, -lateness:] = found.chips[:, :lateness]
-            mean = np.abs(rows_of(read, spec)[:, spec.node_slice]).mean(axis=0)
-            by_chance = float(np.median(mean)) * (1 + BY_CHANCE * 0.76 / math.sqrt(spec.line_bits))
-            late |= mean > max(least, by_chance)
+            late |= self._detector.loudness(found.chips, lateness) > least
         return tuple(np.flatnonzero(late).tolist())
 
 

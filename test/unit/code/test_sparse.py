@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code.detect import detect
+from tactile_cdma.code.detect import Detector, numpy_detect, numpy_loudness
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
 from tactile_cdma.code.sparse import TAPS
@@ -118,12 +119,38 @@ def test_all_who_speak_are_found(data: st.DataObject) -> None:
         words[node] = rng.choice([-1.0, 1.0], spec.bits)
         sent = node_chips(node, nodes, order, spec.bits) * words[node][:, None]
         chips += rng.uniform(0.6, 1.05) * sent.astype(np.float32)
-    found = detect(chips, spec)
+    found = numpy_detect(chips, spec)
     assert found.settled
     assert set(np.flatnonzero(found.heard) + 1) == speakers
     for node, word in words.items():
         assert np.array_equal(np.sign(found.rows[:, node]) * spec.signs[node - 1], word)
     assert found.level_v == pytest.approx(0.3, abs=0.2)
+
+
+@pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
+@pytest.mark.parametrize("damping", [0.0, 0.6])
+@pytest.mark.parametrize(("nodes", "order"), [(9, 8), (40, 16), (300, 96), (1000, 128)])
+def test_the_kernel_finds_what_numpy_finds(nodes: int, order: int, damping: float) -> None:
+    """Whatever the frame: of nobody, of some, of more than can be found."""
+    spec = sparse(nodes, order)
+    detector, rng = Detector(spec), np.random.default_rng(order)
+    book = np.stack([node_chips(node, nodes, order, 10) for node in range(1, nodes + 1)])
+    for speakers in (0, 1, order // 3, order // 3, nodes):
+        words = rng.choice([-1.0, 1.0], (nodes, 10)) * (rng.permutation(nodes) < speakers)[:, None]
+        chips = np.einsum("nb,nbc->bc", words, book) + rng.normal(0.1, order**0.5 / 40, (10, order))
+        chips = chips.astype(np.float32)
+        found, expected = detector.detect(chips, damping), numpy_detect(chips, spec, damping)
+        if speakers == nodes > 40:
+            continue  # rounding decides where it ends
+        assert found.settled == expected.settled
+        assert np.array_equal(found.heard, expected.heard)
+        assert found.level_v == pytest.approx(expected.level_v, abs=1e-4)
+        assert np.allclose(found.rows, expected.rows, atol=1e-3)
+        assert np.allclose(found.chips, expected.chips, atol=1e-3)
+        assert np.allclose(found.left, expected.left, atol=1e-3)
+        for lateness in (-3, 5):
+            loudness = detector.loudness(chips, lateness)
+            assert np.allclose(loudness, numpy_loudness(chips, lateness, spec), atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tactile_cdma.base import kernel
 from tactile_cdma.base.arrays import Bools, Floats
+from tactile_cdma.code import transform
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing import sparse_timing
 from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
@@ -205,13 +207,13 @@ def test_words_whose_chips_add_up_to_nothing_are_flagged() -> None:
 def test_a_frame_is_given_up_after_a_bounded_number_of_turns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(kernel, "compiled", None)
     rig, turns = Rig(), 0
-    rows_of = sparse_timing.rows_of
 
     def counted(chips: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
         nonlocal turns
         turns += 1
-        return rows_of(chips, spec)
+        return transform.rows_of(chips, spec)
 
     monkeypatch.setattr("tactile_cdma.code.detect.rows_of", counted)
     rig.read(rig.sent(rig.some(SPEC.nodes)))
