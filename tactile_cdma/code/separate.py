@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats32
+from ..base.stage import stage
 from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .frame import UNIPOLAR, FrameSpec
 from .transform import rows_of
@@ -22,7 +22,7 @@ SPOKEN_OVER = 2.2
 noise, folded, has 1.3."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class NodeLevels:
     """The nodes' levels in one frame.
 
