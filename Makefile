@@ -19,6 +19,7 @@
 #              -body, -pareto
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
+# make paper   the paper's figures and claims beside this project's: docs/paper.md, docs/img/paper.png
 # make torture faults of every kind, results compared with the truth; SEED=n, ONLY="line day"
 #              up to 30 min; QUICK=1: a minute; docs/reliability.md has the results of the last full run
 # make soak    the driver node in real time for SECONDS=3600
@@ -61,7 +62,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools amplifier spice boards scope
+.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools amplifier spice boards scope paper
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -141,6 +142,9 @@ firmware-figures: firmware
 bench-setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra bench
+
+paper: bench-setup firmware
+	@PYTHONPATH=firmware/analog:firmware/boards:firmware/sim "$(BIN)/python" -m benchmarks.paper
 
 bench-%: bench-setup
 	@"$(BIN)/python" -m benchmarks.$*

@@ -16,7 +16,7 @@ Round contacts on a grid of 7 mm and 10-bit words, through the driver's own chai
   ids nor speeds. The tracker looks anew for what hangs together where other taxels are touched than
   in the frame before: a few contacts come and go; of all taxels one does, or none.
 - slip: contacts that begin to slide, beside grips that hold or pulsate, with ideal sensors and with
-  those of the paper (docs/sensor.md). The limit of each cue is what one grip of 2 s in twenty
+  those of the paper (docs/paper.md). The limit of each cue is what one grip of 2 s in twenty
   exceeds; reported are the delay until a slide exceeds it, and the share of slides that do so
   within 0.4 s.
 """

@@ -2,7 +2,7 @@
 
 """Error and run time of the pressure chain: `make bench-pressure`.
 
-Skins of simulated sensors (docs/sensor.md), each taxel with a curve of its own, behind 10-bit
+Skins of simulated sensors (docs/paper.md), each taxel with a curve of its own, behind 10-bit
 converters. Errors are of data that was not used to calibrate.
 
 - static: curves fitted to a staircase of loads, for ideal sensors at random pressures; the error is

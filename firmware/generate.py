@@ -126,8 +126,6 @@ def python_tables(definition: Definition) -> str:
     lines = [
         f'"""{NOTICE}"""',
         "",
-        "from __future__ import annotations",
-        "",
         "from enum import IntEnum",
         "from typing import NamedTuple",
         "",

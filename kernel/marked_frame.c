@@ -116,6 +116,24 @@ enum frame_look frame_summed_up(const struct frame_rules *rules, const struct fr
     return silent(rules, rest, variance, found);
 }
 
+/* As WordFit._most_left; amplitude: (n,) V, of the words. */
+static double most_left(const struct frame_rules *rules, const float *rows, const float *amplitude)
+{
+    const struct words_frame *frame = &rules->frame;
+    double sum = 0, most = -INFINITY;
+
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
+        double left = 0;
+        for (size_t row = frame->first ? 1 : 0; row < frame->order; row++)
+            left += (double)(rows[row] * rows[row]);
+        for (size_t node = 0; node < frame->nodes; node++)
+            left -= 2 * fabs((double)rows[frame->first + node]) * (double)amplitude[node];
+        sum += left;
+        most = most > left ? most : left;
+    }
+    return most - (sum - most) / (double)(frame->bits - 1);
+}
+
 /* Whether words leave no more than the noise of the gap, as LineRecogniser._is_explained says; or those
  * of samples that are chips are believable beyond doubt, as WordFit.believable says; and the frame does
  * not look as if a bit began or ended at rest. outermost: the least level of the bits' first and last chips, V. */
@@ -148,9 +166,13 @@ static bool is_explained(const struct frame_rules *rules, const struct frame_res
         return left < rules->carried_noise * rest->noise + rules->carried_misfit * (double)power;
     double words = (double)power - (double)pedestal * (double)pedestal;
     double noise = (double)frame->order / active * (double)spread * words;
+    double a_chip = CLEARLY * rules->chips / (double)frame->order;
     if (may_be_shifted) /* as WordFit.is_clear */
         return (double)spread < CLEARLY * rules->clear_spread &&
-               left < CLEARLY * (rules->carried_noise * noise + rules->carried_misfit * (double)power);
+               left < CLEARLY * (rules->carried_noise * noise + rules->carried_misfit * (double)power) &&
+               most_left(rules, rows, amplitude) < 2 * a_chip * weakest * weakest;
+    if (!rules->scrambled && (left >= a_chip * words || most_left(rules, rows, amplitude) >= a_chip / 2 * words))
+        return false;
     return (double)spread < CLEARLY * rules->spread &&
            left < CLEARLY * (rules->left * noise + rules->misfit * (double)power);
 }
@@ -223,6 +245,8 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     size_t heard = rules->integrated ? rules->whole_size : timing->heard;
     if (rules->integrated ? count < frame->bits * frame->order : count <= heard)
         return FRAME_CUT_SHORT;
+    if (rules->integrated && count > frame->bits * frame->order)
+        return FRAME_UNEXPLAINED;
     if (heard > count) /* pauses between bits have no samples, if these are chips */
         heard = count;
     found->clipped = share_clipped(rules, volts, heard);

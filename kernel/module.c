@@ -6,7 +6,6 @@
 #include <errno.h>
 #include <math.h>
 
-#include "contacts.h"
 #include "gap.h"
 #include "marked_frame.h"
 #include "readout.h"
@@ -14,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 18 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 19 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -317,37 +316,6 @@ FUNCTION(word_noise, SETTINGS(words_frame), SIZE("spare"), SIZE("spare_count"),
     return PyFloat_FromDouble(words_noise(frame, call->value[3].data, spare, count));
 }
 
-/* ---- contacts ---------------------------------------------------------------------------------- */
-
-FUNCTION(gather_contacts, NUMBER("contact_pa"), NUMBER("release_pa"), NUMBER("rim_pa"),
-         SIZE("saturated"), ARRAY("neighbours", 'i', "tm"), ARRAY("moments", 'd', "tc"),
-         ARRAY("pressure_pa", 'f', "t"), ARRAY("status", 'B', "t"), OUT("place", 'i', "t"),
-         OUT("unread", 'B', "t"), OUT("scratch", 'i', "3t"), OUT("loads", 'd', "2t"),
-         OUT("taxels", 'i', "t"), OUT("before", 'i', "t"), OUT("starts", 'i', "s"),
-         OUT("sums", 'd', "te"), OUT("peak_pa", 'f', "t"), OUT("flags", '?', "3t"))
-{
-    const union value *v = call->value;
-    size_t t = axis(call, 't');
-    int32_t *rest = v[10].data;
-    uint8_t *flag = v[17].data;
-    struct contacts_skin skin = {t, axis(call, 'm'), v[4].data, v[5].data};
-    struct contacts_limits limits = {(float)v[0].number, (float)v[1].number, (float)v[2].number,
-                                     (uint8_t)v[3].size};
-    struct contacts_kept kept = {v[8].data, v[9].data};
-    _Static_assert(sizeof(struct contacts_load) == 2 * sizeof(double), "two doubles");
-    struct contacts_scratch scratch = {rest, rest + t, rest + 2 * t, v[11].data};
-    struct contacts_found found = {v[12].data, v[13].data, v[14].data, v[15].data,
-                                   v[16].data, flag,       flag + t,   flag + 2 * t};
-
-    if (!(axis(call, 'c') == CONTACTS_MOMENTS && axis(call, 'e') == CONTACTS_SUMS &&
-          axis(call, 's') == t + 1))
-        return refuse(call, "moments, sums, starts: (t, %d), (t, %d) and (t + 1,) expected",
-                      CONTACTS_MOMENTS, CONTACTS_SUMS);
-    size_t contacts = contacts_gather(&skin, &limits, v[6].data, v[7].data, &kept, &scratch, &found);
-    return contacts == SIZE_MAX ? refuse(call, "neighbours: one is no taxel")
-                                : PyLong_FromSize_t(contacts);
-}
-
 /* ---- samples ----------------------------------------------------------------------------------- */
 
 FUNCTION(to_volts, NUMBER("zero"), NUMBER("per_count"), ARRAY("counts", 'h', "m"),
@@ -393,9 +361,9 @@ FUNCTION(mean_chips, NUMBER("level_v"), ARRAY("received", 'd', "m"), ARRAY("whol
 }
 
 static PyMethodDef functions[] = {
-    ENTRY(read_packets), ENTRY(fit_words),   ENTRY(word_noise),    ENTRY(gather_contacts),
-    ENTRY(to_volts),     ENTRY(copy_samples), ENTRY(add_samples),  ENTRY(count_outside),
-    ENTRY(mean_chips),   {0},
+    ENTRY(read_packets), ENTRY(fit_words),   ENTRY(word_noise),    ENTRY(to_volts),
+    ENTRY(copy_samples), ENTRY(add_samples), ENTRY(count_outside), ENTRY(mean_chips),
+    {0},
 };
 
 /* ---- the module -------------------------------------------------------------------------------- */

@@ -92,7 +92,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, frame.spare_count),         FIELD(stream_rules, frame.size),
     FIELD(stream_rules, frame.whole_size),          FIELD(stream_rules, frame.chip),
     FIELD(stream_rules, frame.least_power),         FIELD(stream_rules, frame.silent_power),
-    FIELD(stream_rules, frame.most_noise),
+    FIELD(stream_rules, frame.most_noise),          FIELD(stream_rules, frame.chips),
     FIELD(stream_rules, frame.rail_low),            FIELD(stream_rules, frame.rail_high),
     FIELD(stream_rules, frame.deafened),            FIELD(stream_rules, frame.carried_noise),
     FIELD(stream_rules, frame.carried_misfit),      FIELD(stream_rules, frame.loud),

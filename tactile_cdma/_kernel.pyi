@@ -67,17 +67,6 @@ class Readout:
         pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
         """
 
-def gather_contacts(
-    contact_pa: float, release_pa: float, rim_pa: float, saturated: int, *arrays: Any
-) -> int:
-    """As NumpyGatherer in readings/gather.py; returns the number of contacts.
-
-    arrays: neighbours, moments, pressure, status; place, unread: (t,), kept from frame to frame;
-    int32 (3, t) and float64 (2, t) scratch; taxels, places (t,), starts (t + 1,) int32; sums
-    (t, 11) float64; peak_pa (t,) float32; bool (3, t): saturated, lower_bound, torn. Raises
-    ValueError for a neighbour that is no taxel.
-    """
-
 def to_volts(zero: float, per_count: float, counts: Counts, volts: Floats32, /) -> None:
     """As numpy_volts in base/sums.py."""
 

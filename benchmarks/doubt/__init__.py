@@ -11,6 +11,7 @@ packets to what is published, and everything published is compared with what was
 - `tally`: what is counted. A column is a field there.
 - `words`, `lines`: every word of every frame, and the conditions of the line. A condition is a row
   of a table in `lines`.
+- `mixtures`: skins and effects drawn at random, several at once, for the same counts.
 - `touches`: claims of touch and of held values, where frames are lost.
 - `zeros`: claims of zero, by skins that are tared under load, or torn.
 - `bench`: runs all conditions (SOURCES) and reports.

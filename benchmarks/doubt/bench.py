@@ -13,11 +13,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..report import QUICK, Report
-from . import lines, stamps, touches, zeros
+from . import lines, mixtures, stamps, touches, zeros
 from .tally import Condition, Tally, total
 
 SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (
     lines.conditions,
+    mixtures.conditions,
     touches.conditions,
     stamps.conditions,
     zeros.conditions,

@@ -52,8 +52,8 @@ MOST_SHIFT = 4
 class LineCondition:
     """A line and what the decoder is told about it.
 
-    learnt: the amplitude is not in the configuration. rough: so disturbed that right words may be
-    flagged, and lost.
+    learnt: the amplitude is not in the configuration. lost: share of the packets that do not
+    arrive. rough: so disturbed that right words may be flagged, and lost.
     """
 
     name: str
@@ -62,13 +62,14 @@ class LineCondition:
     skin: Skin = Skin()  # noqa: RUF009
     digitizer: Digitizer = RAW
     learnt: bool = False
+    lost: float = 0.0
     rough: bool = False
 
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
         """Render a recording, decode it and compare; also the first unflagged words."""
         seeds = [zlib.crc32(self.name.encode()), seed]
         recording = render(self.skin, self.talk, self.line, self.digitizer, frames, seeds)
-        return compare(recording, decode(recording, self.learnt), self.line)
+        return compare(recording, decode(recording, self.learnt, self.lost, seed), self.line)
 
 
 class Decoded(NamedTuple):
@@ -79,10 +80,12 @@ class Decoded(NamedTuple):
     invalid: Bools
 
 
-def decode(recording: Recording, learnt: bool = False) -> list[Decoded]:
-    """What the driver makes of a recording."""
+def decode(
+    recording: Recording, learnt: bool = False, lost: float = 0.0, seed: int = 0
+) -> list[Decoded]:
+    """What the driver makes of a recording; see play."""
     chip_s = recording.skin.chip_s
-    played = play(recording, learnt)
+    played = play(recording, learnt, lost, seed)
     return [Decoded(frame.t_start / chip_s, frame.words, bad) for frame, bad, _ in played]
 
 
@@ -120,6 +123,7 @@ def config_of(recording: Recording, learnt: bool = False, **more: float) -> Skin
             "parity": skin.parity,
             "order": skin.order,
             "first_row": skin.first_row,
+            "scramble": skin.scramble,
             "sign_seed": -1 if skin.sign_seed is None else skin.sign_seed,
             "chip_us": 1e6 * skin.chip_s,
             "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,

@@ -3,7 +3,6 @@
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
  * whole numbers through its transforms and sums without any trick, any levels read as words, and frames
  * looked for without marks. What follows a stream has a harness of its own, fuzz_stream.c. */
-#include "contacts.h"
 #include "gap.h"
 #include "reference.h"
 #include "readout.h"
@@ -270,67 +269,6 @@ static void add_samples(struct input *input)
     free(whole);
 }
 
-/* Contacts of frames of any pressures on a grid: every taxel is in one contact at most, and that is
- * connected to nothing above the release but itself. */
-static void gather(size_t taxels, size_t width, size_t frames, const float *pressures_pa,
-                   const uint8_t *status)
-{
-    enum { NEAR = 4 };
-    int32_t *ints = malloc((NEAR + 7) * taxels * sizeof *ints + sizeof *ints);
-    double *doubles = calloc((CONTACTS_MOMENTS + CONTACTS_SUMS) * taxels, sizeof *doubles);
-    struct contacts_load *loads = malloc(taxels * sizeof *loads);
-    uint8_t *flags = malloc(4 * taxels);
-    float *peaks_pa = malloc(taxels * sizeof *peaks_pa);
-    int32_t *near = ints, *place = ints + NEAR * taxels, *rest = place + taxels;
-    const struct contacts_limits limits = {0.5f, 0.2f, 0.06f, 8};
-    const struct contacts_skin skin = {taxels, NEAR, near, doubles};
-    const struct contacts_kept kept = {place, flags};
-    const struct contacts_scratch scratch = {rest, rest + taxels, rest + 2 * taxels, loads};
-    const struct contacts_found found = {rest + 3 * taxels,  rest + 4 * taxels, rest + 5 * taxels,
-                                         doubles + CONTACTS_MOMENTS * taxels, peaks_pa,
-                                         flags + taxels,     flags + 2 * taxels, flags + 3 * taxels};
-
-    for (size_t i = 0; i < taxels; i++) {
-        bool left = i % width > 0, right = i % width + 1 < width && i + 1 < taxels;
-        int32_t own = (int32_t)i;
-        near[NEAR * i] = left ? own - 1 : own;
-        near[NEAR * i + 1] = right ? own + 1 : own;
-        near[NEAR * i + 2] = i >= width ? own - (int32_t)width : own;
-        near[NEAR * i + 3] = i + width < taxels ? own + (int32_t)width : own;
-        doubles[CONTACTS_MOMENTS * i] = 1;
-        place[i] = -1;
-        flags[i] = 1;
-    }
-    for (size_t frame = 0; frame < frames; frame++) {
-        const float *pressure_pa = pressures_pa + frame * taxels;
-        size_t in_contact = 0;
-        size_t count = contacts_gather(&skin, &limits, pressure_pa, status, &kept, &scratch, &found);
-        MUST(count <= taxels, WRONG_VALUE);
-        for (size_t c = 0; c < count; c++) {
-            MUST(found.starts[c] < found.starts[c + 1], WRONG_VALUE);
-            for (int32_t at = found.starts[c]; at < found.starts[c + 1]; at++)
-                MUST(place[found.taxels[at]] == (int32_t)c, WRONG_VALUE);
-            MUST(found.peak_pa[c] > limits.release_pa, WRONG_VALUE);
-        }
-        for (size_t i = 0; i < taxels; i++) {
-            in_contact += place[i] >= 0;
-            MUST(place[i] < 0 || pressure_pa[i] > limits.release_pa, WRONG_VALUE);
-            MUST(place[i] >= 0 || !(pressure_pa[i] > limits.contact_pa), WRONG_VALUE);
-            for (size_t n = 0; pressure_pa[i] > limits.release_pa && n < NEAR; n++) {
-                int32_t beside = near[NEAR * i + n];
-                MUST(!(pressure_pa[beside] > limits.release_pa) || place[beside] == place[i],
-                     WRONG_VALUE);
-            }
-        }
-        MUST(in_contact == (size_t)found.starts[count], WRONG_VALUE);
-    }
-    free(ints);
-    free(doubles);
-    free(loads);
-    free(flags);
-    free(peaks_pa);
-}
-
 /* A word of a frame as it was read, from its levels, one by one. */
 static void check_word(const struct readout_settings *settings, const struct readout_skin *skin,
                        const struct readout_frame *found, const float *rows, size_t i)
@@ -497,22 +435,6 @@ static void read_frames(struct input *input)
     free(heard_s);
 }
 
-/* Contacts of any pressures. */
-static void touch(struct input *input)
-{
-    size_t taxels = 1 + input_u16(input) % 300;
-    float *pressures_pa = malloc(6 * taxels * sizeof *pressures_pa);
-    uint8_t *status = malloc(taxels);
-
-    for (size_t i = 0; i < 6 * taxels; i++)
-        pressures_pa[i] = level_of(input_u8(input));
-    for (size_t i = 0; i < taxels; i++)
-        status[i] = input_u8(input) % 16;
-    gather(taxels, 1 + taxels % 17, 6, pressures_pa, status);
-    free(pressures_pa);
-    free(status);
-}
-
 /* A frame of known words on a line without marks, and whatever the input adds to it: what is seen without
  * doubt on an undisturbed line was sent. Candidates of any start and chip are weighed, too. */
 static void look_for_frame(struct input *input)
@@ -618,7 +540,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     struct input input = {bytes, size};
     uint8_t test = input_u8(&input);
 
-    switch (test < 224 ? test % 7 : 7) { /* inputs that are kept stay what they were */
+    switch (test < 224 ? test % 7 : 6) { /* inputs that are kept stay what they were */
     case 0:
         scan_bytes(&input);
         break;
@@ -638,9 +560,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         add_samples(&input);
         break;
     case 6:
-        touch(&input);
-        break;
-    case 7:
         look_for_frame(&input);
         break;
     }

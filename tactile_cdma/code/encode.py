@@ -2,8 +2,6 @@
 
 """Encodes words as the nodes do: to the chips that they put on the line."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

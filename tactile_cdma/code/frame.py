@@ -2,8 +2,6 @@
 
 """FrameSpec, which defines a frame's shape and its levels on the line."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

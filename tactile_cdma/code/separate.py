@@ -2,8 +2,6 @@
 
 """Picks the nodes' levels out of one frame's correlations, and measures their noise."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -11,8 +11,6 @@ merged to blocks that suit BLAS.
 The compiled kernel (kernel/transform.h) does the same with fewer operations.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import dataclass

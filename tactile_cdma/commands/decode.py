@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma decode`: prints the words of a recording or oscilloscope capture."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -15,19 +13,24 @@ import numpy as np
 
 from ..base.errors import CaptureError, SpecError
 from ..code.encode import word_bits
-from ..config.arguments import add_skin_options, given
+from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import BY_NAME, GAP, Value
 from ..config.skin_config import SkinConfig
-from ..recording.capture import is_text, read_scope_csv
+from ..recording.capture import is_text
 from ..recording.offline import RawCapture, decode_scope
+from ..recording.scope_csv import read_scope_csv
 from ..words.decode import Words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    text = "recording, raw bytes of a port, or CSV of time in s and voltage in V"
+    text = "recording, raw bytes of a port, or an oscilloscope's CSV"
     parser.add_argument("file", type=Path, help=text)
     parser.add_argument("--json", action="store_true", help="one JSON object per frame")
+    scope = parser.add_argument_group("an oscilloscope's CSV")
+    scope.add_argument("--channel", help="its heading, or number from 1 (default: the first)")
+    text = "samples/s, where the file does not tell them or is wrong"
+    scope.add_argument("--rate", type=positive, metavar="HZ", help=text)
     add_skin_options(parser)
 
 
@@ -37,9 +40,11 @@ def run(arguments: argparse.Namespace) -> int:
     raw = None if is_text(path) else RawCapture(path, asked)
     if raw is None:
         config = _scope_config(asked)
-        scope = read_scope_csv(path)
-        notes, frames = scope.notes, decode_scope(scope, config)
+        scope = read_scope_csv(path, arguments.channel, arguments.rate)
+        notes, frames = (scope.taken, *scope.notes), decode_scope(scope, config)
     else:
+        if arguments.channel or arguments.rate:
+            raise SpecError("--channel and --rate are for an oscilloscope's CSV")
         config, notes = raw.config, raw.notes
         frames = ((frame.t_start, frame.words) for frame in raw.frames())
     for note in notes:

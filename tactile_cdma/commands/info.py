@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma info`: says what is in a recording, bag, table or dataset."""
-
-from __future__ import annotations
+"""The subcommand `tactile-cdma info`: says what is in a recording or a bag."""
 
 import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..base.errors import TactileError
+from ..base.errors import CaptureError, TactileError
 from ..base.plain_text import plain
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
 from ..datasets.contents import contents
 from ..datasets.progress import Progress
-from ..datasets.sources.opening import refuse_parameters
+from ..datasets.sources.opening import is_bag, refuse_parameters
 from ..datasets.sources.recording_source import skin_frame
 from ..datasets.survey import FrameSurvey
 from ..recording.offline import RawCapture
@@ -23,22 +21,25 @@ from ..recording.recording_file import describe, is_recording, survey
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.add_argument(
-        "file", type=Path, help="recording, bag, NPZ, Parquet, or folder of a LeRobot dataset"
-    )
+    parser.add_argument("file", type=Path, help="recording or bag")
     add_skin_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print all that can be said of a file; returns 1 for a recording that is damaged."""
     path: Path = arguments.file
-    if path.is_dir() or not is_recording(path):
+    if is_bag(path):
         with Progress() as progress:
             lines = contents(path, progress)
             refuse_parameters(path, given(arguments))
             for name, value in lines:
                 print(f"{name}: {plain(value)}")
         return 0
+    if not is_recording(path):
+        raise CaptureError(
+            f"{path}: no recording or bag; what export wrote says where it comes from: `about` of "
+            "a table, meta/tactile.json of a dataset"
+        )
     description, found = describe(path), survey(path)
     begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
     asked = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma ports`: which digitizer is on which port."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterable

@@ -2,8 +2,6 @@
 
 """Command-line arguments that several commands share: those that describe the skin."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import threading

@@ -6,8 +6,6 @@ The ROS node declares its parameters from this table, the command line takes def
 from it, and parameter files are checked against it. docs/parameters.md is generated from it.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import reprlib
@@ -209,7 +207,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("visual_rate_hz", 30.0, "maximum rate of pictures", "Hz", (0.1, 30.0), live=True),
     Parameter("colour_max_kpa", 140.0,
         "pressure at the top of the colour scale", "kPa", (0.1, 1e5), live=True),
-    Parameter("heatmap_pixels", 16,
+    Parameter("colour_gamma", 0.5,
+        "a share p of that pressure is p^colour_gamma up the colours; 1: linear",
+        "", (0.1, 1.0), live=True),
+    Parameter("heatmap_pixels", 32,
         "edge length of a taxel in the heatmap", "px", (1, 256), live=True),
     Parameter("autostart", True, "configure and activate when the node starts"),
 )

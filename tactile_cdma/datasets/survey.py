@@ -2,8 +2,6 @@
 
 """What the frames of a patch are like, for people: rate, gaps, share of invalid readings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,29 +11,22 @@ from .samples import Completeness, SkinFrame, missing_between
 
 
 class FrameSurvey:
-    """Takes all frames of a patch in order; memory does not grow.
-
-    Times are those of the episodes, one after the other: what is between two of them counts
-    neither as time nor as a gap.
-    """
+    """Takes all frames of a patch in order; memory does not grow."""
 
     def __init__(self) -> None:
-        self._frames = self._episodes = self._missing = 0
+        self._frames = self._missing = 0
         self._gaps, self._restarts = _Pauses(), _Pauses()
-        self._before_s = 0.0  # length of the episodes before
         self._first_s = self._last_s = float("nan")
-        self._sequence, self._episode = 0, 0
+        self._sequence = 0
         self._readings = self._invalid = self._held = self._saturated = 0
         self._completeness = Completeness()
         self._complete_s: float | None = None
 
-    def take(self, frame: SkinFrame, episode: int = 0) -> None:
-        """Take in the next frame, of the episode of that number."""
+    def take(self, frame: SkinFrame) -> None:
+        """Take in the next frame."""
         time_s = frame.device_time_s if np.isnan(frame.wall_time_s) else frame.wall_time_s
-        if not self._frames or episode != self._episode:
-            self._before_s = self._length_s
-            self._episodes += 1
-            self._first_s, self._episode = time_s, episode
+        if not self._frames:
+            self._first_s = time_s
         elif (missing := missing_between(self._sequence, frame.sequence)) is None:
             self._restarts.take(time_s - self._last_s, self._length_s)
         elif missing:
@@ -61,9 +52,8 @@ class FrameSurvey:
             yield "frames", "none"
             return
         length_s = self._length_s
-        of = f" of {self._episodes} episodes" if self._episodes > 1 else ""
-        rate = f", {(self._frames - self._episodes) / length_s:.2f} Hz" if length_s > 0 else ""
-        yield "frames", f"{self._frames} in {length_s:.3f} s{of}{rate}"
+        rate = f", {(self._frames - 1) / length_s:.2f} Hz" if length_s > 0 else ""
+        yield "frames", f"{self._frames} in {length_s:.3f} s{rate}"
         yield "gaps", "; ".join(self._said_gaps()) or "none"
         yield (
             "readings",
@@ -75,7 +65,7 @@ class FrameSurvey:
 
     @property
     def _length_s(self) -> float:
-        return self._before_s + (self._last_s - self._first_s if self._frames else 0.0)
+        return self._last_s - self._first_s if self._frames else 0.0
 
     def _said_gaps(self) -> Iterator[str]:
         if self._gaps.number:

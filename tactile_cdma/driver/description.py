@@ -2,8 +2,6 @@
 
 """What a digitizer's INFO says about decoding its packets of samples."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..clocks.clock_keeper import ClockKeeper

@@ -231,13 +231,33 @@ class WordFit:
         )
 
     def is_clear(self, spec: FrameSpec) -> bool:
-        """Whether the words of a single candidate leave no more than noise, by their spread."""
+        """Whether the words of a single candidate leave no more than noise, in all bits alike.
+
+        Of few words that is the noise by which they spread. Of many, a frame beside its mark leaves
+        two chips of each in a bit, unless their bits are equal: then one, in its first or last bit.
+        """
         power, spread = self.power.item(), self.spread.item()
         active = max(1, int(np.count_nonzero(self.amplitude)))
         even_power = power - self.pedestal.item() ** 2
-        noise = LIMITS.carried_noise * spec.order / active * spread * even_power
         left = self.misfit.item() * power
-        return spread < LIMITS.clear_spread and left < noise + LIMITS.carried_misfit * power
+        if active > LIMITS.few:
+            is_little = left * spec.order < LIMITS.chips * even_power
+            least = 0.25 * even_power
+        else:
+            noise = LIMITS.carried_noise * spec.order / active * spread * even_power
+            is_little = spread < LIMITS.clear_spread
+            is_little &= left < noise + LIMITS.carried_misfit * power
+            least = float(np.square(self.amplitude[self.amplitude > 0]).min(initial=even_power))
+        return is_little and self._most_left(spec) * spec.order < 2 * LIMITS.chips * least
+
+    def _most_left(self, spec: FrameSpec) -> float:
+        """What the bit that leaves the most leaves more than the others, V²."""
+        rows, amplitude = self.rows[0], self.amplitude[0]
+        meant = rows if spec.first_row == 0 else rows[:, 1:]
+        left: Floats32 = np.einsum("kr,kr->k", meant, meant)
+        left -= 2 * np.abs(rows[:, spec.node_slice]) @ amplitude
+        most = float(left.max())
+        return most - (float(left.sum()) - most) / (len(left) - 1)
 
     def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""

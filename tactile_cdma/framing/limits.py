@@ -22,6 +22,8 @@ class Limits:
         code book give π/2 − 1 = 0.57.
     clear_spread: the same of few words that are clear, with carried_noise and carried_misfit, so
         that no shifted frame is looked for. Chosen: ρ of 22.
+    chips: of a word in a bit, that words which are clear may leave over. Chosen: half of what many
+        words that are a chip off leave, and of the least that a wrong bit or a missing chip does.
     few: words up to which a frame may be another one that is some chips off (shifted.py). Chosen:
         frames of three nodes, beside their mark, look like up to ten words (make bench-doubt).
     whole: share of a node's amplitude below which it may be a part of that of another one, whose
@@ -98,6 +100,7 @@ class Limits:
     loud: float = 2.0
     spread: float = 0.12
     clear_spread: float = 0.002
+    chips: float = 1.0
     few: int = 12
     whole: float = 0.75
     misfit: float = 0.15

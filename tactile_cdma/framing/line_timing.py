@@ -151,6 +151,8 @@ class LineRecogniser:
         if not words.believable(spec):
             return Verdict(rejected=MISFIT)
         doubtful = self._doubtful(chips, words, words.is_clear(spec))
+        if frame.volts.size > spec.chips:  # a value was taken twice
+            doubtful = np.ones(spec.nodes, bool)
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
 
     def _by_carried(self, frame: MarkedFrame, line: Line) -> Verdict | None:

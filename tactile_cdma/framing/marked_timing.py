@@ -311,7 +311,8 @@ class MarkedTiming(Timing):
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames that they complete."""
         frames = self._begin(block)
-        volts, slice_size = np.asarray(block.volts, np.float32), self.line.size
+        # Slices keep the buffer bounded; a value more than a frame has shows that it is too long.
+        volts, slice_size = np.asarray(block.volts, np.float32), self.line.size + 1
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size])
             frames += self._decide_due()
@@ -354,7 +355,8 @@ class MarkedTiming(Timing):
         """The frame in progress, if there are enough samples."""
         frames: list[FrameLevels] = []
         while self._start is not None and self._samples.end >= self._due:
-            frames += self._decide(self._start, self._due, final=False)
+            end = self._samples.end if self.line.integrated else self._due
+            frames += self._decide(self._start, end, final=False)
         if self._start is None:
             self._samples.drop(self._samples.end - self.gap_size)
         return frames

@@ -4,17 +4,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
+
 import numpy as np
 
-from ..base.arrays import Floats32
+from ..base.arrays import Floats32, Indices
 from ..code.frame import BIPOLAR, FrameSpec
-from ..code.transform import rows_of
+from ..code.transform import chips_of, rows_of
 from .fit import WordFit, fit_words
 from .limits import LIMITS
 
 SHIFTS = (-2, -1, 1, 2)
 """Whole chips after the mark at which a frame may begin. Chosen: a digitizer that is late by more
 loses sync edges, and counts them."""
+
+BETTER = 0.25
+"""Chips of the weakest word that a rival must leave less. Chosen: one chip that is missing is 1,
+one that is the opposite 4; less is what noise decides.
+"""
 
 
 def may_be_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
@@ -34,44 +42,107 @@ def may_be_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
 
 
 def is_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
-    """Whether chips that are moved leave less of them unexplained than where they are.
+    """Whether chips that are moved leave less of them unexplained, and are other words.
 
-    Where few nodes speak, a frame beside its mark may hold words of other nodes, or the opposite
-    ones: a row of a code book that is moved by a chip may be another row, or nearly. The rivals are
-    whole frames that begin some chips earlier or later; frames within which a sample was dropped,
-    or taken twice, at a bit's end; and frames of which one bit begins a chip off, after a wrong
-    sync pulse. The line is at rest beside a frame; a chip out of view is taken to be like others.
-    chips: (k, N) V, from the mark on. words: what they say.
+    A row of a code book that is moved by a chip may be another row, or the opposite one, or nearly.
+    The rivals are whole frames that begin some chips earlier or later, and, where few nodes speak:
+    frames within which a sample was taken twice, or dropped at a bit's end; and frames of which one
+    bit begins a chip off, after a wrong sync pulse. The line is at rest beside a frame; a chip out
+    of view is taken to be like others. chips: (k, N) V, from the mark on. words: what they say.
     """
-    if np.count_nonzero(words.amplitude) > LIMITS.few or spec.scramble:
+    if spec.scramble:
         return False
-    (bits, order), flat = chips.shape, chips.ravel()
-    power = np.square(flat)
-    moved = np.zeros((len(SHIFTS) + 2, bits, order), np.float32)
-    for whole, shift in zip(moved.reshape(-1, flat.size), SHIFTS, strict=False):
-        _move(flat, shift, whole)
-    for within, shift in zip(moved[-2:], (-1, 1), strict=True):
-        _move(chips, shift, within)
-    rows, own = rows_of(moved, spec), words.rows[0]
-    bit = np.arange(bits)
-    later, alone = (bit >= bit[1:, None])[..., None], (bit == bit[:, None])[..., None]
-    cut = [power[s:].sum() if s < 0 else power[:s].sum() for s in SHIFTS]
-    doubled = np.square(chips[1:, 0] - chips[:-1, -1])
-    # Which rows take the place of a frame's own; V² that are left over besides; chips out of view.
-    rivals = [
-        (rows[: len(SHIFTS)], np.array(cut), np.abs(SHIFTS)),
-        (np.where(later, rows[SHIFTS.index(-1)], own), power[-1], np.array(0)),
-        (np.where(later, rows[SHIFTS.index(1)], own), doubled, np.array(1)),
-        (np.where(alone, rows[-2], own), np.square(chips[:, -1]), np.array(1)),
-        (np.where(alone, rows[-1], own), np.square(chips[:, 0]), np.array(1)),
-    ]
-    least = words.misfit.item() * words.power.item() * flat.size
-    for candidates, beside, unseen in rivals:
-        found = fit_words(np.ascontiguousarray(candidates), spec)
-        left = found.power * (found.misfit * flat.size - unseen) + beside
-        if (left[found.power > 0] < least).any():
+    weakest = float(words.amplitude[words.amplitude > 0].min(initial=np.inf))
+    least = words.misfit.item() * words.power.item() * chips.size - BETTER * weakest**2
+    signs = _signs(words, spec)
+    for rows, besides in _rivals(chips, words, spec):
+        rival = fit_words(np.ascontiguousarray(rows), spec)
+        left = rival.power * rival.misfit * chips.size + besides(rival)
+        better = (left < least) & (rival.power > 0)
+        if better.any() and (_signs(rival, spec)[better] != signs).any():
             return True
     return False
+
+
+def _rivals(
+    chips: Floats32, words: WordFit, spec: FrameSpec
+) -> Iterator[tuple[Floats32, Callable[[WordFit], Floats32]]]:
+    """Which rows take the place of a frame's own, (c, k, N), and V² that their words leave besides.
+
+    That is less than nothing where chips are out of view, and so at rest for these words.
+    """
+    (bits, order), flat = chips.shape, chips.ravel()
+    power = np.square(chips)
+    whole = np.zeros((len(SHIFTS), bits, order), np.float32)
+    for moved, shift in zip(whole.reshape(-1, flat.size), SHIFTS, strict=True):
+        _move(flat, shift, moved)
+    cut = np.array([power.flat[s:].sum() if s < 0 else power.flat[:s].sum() for s in SHIFTS])
+    hidden = [slice(-s, None) if s > 0 else slice(0, -s) for s in SHIFTS]
+    ends = np.where(np.array(SHIFTS) > 0, bits - 1, 0)
+
+    def beside_shifted(rival: WordFit) -> Floats32:
+        unseen = np.square(_meant(rival, ends, spec))
+        out_of_view = [one[chip].sum() for one, chip in zip(unseen, hidden, strict=True)]
+        beside: Floats32 = cut - np.array(out_of_view)
+        return beside
+
+    rows = rows_of(whole, spec)
+    yield rows, beside_shifted
+    if np.count_nonzero(words.amplitude) > LIMITS.few:
+        return
+    own, bit = words.rows[0], np.arange(bits)
+    later, alone = (bit >= bit[:, None])[..., None], (bit == bit[:, None])[..., None]
+    earlier, after = (rows[SHIFTS.index(shift)] for shift in (-1, 1))
+    yield np.where(later[1:], earlier, own), lambda _: power[-1, -1]
+    yield np.where(later, after, own), lambda rival: _beside_double(chips, rival, spec)
+    within = np.zeros((2, bits, order), np.float32)
+    for moved, shift in zip(within, (-1, 1), strict=True):
+        _move(chips, shift, moved)
+    for rows_within, cut_off, unseen in zip(rows_of(within, spec), (-1, 0), (0, -1), strict=True):
+        rival_rows = np.where(alone, rows_within, own)
+        yield rival_rows, partial(_beside_bit, power[:, cut_off], unseen, spec)
+
+
+def _beside_bit(cut: Floats32, unseen: int, spec: FrameSpec, rival: WordFit) -> Floats32:
+    """What is left beside a bit that is a chip off, (k,) V²; unseen: its chip out of view."""
+    meant = _meant(rival, np.arange(len(cut)), spec)[:, unseen]
+    beside: Floats32 = cut - np.square(meant)
+    return beside
+
+
+def _beside_double(chips: Floats32, rival: WordFit, spec: FrameSpec) -> Floats32:
+    """What the second of two equal samples leaves over, of the likeliest ones in each bit, (k,) V².
+
+    rival: of frames whose chips are a chip later from the begin of each bit on. If the sample is
+    doubled within that bit, what its first chips leave is what they leave where they are.
+    """
+    flat, bit = chips.ravel(), np.arange(len(chips))
+    meant = _meant(rival, bit, spec)
+    in_place = np.square(chips - meant)
+    later = np.square(np.append(flat[1:], 0).reshape(chips.shape) - meant)
+    gained = np.zeros_like(chips)
+    np.cumsum((in_place - later)[:, :-1], axis=1, out=gained[:, 1:])
+    twice = np.square(np.diff(flat, prepend=0)).reshape(chips.shape)
+    unseen = np.square(_meant(rival, np.full_like(bit, len(chips) - 1), spec)[:, -1])
+    least: Floats32 = (twice + gained).min(axis=1) - unseen
+    return least
+
+
+def _meant(words: WordFit, bit: Indices, spec: FrameSpec) -> Floats32:
+    """Chips that the words of each candidate mean in one of its bits, (c,): (c, N) V."""
+    rows = np.zeros((len(bit), spec.order), np.float32)
+    candidate = np.arange(len(bit))
+    rows[:, spec.node_slice] = np.sign(words.rows[candidate, bit, spec.node_slice])
+    rows[:, spec.node_slice] *= words.amplitude
+    chips: Floats32 = chips_of(rows, spec) + words.pedestal[:, None]
+    return chips
+
+
+def _signs(words: WordFit, spec: FrameSpec) -> Floats32:
+    """Of every node's bits, (c, k, n); 0 of silent ones."""
+    signs: Floats32 = np.sign(words.rows[..., spec.node_slice])
+    signs *= (words.amplitude > 0)[:, None]
+    return signs
 
 
 def _move(chips: Floats32, shift: int, moved: Floats32) -> None:

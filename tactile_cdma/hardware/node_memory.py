@@ -8,8 +8,6 @@ first octet repeat the end of the row, as if it were cyclic. The row's sign is i
 the chips.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import dataclass

@@ -162,7 +162,7 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
     root.check_schema(SCHEMA, VERSION)
     if old := root.get("dynamics"):
         raise old.refuse(
-            "dynamics are no longer compensated (docs/sensor.md says why): delete this entry, and "
+            "dynamics are no longer compensated (docs/paper.md says why): delete this entry, and "
             "run tactile-cdma calibrate --seal"
         )
     root.check_keys(_KEYS)

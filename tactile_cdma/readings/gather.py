@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gathers the pressed taxels of a frame into contacts, compiled or in numpy.
-
-Both forms find the same contacts; sums differ by rounding only.
-"""
-
-from __future__ import annotations
+"""Gathers the pressed taxels of a frame into contacts."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..places.components import connected
 from ..places.layout import Layout
@@ -50,7 +44,7 @@ class Gathered(NamedTuple):
     torn: Bools
 
 
-class NumpyGatherer:
+class Gatherer:
     """Gathers frame by frame; it keeps each taxel's contact, and whether it had a reading."""
 
     def __init__(self, layout: Layout) -> None:
@@ -66,7 +60,7 @@ class NumpyGatherer:
         self._place[:], self._unread[:] = -1, True
 
     def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        """The contacts of a frame; thresholds: see ContactThresholds. The next call ends them."""
+        """The contacts of a frame; thresholds: see ContactThresholds."""
         pressure_pa = readings.pressure_pa
         before, self._unread = self._unread, np.isnan(pressure_pa)
         if not (pressure_pa > contact_pa).any() and (self._place < 0).all():
@@ -135,52 +129,6 @@ class NumpyGatherer:
         place = self._place[self._beside[:, weak]].max(axis=0)
         beside = place >= 0
         return weak[beside], place[beside]
-
-
-class CompiledGatherer:
-    """As NumpyGatherer."""
-
-    def __init__(self, layout: Layout) -> None:
-        taxels = len(layout)
-        self._neighbours = np.ascontiguousarray(layout.neighbours, dtype=np.int32)
-        self._moments = moments_of(layout)
-        self._place = np.full(taxels, -1, dtype=np.int32)
-        self._unread = np.ones(taxels, dtype=np.uint8)
-        self._scratch = np.empty((3, taxels), np.int32), np.empty((2, taxels))
-        self._taxels, self._places = np.empty((2, taxels), np.int32)
-        self._starts = np.empty(taxels + 1, np.int32)
-        self._sums = np.empty((taxels, 11))
-        self._peak_pa = np.empty(taxels, np.float32)
-        self._flags = np.empty((3, taxels), np.bool_)
-
-    def forget(self) -> None:
-        """See NumpyGatherer."""
-        self._place[:], self._unread[:] = -1, 1
-
-    def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        """See NumpyGatherer."""
-        assert kernel.compiled is not None
-        count = kernel.compiled.gather_contacts(
-            contact_pa, release_pa, RIM * release_pa, Status.SATURATED, self._neighbours,
-            self._moments, readings.pressure_pa, readings.status, self._place, self._unread,
-            *self._scratch, self._taxels, self._places, self._starts, self._sums, self._peak_pa,
-            self._flags,
-        )  # fmt: skip
-        if not count:
-            return _NOTHING
-        size, sums = int(self._starts[count]), self._sums[:count].copy()
-        return Gathered(
-            self._taxels[:size].astype(np.intp),
-            self._places[:size].astype(np.intp),
-            self._starts[:count].astype(np.intp),
-            sums[:, :10],
-            sums[:, 10],
-            self._peak_pa[:count].copy(),
-            *self._flags[:, :count].copy(),
-        )
-
-
-Gatherer = NumpyGatherer if kernel.compiled is None else CompiledGatherer
 
 
 def moments_of(layout: Layout) -> Floats:

@@ -2,8 +2,6 @@
 
 """What the kernel needs to read a frame in which nothing is odd: words and readings in one call."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

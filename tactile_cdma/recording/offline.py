@@ -2,8 +2,6 @@
 
 """Decoding of files: the stages of a live skin, fed from a recording or a scope's capture."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,8 +17,9 @@ from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
 from ..words.decode import Words, decode
-from .capture import ScopeCapture, capture_notes, read_bytes
+from .capture import capture_notes, read_bytes
 from .recording_file import describe, is_recording
+from .scope_csv import ScopeCapture
 from .whole_clock import fitted_clocks
 
 _MIN_SAMPLES_PER_CHIP = 3

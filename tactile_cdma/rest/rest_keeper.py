@@ -2,8 +2,6 @@
 
 """Tare, drift and calibration of a running skin: restored at its start, changed, saved."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

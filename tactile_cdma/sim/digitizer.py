@@ -6,8 +6,6 @@
 `Schedule` decides when. So the same samples come at any pace, through any transport.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -126,8 +124,8 @@ class VirtualDigitizer:
         """
         if not all(isinstance(each, Indenter) for each in objects):
             raise SpecError(
-                "objects are given one by one, as press(*objects), and each is a Sphere, Cylinder, "
-                f"Box or HeightMap, not {', '.join(type(each).__name__ for each in objects)}"
+                "objects are given one by one, as press(*objects), and each is a Sphere, Cylinder "
+                f"or Box, not {', '.join(type(each).__name__ for each in objects)}"
             )
         if self._external is None:
             raise SpecError(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The sensor between pressure and voltage; docs/sensor.md has where its figures come from.
+"""The sensor between pressure and voltage; docs/paper.md has where its figures come from.
 
 A pressure P first passes a first-order lag, slow while it rises and quick while it falls, then
 hysteresis, a Prandtl–Ishlinskii operator on the logarithmic axis l = ln(1 + P/SCALE_PA):
@@ -12,8 +12,6 @@ widthⱼ. So rising loads read as the static curve says, falling ones read more,
 load, and almost nothing remains at zero.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 
@@ -24,7 +22,7 @@ from ..readings.calibration import Curves, PressureCurve
 
 IDEAL, PAPER = "ideal", "paper"
 MOST_HYSTERESIS = 7.0
-"""Largest option `hysteresis`: 6.69 gives the paper's figure at 55 kPa (docs/sensor.md)."""
+"""Largest option `hysteresis`: 6.69 gives the paper's figure at 55 kPa (docs/paper.md)."""
 MOST_MISMATCH = 0.1
 """Largest option `mismatch`, rms. Chosen: slopes then differ by up to 20 %."""
 WANDER_S = 600.0

@@ -2,8 +2,6 @@
 
 """A digitizer's id: 8 bytes in its INFO, hexadecimal digits for people."""
 
-from __future__ import annotations
-
 import re
 
 from ..base.errors import ParameterError

@@ -2,8 +2,6 @@
 
 """Which digitizer is on a port. Nothing is sent to a device that does not speak our protocol."""
 
-from __future__ import annotations
-
 import logging
 import time
 

@@ -26,7 +26,7 @@ from ..code.separate import NodeLevels
 from .lateness import out_of_place
 from .leakage import unexplained
 from .limits import CLEAR_RHO, SOUND_SHARE, UNLIKE
-from .stages import decide, find_active, measure
+from .stages import Measures, decide, find_active, measure
 from .tones import toned
 
 AUTO_FLOOR = 6.0
@@ -152,39 +152,25 @@ def decode(
     With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
     likely even word) and is doubtful.
     """
-    values, noise = levels.values, levels.noise_v
-    measures = measure(values)
-    amplitude = measures.amplitude
-    if swing_v is None:
-        swing_v = spec.node_swing_v
-    if swing_v is None:
-        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
-    expected = _of_each(swing_v, spec.nodes)
-    bits = spec.line_bits
+    noise, bits = levels.noise_v, spec.line_bits
+    measures = measure(levels.values)
+    expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
     active, faint, any_faint = find_active(measures, expected, threshold, noise, bits)
     astray = hidden = np.zeros_like(active)
     if any_faint:
-        sound = SOUND_SHARE * np.minimum(expected, amplitude.max())
-        rest, rest_noise = unexplained(levels, active & ~faint, faint, spec)
-        left = np.abs(rest).mean(axis=0)
-        amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
-        measures = measures._replace(amplitude=amplitude)
-        spoke = amplitude > np.float32(threshold) * expected
-        astray = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
-        if astray.any():  # what weak words lack may be there, and they out of their places
-            most = np.float32(amplitude[astray].max()) / np.float32(COMPARABLE)
-            astray |= spoke & (amplitude < np.maximum(sound, most))
-            # A line that weakens words weakens faint ones, too.
-            astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
+        loud = active & ~faint
+        rest, rest_noise = unexplained(levels, loud, faint, spec)
+        measures = _without_leakage(measures, rest, faint)
+        spoke = measures.amplitude > np.float32(threshold) * expected
+        astray = _out_of_step(measures.amplitude, active, spoke, expected)
+        hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
         active = spoke & ~astray
-        squares = np.einsum("kn,kn->n", rest, rest)
-        rest_noise = pooled_noise(rest_noise, squares[~spoke], bits)
-        hidden = ~spoke & rises(squares, expected, rest_noise, bits)
+    amplitude = measures.amplitude
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
         measures, active, expected, spec.sign_mask, noise, bits, spec.parity
     )
     if uneven:
-        doubtful |= _disturbed(np.abs(values), amplitude, active) & active
+        doubtful |= _disturbed(np.abs(levels.values), amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
     doubtful |= astray | hidden
@@ -193,16 +179,11 @@ def decode(
         if others is not None:  # any silent node may be the one that spoke
             astray |= others
             doubtful |= others | ~active
-        explained = toned(levels, amplitude, active, spec)
-        if explained is not None:
-            active &= ~explained
-            doubtful |= explained
-        if levels.level_unknown and active[0]:  # an offset may be that word
-            active[0], doubtful[0] = False, True
-    if levels.rows is not None and spec.first_row > 0 and not spec.scramble:
-        moved = float(levels.rows[:, 0].var())
-        if moved > (MOVED_SHARE * float(expected.min())) ** 2:
-            doubtful |= ~active
+        none = _no_words(levels, amplitude, active, spec)
+        active &= ~none
+        doubtful |= none
+    if _moves(levels, float(expected.min()), spec):
+        doubtful |= ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
@@ -212,11 +193,62 @@ def decode(
     )
 
 
-def _of_each(swing_v: ArrayLike, nodes: int) -> Floats32:
-    """The amplitude of each node, (n,), V, from that or a common one."""
+def _expected(
+    amplitude: Floats32, noise: float, threshold: float, swing_v: ArrayLike | None, spec: FrameSpec
+) -> Floats32:
+    """The amplitude of each node, (n,), V: as told to decode, specified, or the frame's usual."""
+    if swing_v is None:
+        swing_v = spec.node_swing_v
+    if swing_v is None:
+        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
     if isinstance(swing_v, np.ndarray) and swing_v.dtype == np.float32:
         return swing_v
-    return np.full(nodes, swing_v, dtype=np.float32)
+    return np.full(spec.nodes, swing_v, dtype=np.float32)
+
+
+def _without_leakage(measures: Measures, rest: Floats32, faint: Bools) -> Measures:
+    """Faint words that louder ones explain have but what is left of them; rest: (k, n) V."""
+    amplitude, left = measures.amplitude, np.abs(rest).mean(axis=0)
+    amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
+    return measures._replace(amplitude=amplitude)
+
+
+def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Floats32) -> Bools:
+    """Nodes on whose rows there may be a part of a word, of which others have the rest, (n,).
+
+    active: words without regard of leakage. spoke: words that it does not explain.
+    """
+    astray = ~spoke & (active | (amplitude > FAINT_SHARE * expected))
+    if astray.any():  # what weak words lack may be there, and they out of their places
+        most = np.float32(amplitude[astray].max()) / np.float32(COMPARABLE)
+        sound = SOUND_SHARE * np.minimum(expected, amplitude.max())
+        astray |= spoke & (amplitude < np.maximum(sound, most))
+        # A line that weakens words weakens faint ones, too.
+        astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
+    return astray
+
+
+def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bools:
+    """Rows that hold more than noise and leakage, (n,); rest: (k, n) V, without the latter."""
+    squares, bits = np.einsum("kn,kn->n", rest, rest), len(rest)
+    return rises(squares, expected, pooled_noise(noise, squares[~spoke], bits), bits)
+
+
+def _no_words(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
+    """Words that tones explain, or an offset of the line, (n,)."""
+    explained = toned(levels, amplitude, active, spec)
+    if explained is None:
+        explained = nobody(spec.nodes)
+    if levels.level_unknown and active[0]:
+        explained = explained | (np.arange(spec.nodes) == 0)
+    return explained
+
+
+def _moves(levels: NodeLevels, expected: float, spec: FrameSpec) -> bool:
+    """Whether the line's level moves so much that a frame may be somewhere else."""
+    if levels.rows is None or spec.first_row == 0 or spec.scramble:
+        return False
+    return float(levels.rows[:, 0].var()) > (MOVED_SHARE * expected) ** 2
 
 
 def _disturbed(level: Floats32, amplitude: Floats32, active: Bools) -> Bools:

@@ -158,12 +158,6 @@ KERNEL_DEFECTS = {
         "measure_block(levels + first, step, bits, nodes - first, measures, first - 1 + !first)",
         "wrong value",
     ),
-    "a contact that grows together stays two": (
-        "contacts.c",
-        "root[own < other ? other : own] = first;",
-        "root[other] = first;",
-        "wrong value",
-    ),
     "a run that is too long is not counted": (
         "scanner.c",
         "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",

@@ -203,16 +203,6 @@ def test_errors_in_callbacks_end_nothing_are_counted_and_logged_once(
     assert len(said) == 1 and "ArithmeticError: of \\x1b[2J the test" in said[0]
 
 
-def test_a_fatal_error_reaches_who_spins(world: World) -> None:
-    world.executor.shutdown()
-    world.executor = LeanExecutor(fatal=(OSError, ArithmeticError))
-    world.executor.add_node(world.node)
-    timer = world.node.create_timer(0.01, fail)
-    with pytest.raises(ArithmeticError):
-        world.until(lambda: False)
-    timer.cancel()
-
-
 def test_another_thread_ends_an_endless_wait(world: World) -> None:
     spinning = threading.Thread(target=world.executor.spin_once)
     for _ in range(3):

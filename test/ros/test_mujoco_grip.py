@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
+pytest.importorskip("mujoco", reason="MuJoCo (pip install mujoco) is not installed")
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("mujoco")]
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "mujoco_grip.py"

@@ -15,7 +15,7 @@ Time is counted in nominal chips from the beginning of the recording.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise, product
 from typing import Any, TypeAlias
@@ -68,12 +68,30 @@ def default_order(rows: int) -> int:
 
 def row_sign(row: int, seed: int | None) -> int:
     """Sign of a code row; seed None: natural signs."""
-    if seed is None:
-        return 1
+    return 1 if seed is None or _hash(row, seed) < 2**31 else -1
+
+
+@cache
+def flips(bits: int, order: int, seed: int) -> NDArray[np.int8]:
+    """What scrambled nodes multiply their chips by, (bits, N) of ±1."""
+    h = _hash(65536, seed)
+    state = (h ^ h >> 16) or 1
+    octets = [state >> shift & 255 for shift in (0, 8, 16, 24)]  # the oldest first
+    per_bit = -(-order // 8)
+    while len(octets) < 4 + bits * per_bit:
+        oldest, newest = octets[-4], octets[-1]
+        t = oldest ^ oldest << 1 & 255
+        octets.append(newest ^ newest >> 3 ^ t ^ t >> 1)
+    taken = np.array(octets[4:], np.uint8).reshape(bits, per_bit)
+    read = np.unpackbits(taken, axis=1, bitorder="little")[:, -order:]
+    return 1 - 2 * read.astype(np.int8)
+
+
+def _hash(row: int, seed: int) -> int:
+    """Of a row and a seed, 32 bits."""
     h = (seed + row * 0x9E3779B9) % 2**32
     h = (h ^ h >> 16) * 0x85EBCA6B % 2**32
-    h = (h ^ h >> 13) * 0xC2B2AE35 % 2**32
-    return -1 if h >= 2**31 else 1
+    return (h ^ h >> 13) * 0xC2B2AE35 % 2**32
 
 
 def _ways(order: int, least: int) -> Iterator[tuple[int, ...]]:
@@ -170,6 +188,7 @@ class Skin:
     amplitude_v: float = 0.3
     drive: str = "bipolar"
     polarity: int = 1
+    scramble: bool = False
 
     @property
     def chips(self) -> int:
@@ -188,6 +207,9 @@ class Skin:
         if self.parity:
             bits = np.column_stack((bits, bits.sum(axis=1) % 2))
         levels: Floats = (2.0 * bits - 1)[:, :, None] * (signs[:, None] * rows)[:, None, :]
+        if self.scramble:
+            assert self.sign_seed is not None
+            levels *= flips(bits.shape[1], self.order, self.sign_seed)
         if self.drive == "unipolar":
             levels = (levels + 1) / 2
         flat: Floats = self.polarity * self.amplitude_v * levels.reshape(len(nodes), self.chips)
@@ -272,9 +294,10 @@ class Line:
         period. high_pass_hz: AC coupling.
     hum_v, hum_hz: peak. impulses_hz, impulse_v, impulse_chips: rate, height (either sign), width.
     bursts_hz, burst_v, burst_tone_hz, burst_s: rate, peak, frequency and decay of ringing.
-    steps_hz, step_v: the baseline jumps, up and down in turn.
+    steps_hz, step_v: the baseline jumps, up and down in turn. drift_v_per_s: of the offset.
     amplifier_v: the amplifier's rails about its level in silence, which the digitizer cannot see.
-    onset: share of the recording after which gain, gains, offset, hum and bursts set in.
+    onset: share of the recording after which it sets in that nodes are late, slow or drop out,
+        gain, gains, offset and drift, hum, impulses, bursts and jumps; and what the digitizer does.
     """
 
     start_jitter_chips: float = 0.0
@@ -311,6 +334,7 @@ class Line:
     burst_s: float = 2e-4
     steps_hz: float = 0.0
     step_v: float = 0.0
+    drift_v_per_s: float = 0.0
     amplifier_v: float = np.inf
     onset: float = 0.0
 
@@ -409,19 +433,21 @@ def render(
     cells = digitizer.samples_per_chip * (1 + 2 * (LEAST_CELLS // digitizer.samples_per_chip // 2))
     length = int(starts[-1] + 2.5 * skin.period_chips)
     volts = _line_volts(skin, line, codes, starts, chips, length, cells, rng)
-    told = starts
+    told, begin = starts, line.onset * length
     if digitizer.mark_shifts:
-        is_late = rng.random(frames) < digitizer.mark_share
+        is_late = (rng.random(frames) < digitizer.mark_share) & (starts >= begin)
         told = starts + is_late * rng.choice(digitizer.mark_shifts, frames)
     instants, marks = _sampling(skin, digitizer, told, length)
     if digitizer.slip_share:
-        taken, marks = _slipped(skin, digitizer, len(instants), marks, rng)
+        can_slip = starts >= begin
+        taken, marks = _slipped(skin, digitizer, len(instants), marks, can_slip, rng)
         instants = instants[taken]
     sigma_v = line.noise_v * np.sqrt(digitizer.samples_per_chip)
     read = volts[(instants * cells).astype(np.int64)]
     phase = 2 * np.pi * (line.hum_hz * skin.chip_s * instants + rng.uniform(0, 1))
-    disturbed = instants >= line.onset * length
-    read += disturbed * (line.offset_v + line.hum_v * np.sin(phase))
+    drift_v = line.drift_v_per_s * skin.chip_s * (instants - begin)
+    disturbed = instants >= begin
+    read += disturbed * (line.offset_v + drift_v + line.hum_v * np.sin(phase))
     read += sigma_v * rng.standard_normal(instants.shape)
     lsb_v, top = digitizer.volts_per_count, 2 ** (digitizer.adc_bits - 1)
     counts = np.clip(np.round(read / lsb_v), -top, top - 1)
@@ -429,9 +455,11 @@ def render(
     if digitizer.integrated:
         counts, at_rail = counts.mean(axis=1).round(), at_rail.mean(axis=1)
         instants = instants[:, 0] - 0.5 / digitizer.samples_per_chip
-    begin, end = np.searchsorted(instants, (starts, starts + skin.chips * chips))
+    first, last = np.searchsorted(instants, (starts, starts + skin.chips * chips))
     truth = tuple(
-        Truth(float(starts[f]), float(chips[f]), codes[f], float(at_rail[begin[f] : end[f]].mean()))
+        Truth(
+            float(starts[f]), float(chips[f]), codes[f], float(at_rail[first[f] : last[f]].mean())
+        )
         for f in range(frames)
     )
     runs = _runs(skin, digitizer, instants, counts.astype(np.int16), marks, rng)
@@ -449,17 +477,18 @@ def _line_volts(
     rng: np.random.Generator,
 ) -> Floats:
     """Mean voltage of every cell, without offset, hum and noise; (length · cells,)."""
-    delay = rng.uniform(0, 1, skin.nodes) * line.skew_chips
+    skew = rng.uniform(0, 1, skin.nodes) * line.skew_chips
     usual = 1 + line.spread * rng.standard_normal(skin.nodes)
-    gain = usual * line.gain
+    delay, gain, begin = skew.copy(), usual * line.gain, line.onset * length
     for node, chip in line.late:
         delay[node] += chip
     for node, factor in line.gains:
         gain[node] *= factor
+    before = replace(line, slow=(), dropouts=()), skew, usual
     steps = [
         _frame_steps(
-            skin, line, codes[f], starts[f], chips[f], delay,
-            gain if starts[f] >= line.onset * length else usual, rng,
+            skin, codes[f], starts[f], chips[f],
+            *((line, delay, gain) if starts[f] >= begin else before), rng,
         )
         for f in range(len(codes))
     ]  # fmt: skip
@@ -471,26 +500,26 @@ def _line_volts(
         -line.amplifier_v,
         line.amplifier_v,
     )
-    duration_s = length * skin.chip_s
+    duration_s = (length - begin) * skin.chip_s
     if line.impulses_hz:
-        at = rng.uniform(0, length, rng.poisson(line.impulses_hz * duration_s))
+        at = rng.uniform(begin, length, rng.poisson(line.impulses_hz * duration_s))
         height = line.impulse_v * rng.choice([-1.0, 1.0], at.size)
         ends = np.append(at, at + line.impulse_chips)
         volts += _stairs(ends, np.append(height, -height), length, cells)
     if line.bursts_hz:
         volts += _ringing(skin, line, length, cells, rng)
     if line.steps_hz:
-        at = np.sort(rng.uniform(0, length, rng.poisson(line.steps_hz * duration_s)))
+        at = np.sort(rng.uniform(begin, length, rng.poisson(line.steps_hz * duration_s)))
         volts += _stairs(at, line.step_v * (1 - 2 * (np.arange(at.size) % 2)), length, cells)
     return volts
 
 
 def _frame_steps(
     skin: Skin,
-    line: Line,
     codes: Ints,
     start: float,
     chip: float,
+    line: Line,
     delay: Floats,
     gain: Floats,
     rng: np.random.Generator,
@@ -507,9 +536,12 @@ def _frame_steps(
     longer = np.ones(skin.nodes)
     for node, share in line.slow:
         longer[node] += share
-    edges = start + chip * longer[nodes, None] * (np.arange(skin.chips + 1) + jitter)
-    heights = np.diff(levels, axis=1, prepend=0.0, append=0.0)
-    return (edges + delay[nodes, None]).ravel(), heights.ravel()
+    # Nodes that keep time together are one.
+    times, of = np.unique(np.stack((longer, delay))[:, nodes], axis=1, return_inverse=True)
+    heights = np.zeros((times.shape[1], skin.chips + 1))
+    np.add.at(heights, of.ravel(), np.diff(levels, axis=1, prepend=0.0, append=0.0))
+    edges = start + chip * times[0][:, None] * (np.arange(skin.chips + 1) + jitter)
+    return (edges + times[1][:, None]).ravel(), heights.ravel()
 
 
 def _ringing(skin: Skin, line: Line, length: int, cells: int, rng: np.random.Generator) -> Floats:
@@ -580,12 +612,20 @@ def _sampling(skin: Skin, digitizer: Digitizer, starts: Floats, length: int) -> 
 
 
 def _slipped(
-    skin: Skin, digitizer: Digitizer, samples: int, marks: Ints, rng: np.random.Generator
+    skin: Skin,
+    digitizer: Digitizer,
+    samples: int,
+    marks: Ints,
+    can_slip: NDArray[np.bool_],
+    rng: np.random.Generator,
 ) -> tuple[Ints, Ints]:
-    """Which samples are taken, some of them twice, and where marks are then."""
+    """Which samples are taken, some of them twice, and where marks are then.
+
+    can_slip: (frames,), those in which that may happen.
+    """
     per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
     times = np.ones(samples, dtype=np.int64)
-    for mark in marks[rng.random(marks.size) < digitizer.slip_share]:
+    for mark in marks[(rng.random(marks.size) < digitizer.slip_share) & can_slip]:
         times[mark + rng.integers(1, skin.chips * per_chip - 1)] = rng.choice([0, 2])
     return np.repeat(np.arange(samples), times), np.concatenate(([0], times.cumsum()))[marks]
 

@@ -100,7 +100,6 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "skin_body": [str(ROOT / "scripts/skin_body"), "--ros-args", "-p", "patches:=['/skin']"],
         "skin_view": [str(ROOT / "scripts/skin_view"), "--seconds", "3600"],
         "skin_body_view": [str(ROOT / "scripts/skin_body_view"), "--seconds", "3600"],
-        "skin_bag": [str(ROOT / "scripts/skin_bag"), str(folder / "bag")],
     }
     for example in ("subscribe", "taxel_map", "points_to_numpy", "grip", "fuse_joint_states"):
         found[example] = [str(ROOT / f"examples/{example}.py")]

@@ -4,7 +4,7 @@
 
     KnownDigitizer ──pty──▶ skin_driver (process) ──DDS──▶ MessageJudge
 
-Meanwhile a subscriber of pictures and a recorder of topics come and go.
+Meanwhile a subscriber of pictures and a viewer come and go.
 
     python -m torture.load.soak --seconds 3600
 """
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import shutil
 import signal
 import subprocess
 import sys
@@ -33,7 +32,7 @@ from .loaded_skin import SKIN_DRIVER, SOAKED, LoadedSkin
 
 QUICK_S, FULL_S = 6.0, 240.0
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 6.0, 120.0
-PICTURES, RECORDER = (0.1, 0.4), (0.3, 0.6)
+PICTURES, VIEWER = (0.1, 0.4), (0.3, 0.6)
 """Shares of a cycle in which these guests are there."""
 ALONE = 0.8
 """Share of a cycle after which both guests are gone, and threads and descriptors are compared."""
@@ -78,29 +77,28 @@ def goes_on(seconds: float, skin: LoadedSkin, watch: Watch) -> None:
     """Let time pass while guests come and go, until it is over or no frame comes."""
     cycle_s = min(max(seconds / 4, SHORTEST_CYCLE_S), LONGEST_CYCLE_S)
     began_s = time.monotonic()
-    with Recorder(skin) as recorder:
+    with Viewer(skin) as viewer:
         while (now_s := time.monotonic()) < began_s + seconds and skin.streams_on(1):
             place = (now_s - began_s) / cycle_s % 1
             skin.watches = PICTURES[0] < place < PICTURES[1]
-            recorder.be_there(RECORDER[0] < place < RECORDER[1])
+            viewer.be_there(VIEWER[0] < place < VIEWER[1])
             watch.look(alone=place > ALONE)
             time.sleep(LOOK_S)
 
 
-class Recorder:
-    """A recorder of topics that is there or not."""
+class Viewer:
+    """A viewer in a terminal that is there or not."""
 
     def __init__(self, skin: LoadedSkin) -> None:
-        self._skin, self._bag = skin, skin.folder / "bag"
+        self._skin = skin
         self._process: subprocess.Popen[bytes] | None = None
 
     def be_there(self, wanted: bool) -> None:
-        """Start or end it if necessary; what it has written is removed."""
+        """Start or end it if necessary."""
         if wanted and self._process is None:
-            skin_bag = SKIN_DRIVER.with_name("skin_bag")
-            command = [sys.executable, str(skin_bag), str(self._bag), "--node", self._skin.name]
+            view = [sys.executable, str(SKIN_DRIVER.with_name("skin_view")), "--seconds", "3600"]
             self._process = subprocess.Popen(
-                command,
+                [*view, "--topic", f"{self._skin.name}/tactile"],
                 env=self._skin.environment,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -112,9 +110,8 @@ class Recorder:
             self._process.kill()
             self._process.wait()
             self._process = None
-            shutil.rmtree(self._bag, ignore_errors=True)
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> Viewer:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -144,7 +141,7 @@ def outcome_of(
     moved_s = drift(tally.stamp_errors_s)
     held = "{} threads, {} descriptors".format(*(watch.alone[-1] if watch.alone else (0, 0)))
     return Outcome(
-        f"{seconds:g} s in real time, pictures and a recorder coming and going",
+        f"{seconds:g} s in real time, pictures and a viewer coming and going",
         times=1,
         wrong_values=tally.wrong_values + (abs(moved_s) > MOST_DRIFT_S),
         uncounted_losses=tally.uncounted_losses,

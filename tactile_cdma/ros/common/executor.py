@@ -48,13 +48,11 @@ class LeanExecutor(Executor):
     For nodes with timers, subscriptions, services and event handlers, whose callbacks are plain
     functions. Event handlers wake nobody. Guard conditions, clients and tasks are not served.
 
-    What others send may make any callback raise, rclpy's own, too: see FAILURES. fatal: exceptions
-    that reach who spins all the same.
+    What others send may make any callback raise, rclpy's own, too: see FAILURES.
     """
 
-    def __init__(self, fatal: tuple[type[Exception], ...] = ()) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._fatal = fatal
         self._held = ExitStack()  # keeps what is waited for from being destroyed
         self._add: list[tuple[Callable[[Any], None], Any]] = []
         self._event_handlers: list[Any] = []
@@ -99,11 +97,11 @@ class LeanExecutor(Executor):
             for pointer in wait_set.get_ready_entities(kind)
         ]
         for handler in happened:
-            FAILURES.survive(_call_handler, handler, self._fatal)
+            FAILURES.survive(_call_handler, handler)
         for pointer in ready:
             if self._has_changed:  # perhaps destroyed by the last callback; others stay ready
                 break
-            FAILURES.survive(*self._call[pointer], self._fatal)
+            FAILURES.survive(*self._call[pointer])
 
     def _gather(self) -> None:
         """Take in what the nodes have at present, but for what their callback groups exclude."""

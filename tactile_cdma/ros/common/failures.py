@@ -2,8 +2,6 @@
 
 """What callbacks of this process have raised: counted and logged, so that it ends no node."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time
@@ -31,17 +29,10 @@ class Failures:
         self.count = 0
         self._told_s: dict[str, float] = {}  # when one was logged, by its place
 
-    def survive(
-        self,
-        call: Callable[[Any], object],
-        entity: Any,
-        fatal: tuple[type[Exception], ...] = (),
-    ) -> None:
-        """Call with an entity of a node; only what is fatal is raised."""
+    def survive(self, call: Callable[[Any], object], entity: Any) -> None:
+        """Call with an entity of a node; nothing is raised."""
         try:
             call(entity)
-        except fatal:
-            raise
         except Exception as error:
             self.count += 1
             self._log(entity, error)

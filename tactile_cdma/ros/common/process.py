@@ -2,8 +2,6 @@
 
 """Runs a node as a process until a signal comes, and then ends everything in order."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -53,11 +51,9 @@ def run_node(make: Callable[[], N], program: str) -> int:
 class Running(Generic[N]):
     """A node that its program spins itself, between other work."""
 
-    def __init__(
-        self, node: N, told_to_end: Callable[[], bool], fatal: tuple[type[Exception], ...] = ()
-    ) -> None:
+    def __init__(self, node: N, told_to_end: Callable[[], bool]) -> None:
         self.node = node
-        self.executor = LeanExecutor(fatal)
+        self.executor = LeanExecutor()
         self.executor.add_node(node)
         self._told_to_end = told_to_end
 
@@ -70,20 +66,14 @@ class Running(Generic[N]):
 
 
 @contextmanager
-def running(
-    make: Callable[[], N],
-    seconds: float | None = None,
-    fatal: tuple[type[Exception], ...] = (),
-) -> Iterator[Running[N]]:
+def running(make: Callable[[], N]) -> Iterator[Running[N]]:
     """A node for as long as the context lasts; raises what rcl, or the node, does not take.
 
-    fatal: see LeanExecutor.
-
-    SIGINT, SIGTERM and the end of the time, s, tell it to end; they raise nothing, as that could
-    come amid the conversion of a message. Everything ends in order: the executor, the node with
-    all it has, and the ROS context last.
+    SIGINT and SIGTERM tell it to end; they raise nothing, as that could come amid the conversion
+    of a message. Everything ends in order: the executor, the node with all it has, and the ROS
+    context last.
     """
-    with stop_event(seconds) as stop, ExitStack() as ends:
+    with stop_event(None) as stop, ExitStack() as ends:
         ends.callback(rclpy.try_shutdown)
         try:
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
@@ -94,6 +84,6 @@ def running(
         forward_logs()
         node = make()
         ends.callback(node.destroy_node)
-        program = Running(node, stop.is_set, fatal)
+        program = Running(node, stop.is_set)
         ends.callback(program.executor.shutdown)
         yield program

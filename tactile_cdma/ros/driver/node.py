@@ -2,8 +2,6 @@
 
 """The driver node: lifecycle, parameters and diagnostics of one skin patch."""
 
-from __future__ import annotations
-
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace

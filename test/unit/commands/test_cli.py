@@ -106,7 +106,7 @@ def test_a_parameter_file_serves_decoding(
         (b"", "the file is empty"),
         (b"\0" * 50, "no valid packet"),
         (bytes(range(256)) * 40, "no valid packet: wrong baud rate?"),
-        (b"just some words", "no line with two numbers"),
+        (b"just some words", "no lines of numbers"),
     ],
 )
 def test_broken_captures_are_one_clear_error(

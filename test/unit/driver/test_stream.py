@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
@@ -39,6 +39,7 @@ from tactile_cdma.wire.messages import (
     Status,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.examples import examples
 from test.support.same_frames import assert_same
 from test.support.simulated import stream
 
@@ -212,7 +213,7 @@ def test_any_split_gives_the_same(chunk: int) -> None:
     assert parts.counters == whole.counters
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     case=st.sampled_from([CASES[0], CASES[2], CASES[17], CASES[28], CASES[32], CASES[34]]),
     damages=st.lists(

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.recording.capture import is_text, read_scope_csv
+from tactile_cdma.recording.capture import is_text
+from tactile_cdma.recording.scope_csv import read_scope_csv
 
 TIME_S = -1e-3 + np.arange(400) * 5e-6
 VOLTS = np.sin(np.arange(400) / 7)
@@ -92,14 +93,15 @@ def test_missing_samples_split_the_recording_and_are_noted(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (["some", "text"], "no line with two numbers"),
-        (["1_0,1_0"] * 20, "no line with two numbers"),
-        ([*rows()[:50], "0.1,1_0", *rows()[50:]], "line 51 is not two numbers.*'0.1,1_0'"),
+        (["some", "text"], "no lines of numbers"),
+        (["1_0,1_0"] * 20, "no lines of numbers"),
+        ([*rows()[:50], "0.1,1_0", *rows()[50:]], "line 51 has no numbers.* 1, 2: '0.1,1_0'"),
         (rows()[:8], "only 8 samples"),
-        ([*rows()[:50], "oops,0.1", *rows()[50:]], "line 51 is not two numbers.*'oops,0.1'"),
-        ([*rows()[:50], "0.1", *rows()[50:]], "line 51 is not two numbers.*'0.1'"),
-        (rows(TIME_S[::-1]), "not a rising time"),
-        (rows(np.zeros(400)), "not a rising time"),
+        ([*rows()[:50], "oops,0.1", *rows()[50:]], "line 51 has no numbers.*'oops,0.1'"),
+        ([*rows()[:50], "0.1", *rows()[50:]], "line 51 has no numbers.*'0.1'"),
+        (rows(TIME_S[::-1]), "no column of rising times"),
+        (rows(np.zeros(400)), "no column of rising times"),
+        (["time,volt", *rows(TIME_S[::-1])], "times do not rise"),
         (rows(np.r_[TIME_S[:300], TIME_S[:100]]), "time runs backwards in line 301"),
     ],
 )

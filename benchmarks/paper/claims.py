@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A claim of the paper beside what was found here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REPRODUCED, EXCEEDED, DIFFERS, MISSING = "reproduced", "exceeded", "differs", "missing"
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A row of docs/paper.md's table.
+
+    where: in the paper. what: with its unit. paper, here: as printed. command: that shows it.
+    verdict: one of the four above. why: where it differs.
+    """
+
+    where: str
+    what: str
+    paper: str
+    here: str
+    command: str
+    verdict: str
+    why: str = ""
+
+    @property
+    def row(self) -> list[str]:
+        verdict = f"{self.verdict}: {self.why}" if self.why else self.verdict
+        return [self.where, self.what, self.paper, self.here, self.command, verdict]
+
+
+def equals(
+    where: str, what: str, paper: float, here: float, command: str, within: float, why: str = ""
+) -> Claim:
+    """A number that is to be the paper's. within: share by which it may differ; why: if it does."""
+    alike = abs(here / paper - 1) <= within
+    verdict, why = (REPRODUCED, "") if alike else (DIFFERS, why)
+    return Claim(where, what, f"{paper:g}", f"{here:.4g}", command, verdict, why)
+
+
+def at_most(where: str, what: str, paper: float, here: float, command: str, why: str = "") -> Claim:
+    """A number of which less is better. why: if there is more."""
+    verdict, why = (EXCEEDED, "") if here <= paper else (DIFFERS, why)
+    return Claim(where, what, f"{paper:g}", f"{here:.3g}", command, verdict, why)
+
+
+def says(where: str, what: str, paper: str, here: str, command: str) -> Claim:
+    """A text that is to be the paper's."""
+    return Claim(where, what, paper, here, command, REPRODUCED if here == paper else DIFFERS)

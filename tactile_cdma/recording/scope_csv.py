@@ -1,0 +1,362 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What oscilloscopes write as CSV: which columns are times and volts, and their samples.
+
+The numbers are found first, as what most lines have in common. The line above them names the
+columns, and the lines before tell the sampling interval where no column does.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+
+from ..base.arrays import Floats, Floats32
+from ..base.errors import CaptureError
+from ..base.named_file import naming, read_named
+
+MOST_CSV_BYTES = 256 << 20
+"""Largest file, bytes: about ten million samples. Chosen: it is held in memory whole."""
+
+_HEADER_LINES = 64
+"""Most lines before the first numbers, and after the last. Chosen: scopes write up to 20 or so."""
+_LINE_CHARACTERS = 4096
+"""Of longer lines the rest names nothing; chosen."""
+_LEAST_SAMPLES = 16
+"""Fewest samples of a capture that is worth decoding; chosen."""
+_INVALID_V = 1e30
+"""V; Keysight scopes write 9.9E+37 for a missing sample."""
+_SLACK = 0.75
+"""Largest deviation of a time stamp from an even raster, in samples: more means missing samples."""
+_RATES_AGREE = 0.02
+"""Largest relative difference of a file's two accounts of its rate. Chosen: more than comes of
+rounded times, less than the 4 % by which sigrok's times in whole µs are off at 160 kS/s."""
+
+_NUMBER = r"[-+]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})(?:[eE][-+]?\d{1,4})?"
+_is_number = re.compile(rf"{_NUMBER}|[-+]?(?i:inf(?:inity)?|nan)", re.ASCII).fullmatch
+_quantity = re.compile(rf"({_NUMBER}) ?([pnumkKMG]?)(?:[sS]|[hH]z|Sa?/s)?", re.ASCII).fullmatch
+"""A number, perhaps with a prefix and a unit; micro is u."""
+_PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0}
+_PREFIXES |= {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+_unit = re.compile("([pnum]?)(?:ico|ano|illi)?(s|secs?|seconds?|v|volts?)").fullmatch
+"""A word of a heading: prefix and unit."""
+_COUNTS = {"sequence", "index", "sample", "samples", "point", "points", "n", "nr", "no", "#"}
+"""Words of a heading above sample numbers."""
+_INTERVALS = r"\b[tx]?inc(rement)?\b|interval|sampl\w* period|(signal|h)resolution|delta"
+_RATES = r"sampl\w* ?(rate|frequency)"
+_STARTS = (r"\bt0\b|\bx(org|start)\b", "^start$")
+"""What scopes call the time between samples, their rate, and the time of the first one."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScopeCapture:
+    """Unbroken pieces of one evenly sampled recording.
+
+    pieces: (start time in s, (m,) float32 V) each, in the order of the file.
+    rate_hz: sampling rate. taken: channel, rate and unit that were read, for people.
+    notes: what was wrong with the file, one sentence each.
+    """
+
+    pieces: tuple[tuple[float, Floats32], ...]
+    rate_hz: float
+    taken: str
+    notes: tuple[str, ...]
+
+
+def read_scope_csv(
+    path: Path, channel: str | None = None, rate_hz: float | None = None
+) -> ScopeCapture:
+    """Read one channel of a scope's file.
+
+    channel: its heading, words of it, or its number from 1; None: the first. rate_hz: samples/s,
+    instead of what the file says. Missing samples and non-numbers split the recording into pieces
+    and are noted. Decimal commas are understood where columns are not separated by commas.
+    Raises CaptureError, naming the line, where this is not such a file; and where it does not say
+    how far its samples are apart, or says it twice and differently.
+    """
+    table = _table(path)
+    axis, unit_s = table.axis()
+    channels = table.channels(axis)
+    column = table.chosen(channels, channel)
+    told_hz = rate_hz or table.rate_hz()
+    if unit_s is None and not told_hz:
+        raise CaptureError(
+            f"{path}: no column of rising times in s, and no rate in the header: tell it by --rate"
+        )
+    values = table.values([column] if axis is None else [axis, column])
+    ticks = np.arange(len(values), dtype=float) if axis is None else values[:, 0]
+    if unit_s:
+        time_s = ticks * unit_s
+    else:
+        time_s = (table.told(*_STARTS) or 0.0) + ticks / (told_hz or np.nan)
+    volt = table.units(column).get("v")
+    pieces, found_hz, notes = _pieces(path, time_s, values[:, -1] * (volt or 1.0), table.first)
+    if told_hz and not rate_hz and abs(found_hz / told_hz - 1) > _RATES_AGREE:
+        raise CaptureError(
+            f"{path}: {_si(found_hz)}S/s by its times, {_si(told_hz)}S/s by its header: tell the "
+            "true rate by --rate"
+        )
+    if rate_hz:
+        first_s, stretch = pieces[0][0], found_hz / rate_hz
+        pieces = [(first_s + (start_s - first_s) * stretch, volts) for start_s, volts in pieces]
+    unit = f"{_si(volt)}V".removeprefix("1 ") if volt else "V, as no unit is named"
+    taken = (
+        f"channel {channels.index(column) + 1} of {len(channels)} ({table.name(column)}), "
+        f"{_si(rate_hz or found_hz)}S/s, {unit}"
+    )
+    return ScopeCapture(tuple(pieces), rate_hz or found_hz, taken.replace(" ()", ""), tuple(notes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """The lines of a file, and where its numbers are.
+
+    delimiter: None for white space. columns: those that hold numbers. first, end: of the lines of
+    numbers. sample: some lines of the numbers, split. header: lines that may tell something.
+    """
+
+    path: Path
+    lines: list[str]
+    delimiter: str | None
+    columns: list[int]
+    first: int
+    end: int
+    sample: list[list[str]]
+    header: list[str]
+
+    def heading(self, column: int, line: int = -1) -> str:
+        """What stands above a column in the last line before the numbers, or the line before."""
+        above = [text for text in self.lines[: self.first] if text.strip()]
+        if len(above) < -line:
+            return ""
+        fields = _fields(above[line], self.delimiter)
+        field = _plain(fields[column]) if len(fields) > column else ""
+        by_words = self.delimiter is None and len(fields) != len(self.sample[0])
+        return "" if by_words or re.search("[:=]", field) else field
+
+    def units(self, column: int) -> dict[str, float]:
+        """Units in a column's heading: of s and v, as far as they are named, in s and V."""
+        found = map(_unit, _words(self.heading(column)))
+        return {match[2][0]: _PREFIXES[match[1]] for match in found if match}
+
+    def name(self, column: int) -> str:
+        """A column's heading; that of the line above, too, where it is nothing but a unit."""
+        heading = self.heading(column)
+        if all(map(_unit, _words(heading))):
+            heading = f"{self.heading(column, -2)} {heading}"
+        return heading.strip()
+
+    def is_time(self, column: int) -> bool:
+        return "s" in self.units(column) or "time" in _words(self.heading(column))
+
+    def axis(self) -> tuple[int | None, float | None]:
+        """The column of times and its unit in s; None for a unit if it holds sample numbers.
+
+        The first one whose heading says so, else the first of all if it rises. None if there is
+        no such column.
+        """
+        named = [column for column in self.columns if self.is_time(column)]
+        axis = named[0] if named else self.columns[0]
+        unit_s = self.units(axis).get("s")
+        ticks = [float(row[axis]) for row in self.sample if _numeric(row, [axis])]
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(ticks)
+        rises = np.any(steps > 0) and np.mean(steps >= 0) > 0.9
+        if not named and (not rises or "v" in self.units(axis) or len(self.columns) == 1):
+            return None, None
+        counts = (steps == _stride(self.lines)).all() or _COUNTS & set(_words(self.heading(axis)))
+        return axis, None if unit_s is None and counts else unit_s or 1.0
+
+    def channels(self, axis: int | None) -> list[int]:
+        """The columns of voltages: right of the times, and no further times."""
+        right = [c for c in self.columns if axis is None or (c > axis and not self.is_time(c))]
+        if not right:
+            raise CaptureError(f"{self.path}: no column of voltages beside the times")
+        return right
+
+    def chosen(self, channels: list[int], channel: str | None) -> int:
+        """The column of a channel by words of its name, or its number from 1."""
+        if channel is None:
+            return channels[0]
+        words = re.compile(rf"(?<![^\W_]){re.escape(channel)}(?![^\W_])", re.IGNORECASE)
+        named = [column for column in channels if words.search(self.name(column))]
+        if len(named) == 1:
+            return named[0]
+        if not (channel.isdecimal() and 1 <= int(channel) <= len(channels)):
+            names = ", ".join(filter(None, map(self.name, channels)))
+            raise CaptureError(
+                f"{self.path}: no single channel {channel!r} among {len(channels)} ({names})"
+            )
+        return channels[int(channel) - 1]
+
+    def told(self, *names: str) -> float | None:
+        """The number beside, or beneath, the first of such names in the header, in s or Hz."""
+        rows = [[cell.strip("# ") for cell in re.split("[,;\t:=]", line)] for line in self.header]
+        for name, (cells, beneath) in product(names, pairwise([*rows, []])):
+            for i, cell in enumerate(cells):
+                if re.search(name, cell, re.IGNORECASE):
+                    for match in map(_quantity, (*cells[i + 1 :], *beneath[i : i + 1])):
+                        if match:
+                            return float(match[1]) * _PREFIXES[match[2]]
+        return None
+
+    def rate_hz(self) -> float | None:
+        """Samples/s as the header tells."""
+        interval_s = self.told(_INTERVALS)
+        return 1 / interval_s if interval_s else self.told(_RATES)
+
+    def values(self, columns: list[int]) -> Floats:
+        """All numbers of some columns, (m, c) float64."""
+        body = self.lines[self.first : self.end]
+        try:
+            values = np.loadtxt(
+                body, delimiter=self.delimiter, usecols=columns, ndmin=2, comments=None
+            )
+        except ValueError:
+            lines = ((i, line) for i, line in enumerate(body) if line.strip())
+            split = ((i, _fields(line, self.delimiter)) for i, line in lines)
+            bad = next((i for i, fields in split if not _numeric(fields, columns)), 0)
+            which = ", ".join(str(column + 1) for column in columns)
+            raise CaptureError(
+                f"{self.path}: line {self.first + bad + 1} has no numbers in its columns {which}: "
+                f"{body[bad][:60]!r}"
+            ) from None
+        if len(values) < _LEAST_SAMPLES:
+            raise CaptureError(f"{self.path}: only {len(values)} samples; is the file cut short?")
+        return values
+
+
+def _table(path: Path) -> _Table:
+    """Find the numbers of a file."""
+    text = _text(path)
+    lines = text.splitlines()
+    middle = slice(len(lines) // 3, None, _stride(lines))
+    delimiter = max((",", ";", "\t", None), key=lambda delimiter: _fit(lines[middle], delimiter))
+    if delimiter != ",":
+        lines = text.replace(",", ".").splitlines()
+    sample = [_fields(line, delimiter) for line in lines[middle] if line.strip()]
+    columns = [
+        column
+        for column in range(max(map(len, sample), default=0))
+        if 2 * sum(_numeric(row, [column]) for row in sample) > len(sample)
+    ]
+    good = (_numeric(_fields(line, delimiter), columns) for line in lines[:_HEADER_LINES])
+    first = next((number for number, numeric in enumerate(good) if numeric), None)
+    if not columns or first is None:
+        raise CaptureError(
+            f"{path}: no lines of numbers (time in s, voltage in V) after at most {_HEADER_LINES} "
+            "others"
+        )
+    end = len(lines)
+    while end > len(lines) - _HEADER_LINES and not _numeric(
+        _fields(lines[end - 1], delimiter), columns
+    ):
+        end -= 1
+    header = [_plain(line[:_LINE_CHARACTERS]) for line in _beside(path) + lines[:_HEADER_LINES]]
+    return _Table(path, lines, delimiter, columns, first, end, sample, header)
+
+
+def _text(path: Path) -> str:
+    """A file's text, infinities as numpy reads them, without zeros (some scopes append them)."""
+    with naming(path, CaptureError):
+        data = read_named(path, MOST_CSV_BYTES)
+    try:
+        wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+        text = data.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    return text.replace("\0", "").replace('"', "").replace("\u221e", "inf")
+
+
+def _beside(path: Path) -> list[str]:
+    """The lines of NAME.csv, in which R&S scopes tell what NAME.Wfm.csv holds."""
+    beside = path.with_name(re.sub(r"(?i)\.wfm\.csv$", ".csv", path.name))
+    return [] if beside == path or not beside.is_file() else _text(beside).splitlines()
+
+
+def _stride(lines: list[str]) -> int:
+    """Lines from one to the next of those that are looked at first: 64 or so of any file."""
+    return 1 + len(lines) // 96
+
+
+def _plain(text: str) -> str:
+    """Text in which micro is u."""
+    return re.sub("(?i)\u00b5|\u03bc|micro", "u", text)
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    return [field.strip() for field in line[:_LINE_CHARACTERS].split(delimiter)]
+
+
+def _words(heading: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+|#", heading.casefold())
+
+
+def _numeric(fields: list[str], columns: list[int]) -> bool:
+    """Whether a line has numbers in all these columns."""
+    return len(fields) > max(columns, default=len(fields)) and all(
+        _is_number(fields[column]) for column in columns
+    )
+
+
+def _fit(lines: list[str], delimiter: str | None) -> tuple[float, int]:
+    """How well a delimiter suits: share of numbers among what it separates, and their count."""
+    if delimiter != ",":
+        lines = [line.replace(",", ".") for line in lines]
+    found = [field for line in lines for field in _fields(line, delimiter) if field]
+    numbers = sum(map(bool, map(_is_number, found)))
+    return numbers / max(1, len(found)), numbers
+
+
+def _si(value: float) -> str:
+    """A number with a prefix for its unit, which follows."""
+    prefix = next((p for p in ("G", "M", "k", "") if value > 0.9999 * _PREFIXES[p]), "m")
+    return f"{value / _PREFIXES[prefix]:.4g} {prefix}"
+
+
+def _pieces(
+    path: Path, time_s: Floats, volts: Floats, header: int
+) -> tuple[list[tuple[float, Floats32]], float, list[str]]:
+    """Pieces, rate_hz and notes of ScopeCapture. header: lines before the first sample."""
+    notes = []
+    good = np.isfinite(time_s) & np.isfinite(volts) & (np.abs(volts) < _INVALID_V)
+    lines = np.flatnonzero(good) + header + 1
+    if not good.all():
+        count, first = np.count_nonzero(~good), header + 1 + int(np.argmin(good))
+        notes.append(
+            f"{count} of {good.size} samples are no numbers (first in line {first}); decoding "
+            "what lies between them"
+        )
+        time_s, volts = time_s[good], volts[good]
+    steps = np.diff(time_s)
+    if len(steps) < _LEAST_SAMPLES or time_s[-1] <= time_s[0]:
+        raise CaptureError(f"{path}: the times do not rise")
+    # Scopes print time with few digits: steps wobble by the last digit, or are 0 in between.
+    step = float(np.median(steps)) or float(steps.mean())
+    digit = 0.0 if np.median(steps) else float(steps[steps > 0].min())
+    if (steps < -0.5 * step - digit).any():
+        line = lines[1:][steps < -0.5 * step - digit][0]
+        raise CaptureError(f"{path}: time runs backwards in line {line}")
+    jumps = steps > (1 + _SLACK) * step + digit
+    missing = jumps & (np.diff(lines) == 1)
+    if missing.any():
+        notes.append(
+            f"samples are missing in {np.count_nonzero(missing)} places (first before line "
+            f"{lines[1:][missing][0]}); decoding what lies between them"
+        )
+    breaks = np.flatnonzero(jumps) + 1
+    starts, ends = [0, *breaks], [*breaks, len(volts)]
+    longest = max(range(len(starts)), key=lambda i: ends[i] - starts[i])
+    first, last = starts[longest], ends[longest] - 1
+    if time_s[last] <= time_s[first]:
+        raise CaptureError(f"{path}: no two samples follow one another evenly in time")
+    rate_hz = (last - first) / float(time_s[last] - time_s[first])
+    pieces = [
+        (float(time_s[start]), volts[start:end].astype(np.float32))
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    return pieces, rate_hz, notes

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings replayed by a real node, and bags of them, read by another library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import Transition
+from rosbags.highlevel import AnyReader
+from std_srvs.srv import Trigger
+
+from tactile_cdma.commands.cli import main
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.recording.offline import described_parameters, raw_frames
+from tactile_cdma.srv import Tare
+from test.support.skin_client import running
+from test.support.waiting import wait_for
+
+pytestmark = pytest.mark.xdist_group("recordings")
+PORT = "sim://?scene=moving&seed=6&dead=3"
+
+
+def assert_same(read: object, live: object) -> None:
+    """All fields of a message, whichever library made them; NaN is NaN."""
+    for name in live.get_fields_and_field_types():
+        one, other = getattr(read, name), getattr(live, name)
+        if one is other:
+            continue
+        if hasattr(other, "get_fields_and_field_types"):
+            assert_same(one, other)
+        elif isinstance(other, list):
+            assert len(one) == len(other)
+            for mine, theirs in zip(one, other, strict=True):
+                assert_same(mine, theirs)
+        else:
+            np.testing.assert_array_equal(one, other, strict=False)
+
+
+def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
+    """By their hashes, or others take them for other types."""
+    from tactile_cdma.messages.types import message_types
+
+    with running(port=PORT) as (_, client):
+        wait_for(lambda: client.arrays and client.infos)
+        for topic in ("tactile", "info", "contacts"):
+            [offer] = client.get_publishers_info_by_topic(f"/skin/{topic}")
+            digest = bytes(offer.topic_type_hash.value).hex()
+            assert message_types().hash_rihs01(offer.topic_type) == f"RIHS01_{digest}"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording")
+    path, params = folder / "touch.skin", folder / "skin.yaml"
+    params.write_text("skin:\n  ros__parameters:\n    nodes: 16\n")
+    assert main(["record", PORT, str(path), "--seconds", "1.5", "--params", str(params)]) == 0
+    return path
+
+
+def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path: Path) -> None:
+    path = recording
+    values = {**described_parameters(path), "amplitude_mv": 300.0}
+    pipeline = Pipeline(SkinConfig.of(values), background=False)
+    offline = {frame.sequence: frame for frame in raw_frames(path, pipeline)}
+    with running(port=f"replay://{path}?speed=1", publish_voltage=True) as (_, client):
+        wait_for(lambda: any("recording has ended" in d.message for d in client.diagnostics))
+    assert len(client.arrays) > 80
+    assert main(["export", str(path), "--bag", "-o", str(tmp_path / "bag")]) == 0
+    with AnyReader([tmp_path / "bag"]) as reader:
+        [info] = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages()
+            if connection.topic == "/skin/info"
+        ]
+    live = client.infos[0]
+    info.header, info.info_id = live.header, live.info_id  # times and counts of another program
+    assert_same(info, live)
+    for message in client.arrays:
+        frame = offline[message.sequence]
+        assert message.device_time_us == round(frame.t_middle * 1e6)
+        assert np.array(message.pressure).tobytes() == frame.readings.pressure_pa.tobytes()
+        assert np.array(message.voltage).tobytes() == frame.readings.voltage_v.tobytes()
+        assert np.array(message.status).tobytes() == frame.readings.status.tobytes()
+
+
+def test_a_replay_leaves_no_tare_behind(recording: Path, tmp_path: Path) -> None:
+    with running(port=f"replay://{recording}?loop=true", state_folder=str(tmp_path)) as (_, client):
+        tare = Tare.Request(force=True)
+        wait_for(lambda: client.call(Tare, "tare", tare).success)  # takes a second of frames
+        wait_for(lambda: any(client.infos[-1].tare))
+        answer = client.call(Trigger, "save_calibration", Trigger.Request())
+        assert not answer.success and "not kept" in answer.message
+        client.arrays.clear()
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        wait_for(lambda: len(client.arrays) > 5 and not client.infos[-1].tare)
+    assert list(tmp_path.iterdir()) == []
