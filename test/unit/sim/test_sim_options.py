@@ -66,9 +66,9 @@ def test_every_option_can_be_given() -> None:
     assert url.count("=") == len(OPTIONS)
 
 
-def test_the_page_on_ports_has_every_option_and_scene() -> None:
-    page = (Path(__file__).resolve().parents[3] / "docs" / "ports.md").read_text()
-    section = page[page.index("## The simulated skin") :].split("\n## ")[0]
+def test_the_page_has_every_option_and_scene() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "simulation.md").read_text()
+    section = page[page.index("## Options") :].split("\n## ")[0]
     told = set(re.findall(r"`(\w+)(?:=[\w,]+)?`", section))
     assert told == {*(option.name for option in OPTIONS), *SCENES, *LOADS, EXTERNAL}
 

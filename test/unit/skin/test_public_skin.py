@@ -81,7 +81,7 @@ def test_examples_of_the_docstrings_run() -> None:
 
 @pytest.mark.slow
 def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = ROOT / "docs" / "python.md"
+    page = ROOT / "docs" / "programs.md"
     text = page.read_text(encoding="utf-8").replace("```", "")
     command = "tactile-cdma record 'sim://?speed=0' touch.skin --seconds 1"
     assert command in text
