@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 19 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 20 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -381,11 +381,12 @@ static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
         add_type(module, &readout_spec) || add_type(module, &stream_spec) ||
-        add_type(module, &code_spec))
+        add_type(module, &code_spec) || add_type(module, &sparse_spec))
         return -1;
     PyObject *structs = PyDict_New();
     int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||
                  !add_layouts(structs, stream_layouts, STREAM_LAYOUTS) ||
+                 !add_layouts(structs, &sparse_layout, 1) ||
                  PyModule_AddObjectRef(module, "STRUCTS", structs);
     Py_XDECREF(structs);
     if (failed || PyModule_AddIntConstant(module, "VERSION", VERSION))

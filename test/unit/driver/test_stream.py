@@ -91,6 +91,7 @@ TIGHT = {"frame_period_ms": 10.1}  # the next mark comes before it is seen how a
 GAP = {"timing": "gap"}
 PAUSES = {"resync_chips": 20, "guard_chips": 1, "frame_period_ms": 15.0}
 SCRAMBLED = {"scramble": True}
+SPARSE = {"codes": "sparse", "nodes": 120, "order": 32, "frame_period_ms": 20.0, **CHIPS}
 CASES = [
     (SMALL, "scene=moving"),
     (SMALL, "scene=all&threshold=0"),
@@ -104,6 +105,9 @@ CASES = [
     (SMALL, "scene=all&threshold=0&rail=1.0"),
     (SMALL, "scene=moving&offset=0.7&clock_spread=1e-4"),
     (SMALL, "scene=presses&dead=3,5&sensor=paper"),
+    (SPARSE, "scene=moving"),
+    (SPARSE, "scene=hand&noise=0.05&offset=0.3"),
+    (SPARSE, "scene=all&threshold=0"),
     ({"samples_per_chip": 8}, "scene=moving"),
     ({"parity": True}, "scene=all&threshold=0&noise=0.2"),
     ({"drive": "unipolar"}, "scene=moving"),
