@@ -108,7 +108,7 @@ class Rp2040:
         """Cycles that the CPU was awake since power-up."""
         self._is_sync_high = self.led = False
         self.late_packets = 0.0
-        """Packets that USB was offered in the last fifth of a frame, where RP2040-E15 forbids it."""
+        """Packets offered to USB in the last fifth of a frame, which RP2040-E15 forbids."""
         self.is_drive = False
         """It has restarted as the boot ROM's USB drive, and runs no more."""
         self.usb_device: UsbDevice | None = None
