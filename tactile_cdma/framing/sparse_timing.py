@@ -40,6 +40,8 @@ HIDING = 0.3
 ALIKE_BELOW = 128
 """Chips per bit below which codes of those who speak may add up to nothing. Derived: of four whose
 numbers XOR to 0 they do in a bit once in 0.75^-N times, in 10¹⁶ at 128 chips."""
+HIDDEN = 0.36
+"""Power of chips below which no node is hidden in them, in amplitudes squared. Chosen: at 0.6 A."""
 LEARNT, RELEARNT = 8, 64
 """Frames of which the least noise is that of the line: the first ones, and as many in a row that
 are in doubt for their noise alone. Chosen: the kurtosis of so many tells it from a node."""
@@ -72,7 +74,10 @@ class SparseRecogniser:
     def __init__(self, line: MarkedLine) -> None:
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
-        self._capacity, self._noise = capacity(line.spec), _Noise(line.spec.chips)
+        self._capacity, self._noise = (
+            capacity(line.spec),
+            _Noise(line.spec.chips, HIDDEN * self._swing2),
+        )
         self._turn, self._detector = 0, Detector(line.spec)
         # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
         assert line.spec.flips is not None, "sparse codes are scrambled"
@@ -94,8 +99,8 @@ class SparseRecogniser:
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser.
 
-        A frame that is not certain is tried harder, a bounded number of times. Then nodes that are
-        late are looked for; in others with one lateness each, by turns.
+        A frame that is not certain is tried harder, a bounded number of times; then nodes that are
+        late are looked for.
         """
         if verdict := self._line.gate(frame):
             return verdict
@@ -109,9 +114,7 @@ class SparseRecogniser:
             other = self._detector.detect(chips, damping)
             if other.left.mean() < found.left.mean():
                 found, explained = other, self._words_explain(other)
-        self._turn = (self._turn + 1) % len(LATENESSES)
-        own_turn = LATENESSES[self._turn : self._turn + 1]
-        late = self._late(found, LATENESSES if self._noise.power and not explained else own_turn)
+        late = () if explained else self._late(found)
         doubtful: Bools | None = None
         if late or not explained:
             doubtful = np.ones(spec.nodes, np.bool_)
@@ -167,14 +170,14 @@ class SparseRecogniser:
         noise: Floats = found.left * (self._spec.chips / max(free, 1))
         return noise
 
-    def _late(self, found: Detected, latenesses: tuple[int, ...]) -> tuple[int, ...]:
+    def _late(self, found: Detected) -> tuple[int, ...]:
         """Nodes, counted from 0, whose words show in chips that are read that much later."""
         spec, late = self._spec, np.zeros(self._spec.nodes, np.bool_)
         # Of noise |r| has a mean of 0.8, and that of a word scatters by 0.6/√k.
         by_chance = math.sqrt(float(found.left.mean()) / spec.order)
         by_chance *= 0.8 + 0.6 * BY_CHANCE / math.sqrt(spec.line_bits)
         least = np.float32(max(LATE_SHARE * (spec.node_swing_v or 0.0), by_chance))
-        for lateness in latenesses:
+        for lateness in LATENESSES:
             late |= self._detector.loudness(found.chips, lateness) > least
         return tuple(np.flatnonzero(late).tolist())
 
@@ -193,13 +196,13 @@ def _kurtosis(chips: Floats32) -> float:
 class _Noise:
     """Follows the noise of the line, where no gap shows it. power: mean square, V²; 0: unknown.
 
-    Frames that leave more are believed if there is nothing but those, and what they leave is as
-    Gaussian as noise: the chips of nodes that are not understood, or a tone, are not.
+    Frames that leave more are believed if there is nothing but those, and what they leave is less
+    than a node would, or as Gaussian as noise: the chips of few nodes, or a tone, are not.
     """
 
-    def __init__(self, chips: int) -> None:
-        """chips: of a frame."""
-        self.power, self._chips = 0.0, chips
+    def __init__(self, chips: int, least_hidden: float) -> None:
+        """chips: of a frame. least_hidden: mean square of what a node leaves, V²."""
+        self.power, self._chips, self._least_hidden = 0.0, chips, least_hidden
         self._seen: list[tuple[float, float]] = []
 
     def learn(self, power: float, kurtosis: float | None) -> None:
@@ -213,6 +216,7 @@ class _Noise:
             return
         powers, kurtoses = zip(*self._seen, strict=True)
         by_chance = BY_CHANCE * math.sqrt(24 / (self._chips * len(self._seen)))
-        if sum(kurtoses) / len(kurtoses) > 3 - by_chance:
+        is_gaussian = sum(kurtoses) / len(kurtoses) > 3 - by_chance
+        if is_gaussian or min(powers) < self._least_hidden:
             self.power = min(powers)
         self._seen.clear()
