@@ -2,8 +2,6 @@
 
 """The RP2040's firmware, run instruction by instruction: conversation, samples and sync pulses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +10,17 @@ import numpy as np
 import pytest
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.wire._protocol import SYNC_CALL, SYNC_FRAME, SYNC_RESTART, SYNC_UNIT_US, SyncMode
+from tactile_cdma.wire._protocol import (
+    SYNC_CALL,
+    SYNC_FRAME,
+    SYNC_RESTART,
+    SYNC_UNIT_US,
+    Result,
+    SyncMode,
+)
 from tactile_cdma.wire.messages import (
     Ack,
+    Bootsel,
     Configure,
     FrameLayout,
     GetInfo,
@@ -26,6 +32,7 @@ from tactile_cdma.wire.messages import (
     Status,
     Stop,
 )
+from tactile_cdma.wire.packets import wrap
 from test.support.rp2040_bench import (
     FLASH_ID,
     LEAD_NS,
@@ -242,3 +249,29 @@ def test_quiet_and_means(rp2040_image: Path) -> None:
 def test_a_flash_without_a_number(rp2040_image: Path, flash_id: bytes) -> None:
     with Bench(rp2040_image, UART, flash_id=flash_id) as bench:
         assert bench.of(Info)[0].digitizer_id == bytes(8)
+
+
+@pytest.mark.parametrize("image", ["digitizer.bin", "demo.bin"])
+def test_a_command_or_1200_baud_restarts_it_as_a_drive(rp2040_image: Path, image: str) -> None:
+    """Not before the command is answered; other speeds and lengths do nothing."""
+    for ask in (lambda bench: bench.send(Bootsel()), lambda bench: bench.board.set_usb_baud(1200)):
+        with Bench(rp2040_image.with_name(image)) as bench:
+            bench.write(b"\0" + wrap(b"\x88\x00\x00\x01"))
+            bench.board.set_usb_baud(115200)
+            bench.run(0.2)
+            assert bench.of(Ack)[-1].result == Result.BAD_LENGTH and not bench.board.is_drive
+            bench.send(Start())
+            ask(bench)
+            bench.run(0.02)
+            assert bench.of(Ack)[-1].result == Result.OK and not bench.board.is_drive
+            bench.run(0.2)
+            assert bench.board.is_drive
+
+
+def test_usb_offers_nothing_in_the_last_fifth_of_a_frame(rp2040_image: Path) -> None:
+    """RP2040-E15; what the host may not take then waits, and 680 kB/s get through."""
+    with Bench(rp2040_image, USB, ramp) as bench:
+        bench.stream(replace(PLAIN, samples_per_chip=17), 0.3)
+        assert bench.check(bench.line) > 0.27 * 340_000
+        assert bench.parser.counters.lost_packets == 0
+        assert bench.board.late_packets == 0

@@ -2,8 +2,6 @@
 
 """tactile-cdma doctor from the command line, on sound and on faulty ports."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -121,7 +119,7 @@ def test_a_busy_port(doctor: Doctor) -> None:
         (['digitizer_id: "0000000000000001"'], "sim://?speed=9", "digitizer", "wrong digitizer"),
         (["digitizer_id: 1234567890123456"], "sim://", "parameters", "must be a text"),
         (["nodes: 16", "nodez: 4"], "sim://", "parameters", "did you mean 'nodes'"),
-        (["nodes: 900"], "sim://", "parameters", "longer than its period"),
+        (["nodes: 900", "frame_period_ms: 20.0"], "sim://", "parameters", "longer than its period"),
         (
             ["amplitude_mv: 900.0"],
             "sim://?scene=all&speed=4",

@@ -2,8 +2,6 @@
 
 """Documents: every link has a target, and the README stays short."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess
