@@ -3,7 +3,7 @@
 """Learns the mains' hum from the line's gaps, and removes it; removes impulses, too.
 
 Between frames the line carries nothing but its offset and disturbances. If its level moves there by
-more than noise explains, and a sine of 45…330 Hz explains most of that, it is hum, and the sine
+more than noise explains, and a sine of 45…65 Hz explains most of that, it is hum, and the sine
 tells what it adds to the frames between.
 """
 
@@ -16,9 +16,8 @@ import numpy as np
 from ..base.arrays import Floats
 from ..base.sums import sums
 
-FREQUENCIES_HZ = np.arange(45.0, 330.1, 1.0)
-"""Hum that is looked for: mains of 50 and 60 Hz, what small generators make of them, and what
-rectifiers make: up to the sixth and the fifth harmonic."""
+FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
+"""Hum that is looked for: mains of 50 and 60 Hz, and what small generators make of them."""
 FINE_HZ = np.arange(-0.5, 0.51, 0.1)
 """Steps between these; half of one turns the phase by 0.04 in half of MEMORY_S."""
 MEMORY_S = 0.25
@@ -30,8 +29,6 @@ _LEAST_WINDOWS = 4
 _BEYOND_NOISE = 9.0
 """Ratio of the means' variance to that of noise beyond which the level moves. Chosen: 16 means of
 nothing but noise get there once in 10²⁰."""
-_FULL = 0.8
-"""Share of MEMORY_S that is heard once hum is taken to keep its frequency. Chosen."""
 _LEFT = 0.05
 """Share of that variance that hum may leave unexplained. Chosen; jumps and drift leave more."""
 
@@ -127,29 +124,25 @@ class Hum:
         time = np.concatenate(
             [window.begin - origin + window.size * place - 0.5 for window in self._windows]
         )
-        given = self._windows[-1].size, time, level, noise / power
-        # Few windows do not tell all frequencies apart; many need not be asked for all of them.
-        tone, is_full = self._tone, origin - self._windows[0].begin > _FULL * self._memory
-        near = tone.angle if tone and is_full else self._best(self._coarse, *given)[0]
-        angle, left, cosine, sine = self._best(near + self._fine, *given)
+        angle, *_ = self._best(self._coarse, time, level, noise / power)
+        fine = angle + self._fine
+        angle, left, cosine, sine = self._best(fine, time, level, noise / power)
         if left > _LEFT * power + 2 * noise:
             return None
         return _Tone(angle, origin, cosine, sine)
 
     @staticmethod
     def _best(
-        angles: Floats, size: int, time: Floats, level: Floats, ridge: float
+        angles: Floats, time: Floats, level: Floats, ridge: float
     ) -> tuple[float, float, float, float]:
         """Least squares of offset and tone for some angles per sample; the best one.
 
-        size: samples of a part.
         Returns its angle, the mean square that is left, V², and its cosine and sine, V. ridge: of
         these. Frames may recur in step with the hum, whose gaps then hardly show its amplitude: it
         is taken to be no larger than needed.
         """
         phase = angles[:, None] * time
-        mean = np.sinc(angles[:, None] * (size / (2 * np.pi)))  # of a part, over the tone's height
-        terms = np.stack((np.ones_like(phase), mean * np.cos(phase), mean * np.sin(phase)), axis=1)
+        terms = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), axis=1)
         products = terms @ terms.transpose(0, 2, 1) + ridge * np.diag([0.0, 1.0, 1.0])
         moments = terms @ level
         found = np.linalg.solve(products, moments[..., None])[..., 0]
