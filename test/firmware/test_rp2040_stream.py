@@ -2,8 +2,6 @@
 
 """The RP2040's firmware, run instruction by instruction: conversation, samples and sync pulses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
