@@ -22,7 +22,7 @@ sound lines leave there (edges, hum of a third of an amplitude, droop) stays bel
 MOVED_SHARE = 0.3
 """Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
 may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
-HIDDEN = 0.6
+HIDDEN = 0.65
 """Share of a node's level that, as noise of a chip, may be a node that is out of its place. Chosen:
 such a node leaves 1, less what is taken for words of others."""
 BY_CHANCE = 3.3

@@ -157,6 +157,7 @@ def decode(
     expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
     active, faint, any_faint = find_active(measures, expected, threshold, noise, bits, spec.order)
     astray = hidden = np.zeros_like(active)
+    noise_may_be_node = False
     if any_faint:
         loud = active & ~faint
         rest, rest_noise = unexplained(levels, loud, faint, spec)
@@ -164,8 +165,7 @@ def decode(
         spoke = measures.amplitude > np.float32(threshold) * expected
         astray = _out_of_step(measures.amplitude, active, spoke, expected)
         hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
-        if rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min()):
-            hidden = ~spoke  # the noise may be a node
+        noise_may_be_node = rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min())
         active = spoke & ~astray
     amplitude = measures.amplitude
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
@@ -176,6 +176,8 @@ def decode(
     for node in levels.unresolved:
         doubtful[node] = active[node]
     doubtful |= astray | hidden
+    if noise_may_be_node:
+        doubtful |= ~active
     if active.any():
         others = out_of_place(levels, amplitude, active, float(expected.min()), spec)
         if others is not None:  # any silent node may be the one that spoke
