@@ -5,7 +5,7 @@
 The gripper closes a little with every frame until a contact reaches 5 kPa, and then holds. While an
 object slips, it closes further and the arm is told to stop. It closes only while it can feel: where
 a taxel in service has no reading, messages stop, or the fingers have travelled MOST_MM, it holds,
-tells the arm to stop, and claims no grip. docs/clients.md has its limits.
+tells the arm to stop, and claims no grip. docs/programs.md has its limits.
 
 Start it beside a driver (make run):  .venv/bin/python examples/grip.py
 It publishes /gripper/close_mm, /gripper/gripped and /arm/stop, one of each per frame. Without a cue

@@ -27,7 +27,7 @@ from tactile_cdma import PortError, RecordingEndError, Skin
 
 FRAMES = 32
 SCALE_PA = 50e3
-"""Pressure that a network sees as 1: one scale for all taxels; see docs/learning.md."""
+"""Pressure that a network sees as 1: one scale for all taxels; see docs/recording.md."""
 
 
 class RecentFrames:

@@ -31,6 +31,7 @@ from typing import Any, NamedTuple, TypeAlias
 import mujoco
 import numpy as np
 import rclpy
+from mujoco_skin import MujocoSkin
 from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
@@ -40,7 +41,6 @@ from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.driver.objects import sim_objects
 from tactile_cdma.sim.indenters import Indenter
-from tactile_cdma.sim.mujoco_skin import MujocoSkin
 
 PITCH_M, FRAME_S, STEPS = 7e-3, 12.8e-3, 32  # of physics per frame
 RADIUS_M, GAP_M, LIGHT_KG, HEAVY_KG = 0.020, 0.5e-3, 0.100, 0.250

@@ -4,7 +4,7 @@
 
 The cloud is drawn from the latest frame, at most visual_rate_hz times a second; a control loop uses
 ~/tactile. Taxels without a reading are left out, so that nothing is NaN; points["taxel"] tells
-which are there. docs/pictures.md has the fields.
+which are there. docs/topics.md has the fields.
 
 Start it beside a driver (make run):  .venv/bin/python examples/points_to_numpy.py
 It prints the pressed points, and their mean place weighted by pressure (mm).

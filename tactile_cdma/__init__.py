@@ -2,7 +2,7 @@
 
 """Driver for large-area robot skin whose nodes share one wire by code division multiple access.
 
-Skin: live frames of a skin. Decoder: bytes → frames. Both without ROS; see docs/python.md. The
+Skin: live frames of a skin. Decoder: bytes → frames. Both without ROS; see docs/programs.md. The
 ROS 2 nodes are in tactile_cdma.ros, their messages in tactile_cdma.msg.
 """
 

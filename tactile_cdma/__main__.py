@@ -2,8 +2,6 @@
 
 """Starts the command `tactile-cdma`: what loads for a second can be interrupted, or be missing."""
 
-from __future__ import annotations
-
 import signal
 import sys
 

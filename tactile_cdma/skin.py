@@ -2,7 +2,7 @@
 
 """The public interface: live frames of a skin (Skin), bytes to frames (Decoder), without ROS.
 
-`import tactile_cdma` offers what stands here; docs/python.md shows how to use it.
+`import tactile_cdma` offers what stands here; docs/programs.md shows how to use it.
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 """Environment of every test: its own ROS domain and home, no deadlines, default signals."""
 
-from __future__ import annotations
-
 import os
 import signal
 import zlib
@@ -27,6 +25,7 @@ __all__ = ["pytest_sessionfinish", "pytest_testnodedown", "pytest_xdist_make_sch
 # numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROS = Path(__file__).parent / "ros"
+LONGEST_ID = 80
 DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
 
 
@@ -49,6 +48,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(home.cleanup)
     # Tests interrupt their child processes, which a shell's background job would have ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Megabytes of bytes as a parameter are not its name, which goes to every worker."""
+    is_long = isinstance(val, bytes | str) and len(val) > LONGEST_ID
+    return f"{val[:8]!r}-{len(val)}" if is_long else None
 
 
 def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:

@@ -12,8 +12,6 @@ from tempfile import TemporaryDirectory
 BOARDS = ("strip", "strip-fast", "digitizer", "digitizer-fast", "group")
 PICTURES = {
     "node": ("strip", 2),
-    "node-fast": ("strip-fast", 2),
-    "strip": ("strip", 1),
     "digitizer": ("digitizer", 1),
     "group": ("group", 1),
     "digitizer-fast": ("digitizer-fast", 1),

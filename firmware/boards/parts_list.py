@@ -74,26 +74,19 @@ def csv_text(sheets: Sequence[Sheet]) -> str:
 
 
 def markdown(sheets: Sequence[Sheet]) -> str:
-    """The same as a table, with the sums."""
+    """What they cost together, and how many boards there are, as a table."""
     counts = {nodes: needed(sheets, nodes) for nodes in SKINS}
-    lines = [
-        "| | maker's number | US$ | " + " | ".join(f"{n} nodes" for n in SKINS) + " |",
-        "|---|---|--:|" + "--:|" * len(SKINS),
-    ]
-    for p in _ordered(counts):
-        numbers = " | ".join(str(counts[n][p] or "") for n in SKINS)
-        lines.append(f"| {p.what} | {p.maker} {p.number} | {p.cost:.2f} | {numbers} |")
     sums = [sum(p.cost * count for p, count in counts[n].items()) for n in SKINS]
-    lines.append("| **all parts, US$** | | | " + " | ".join(f"**{s:.0f}**" for s in sums) + " |")
-    each = " | ".join(f"{s / n:.2f}" for s, n in zip(sums, SKINS, strict=True))
-    lines.append(f"| per node | | | {each} |")
     boards = [boards_of(n) for n in SKINS]
-    for name in ("strip", "digitizer", "group"):
-        numbers = " | ".join(
-            str(sum(count for board, count in b.items() if board.startswith(name)) or "")
-            for b in boards
-        )
-        lines.append(f"| boards: {name} | | | {numbers} |")
+    rows = {
+        "all parts, US$": [f"{total:.0f}" for total in sums],
+        "per node": [f"{total / n:.2f}" for total, n in zip(sums, SKINS, strict=True)],
+    }
+    for kind in ("strip", "digitizer", "group"):
+        numbers = (sum(n for name, n in b.items() if name.startswith(kind)) for b in boards)
+        rows[f"boards: {kind}"] = [str(number or "") for number in numbers]
+    lines = ["| | " + " | ".join(f"{n} nodes" for n in SKINS) + " |", "|---|" + "--:|" * len(SKINS)]
+    lines += [f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items()]
     return "\n".join([*lines, ""])
 
 

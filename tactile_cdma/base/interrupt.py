@@ -2,8 +2,6 @@
 
 """Ctrl-C and SIGTERM, for commands that run until they are told to stop."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

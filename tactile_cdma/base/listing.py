@@ -2,8 +2,6 @@
 
 """Lists in messages: node numbers and the like, cut where a person stops reading."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 

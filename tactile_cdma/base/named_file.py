@@ -2,8 +2,6 @@
 
 """Files named by a user: only regular ones are opened, and none is read beyond a size."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import os

@@ -2,8 +2,6 @@
 
 """Packages that only some commands need: where one is missing, one clear error says so."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -2,8 +2,6 @@
 
 """Untrusted text made safe for terminals and logs."""
 
-from __future__ import annotations
-
 MOST_SHOWN = 4000
 """Characters; chosen to bound logs: a parameter's name may have a megabyte."""
 

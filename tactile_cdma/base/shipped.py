@@ -2,8 +2,6 @@
 
 """Files that come with the package but lie outside it: messages, rules, requirements."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

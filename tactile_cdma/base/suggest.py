@@ -2,8 +2,6 @@
 
 """What a misspelt name was meant to be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import get_close_matches
 

@@ -2,8 +2,6 @@
 
 """What is done to every sample, and sums over those of a frame, compiled or in numpy."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

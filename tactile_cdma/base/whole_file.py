@@ -2,8 +2,6 @@
 
 """Atomic replacement of files and folders: readers find the old content or the new one."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import glob

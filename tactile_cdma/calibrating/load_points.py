@@ -2,8 +2,6 @@
 
 """Points to calibrate from: known pressures on nodes and the voltages measured there."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

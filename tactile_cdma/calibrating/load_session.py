@@ -2,8 +2,6 @@
 
 """Loads taken from a live skin, step by step: load it, say by how much, press Enter."""
 
-from __future__ import annotations
-
 import queue
 import time
 from collections.abc import Sequence

@@ -2,8 +2,6 @@
 
 """Reads CSV files of loads: headings carry the units, errors name file and line."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """Points from a reference recorded beside a skin: plateaus of the load, offset of the clocks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """Reports the quality of a skin's fit: in words, as key=value, and as a picture."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -2,8 +2,6 @@
 
 """Fits a curve to every node of a skin, or says why a node has none."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -2,8 +2,6 @@
 
 """Keeps the nodes' clocks and the decorrelator built from them, in a thread beside the stream."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -8,8 +8,6 @@ around the present one are tried, as in a roll call; the clock moves to their me
 likelihood and by the prior probability of such an error.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -21,8 +21,6 @@ stands in for I: of its amplitude a node keeps the share 1 − λKᵢᵢ, the `r
 unless two nodes have nearly the same waveform.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

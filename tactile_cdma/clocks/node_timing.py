@@ -7,8 +7,6 @@ clocks decide: where plain correlation is good enough it stays, else frames are 
 least squares.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -15,8 +15,6 @@ explains. A candidate is a pair of displacements, of the frame's begin and of it
 3. The mean, weighted by likelihood, over a raster that is as wide as the likelihood.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import ceil, sqrt
 

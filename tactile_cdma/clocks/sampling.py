@@ -2,8 +2,6 @@
 
 """Expected samples of a code row, given the clocks of node and digitizer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """How loud a node is on the line, from the words of a frame; and what is too faint for one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

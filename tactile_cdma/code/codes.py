@@ -14,8 +14,6 @@ scipy's `hadamard` give.
 docs/protocol.md defines every entry of every book, for implementations elsewhere.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache

@@ -12,8 +12,6 @@ non-squares, 0 at 0), Q[i, j] = χ(aᵢ − aⱼ), and S = [[0, 1ᵀ], [∓1, Q]
 Elements are numbered by their coefficients as base-p digits.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product

@@ -2,10 +2,7 @@
 
 """Picks the nodes' levels out of one frame's correlations, and measures their noise."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats32
+from ..base.stage import stage
 from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .frame import UNIPOLAR, FrameSpec
 from .transform import rows_of
@@ -22,7 +20,7 @@ SPOKEN_OVER = 2.2
 noise, folded, has 1.3."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class NodeLevels:
     """The nodes' levels in one frame.
 
@@ -34,6 +32,7 @@ class NodeLevels:
     rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
         correlation.
     Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
+    late: nodes, counted from 0, whose words were found in chips that are read early or late.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     """
 
@@ -41,6 +40,7 @@ class NodeLevels:
     noise_v: float
     unresolved: tuple[int, ...] = ()
     rows: Floats32 | None = None
+    late: tuple[int, ...] = ()
     level_unknown: bool = False
 
 
@@ -99,7 +99,7 @@ def frame_fields(spec: FrameSpec) -> dict[str, float]:
     """What the kernel knows of a frame: the members of its struct words_frame."""
     return {
         "bits": spec.line_bits,
-        "order": spec.order,
+        "order": spec.row_count,
         "first": spec.first_row,
         "nodes": spec.nodes,
         "unipolar": spec.drive == UNIPOLAR,

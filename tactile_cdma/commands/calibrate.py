@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma calibrate`: fits a calibration file to known loads."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

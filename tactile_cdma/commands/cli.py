@@ -2,8 +2,6 @@
 
 """The command `tactile-cdma`: decode, record, simulate, set up hardware, without ROS."""
 
-from __future__ import annotations
-
 import argparse
 import io
 import logging
@@ -21,7 +19,7 @@ from . import calibrate, decode, export, info, layout, node, ports, record, simu
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),
     "record": (record, "write the bytes of a port to a file"),
-    "info": (info, "say what is in a recording, bag, table or dataset"),
+    "info": (info, "say what is in a recording or a bag"),
     "export": (export, "write frames as NPZ, CSV, Parquet, LeRobotDataset or bag"),
     "simulate": (simulate, "run a virtual digitizer behind a real tty"),
     "node": (node, "write or read the EEPROM contents of sensing nodes"),

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma decode`: prints the words of a recording or oscilloscope capture."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma export`: writes frames of recordings and bags for other programs."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -93,8 +91,7 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--samples",
         choices=MODES,
-        help="frames of the skin per row: all of the interval, their mean, the last; "
-        f"default: {WINDOW}",
+        help=f"frames of the skin per row: all of the interval, the last; default: {WINDOW}",
     )
     group.add_argument(
         "--nan",

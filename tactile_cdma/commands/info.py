@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma info`: says what is in a recording or a bag."""
 
-from __future__ import annotations
-
 import argparse
 from datetime import UTC, datetime
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma layout`: checks a layout file, describes and draws it."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 
 """A picture of a layout, to compare with the skin on the bench."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma node`: writes and reads the EEPROM contents of sensing nodes."""
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import sys

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma record`: writes the bytes of a port, with their times, to a file."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

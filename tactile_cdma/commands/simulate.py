@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma simulate`: a virtual digitizer behind a real tty."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

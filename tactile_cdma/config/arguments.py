@@ -2,8 +2,6 @@
 
 """Command-line arguments that several commands share: those that describe the skin."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import threading
@@ -17,8 +15,11 @@ from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, read_sections,
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
     *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v", "parity", "scramble"),
+    "codes",
 )
-"""Parameters that are options: --nodes, …, --vref, --parity and --no-parity, …"""
+"""Parameters that are options: --nodes, …, --vref-v, --parity and --no-parity, …"""
+_SHORT = {"vref_v": ("--vref",)}
+"""Other names that options have."""
 
 
 def add_skin_options(
@@ -29,13 +30,14 @@ def add_skin_options(
     group = parser.add_argument_group(f"the skin (default: {default})")
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for name in _NAMES:
-        option, parameter = "--" + name.removesuffix("_v").replace("_", "-"), BY_NAME[name]
+        parameter = BY_NAME[name]
+        options = ("--" + name.replace("_", "-"), *_SHORT.get(name, ()))
         kind, text = type(parameter.default), parameter.description.replace("%", "%%")
         if kind is bool:
             either = argparse.BooleanOptionalAction
-            group.add_argument(option, action=either, default=None, dest=name, help=text)
+            group.add_argument(*options, action=either, default=None, dest=name, help=text)
         else:
-            group.add_argument(option, type=kind, dest=name, help=text)
+            group.add_argument(*options, type=kind, dest=name, help=text)
     group.add_argument(
         "--natural-signs",
         action="store_const",

@@ -5,8 +5,6 @@
 docs/patches.md describes the format.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

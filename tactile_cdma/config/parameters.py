@@ -6,8 +6,6 @@ The ROS node declares its parameters from this table, the command line takes def
 from it, and parameter files are checked against it. docs/parameters.md is generated from it.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import reprlib
@@ -21,7 +19,7 @@ from typing import Any
 from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
 from ..base.suggest import suggestion
-from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
+from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, ORTHOGONAL, SPARSE, UNIPOLAR
 from ..readings.calibration import MOST_PA
 
 _log = logging.getLogger(__name__)
@@ -124,8 +122,14 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("nodes", 16, "number of sensing nodes on the wire", "", (1, 65_535)),
     Parameter("bits", 10, "word length: resolution of the nodes' ADC", "bit", (8, 16)),
     Parameter("parity", False, "each word is followed by an even-parity bit"),
-    Parameter("chip_us", 50.0, "duration of one chip", "µs", (0.01, 1e6)),
-    Parameter("frame_period_ms", 12.8, "time from frame start to frame start", "ms", (0.01, 1e5)),
+    Parameter("chip_us", 50.0, "duration of one chip, the paper's pulse length", "µs", (0.01, 1e6)),
+    Parameter("frame_period_ms", 12.8,
+        "time from frame start to frame start; 0, and where the default is too short: as short as "
+        "the frame and the nodes' measuring allow", "ms", (0.0, 1e5)),
+    Parameter("codes", ORTHOGONAL,
+        "code book: orthogonal, with as many chips per bit as nodes; or sparse, with fewer, for "
+        "nodes of which few speak in a frame: up to half as many as chips",
+        choices=(ORTHOGONAL, SPARSE)),
     Parameter("order", 0,
         "code order (chips per bit); 0: the smallest possible, or one slightly larger if it is "
         "faster to decode", "", (0, 65_536)),
@@ -159,14 +163,15 @@ PARAMETERS: tuple[Parameter, ...] = (
         "that is silent before and after a lost frame then rests, and is not unheard"),
     Parameter("vref_v", 3.3,
         "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
-    Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.01, 100.0)),
-    Parameter("knee_kpa", 50.0, "end of the sensor's first stage", "kPa", (0.001, MOST_PA / 1e3)),
+    Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.01, 100.0), live=True),
+    Parameter("knee_kpa", 50.0,
+        "end of the sensor's first stage", "kPa", (0.001, MOST_PA / 1e3), live=True),
     Parameter("range_kpa", 140.0,
-        "end of the sensor's second stage", "kPa", (0.001, MOST_PA / 1e3)),
+        "end of the sensor's second stage", "kPa", (0.001, MOST_PA / 1e3), live=True),
     Parameter("sensitivity1_v_per_kpa", 0.033,
-        "voltage drop per pressure in the first stage", "V/kPa", (1e-6, 100.0)),
+        "voltage drop per pressure in the first stage", "V/kPa", (1e-6, 100.0), live=True),
     Parameter("sensitivity2_v_per_kpa", 0.0059,
-        "voltage drop per pressure in the second stage", "V/kPa", (1e-6, 100.0)),
+        "voltage drop per pressure in the second stage", "V/kPa", (1e-6, 100.0), live=True),
     Parameter("threshold", 0.5,
         "a node is active if its amplitude exceeds this fraction of amplitude_mv",
         "", (0.1, 0.9), live=True),
@@ -209,7 +214,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("visual_rate_hz", 30.0, "maximum rate of pictures", "Hz", (0.1, 30.0), live=True),
     Parameter("colour_max_kpa", 140.0,
         "pressure at the top of the colour scale", "kPa", (0.1, 1e5), live=True),
-    Parameter("heatmap_pixels", 16,
+    Parameter("colour_gamma", 0.5,
+        "a share p of that pressure is p^colour_gamma up the colours; 1: linear",
+        "", (0.1, 1.0), live=True),
+    Parameter("heatmap_pixels", 32,
         "edge length of a taxel in the heatmap", "px", (1, 256), live=True),
     Parameter("autostart", True, "configure and activate when the node starts"),
 )

@@ -2,8 +2,6 @@
 
 """Options of a port's URL, ?name=value&name=value, read against a table of parameters."""
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Iterable
 from typing import Any

@@ -7,8 +7,6 @@ Memory is bounded: a tick is done as soon as every stream that goes on has passe
 before the interval of the next one is reduced to what is still known then.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,8 +29,8 @@ STEPS, LAST_STEPS = 3, 15
 """That age is also at least STEPS of the stream's own intervals (median of the LAST_STEPS newest):
 a slow stream may lose one sample and send the next one late. Chosen."""
 REACH = 2
-"""Where the clock is a stream, which may lose a tick, a mean reaches back by at most this many of
-its intervals, or by STALE_S if that is longer. Chosen."""
+"""Where the clock is a stream, which may lose a tick, an interval is at most as long as this many
+usual ones, or as STALE_S if that is longer. Chosen."""
 
 
 def stale_s(fps: float) -> float:
@@ -150,7 +148,7 @@ class Aligner:
             yield self._row(tick)
         # The grid's next tick is known; of a clock that is a stream only that it is not before.
         since_ns = self._ticks[0].since_ns if self._ticks else passed_ns - self._reach_ns
-        self._reduce(min(passed_ns, since_ns))
+        self._drain(min(passed_ns, since_ns))
 
     def _next(self, passed_ns: int) -> Tick | None:
         if not self._ticks and (tick := next(self._grid, None)) is not None:
@@ -160,7 +158,6 @@ class Aligner:
         return None
 
     def _row(self, tick: Tick) -> Row:
-        self._reduce(tick.since_ns)
         self._drain(tick.time_ns)
         self._done_ns = tick.time_ns
         values: dict[str, Touch | Value] = {}
@@ -189,12 +186,6 @@ class Aligner:
                 self._last[key], self._taken_ns[key] = value, stamp_ns
                 if isinstance(value, SkinFrame):
                     self._touch[key].take(stamp_ns, value)
-
-    def _reduce(self, until_ns: int) -> None:
-        """Keep of all samples up to a time only what is still known later."""
-        self._drain(until_ns)
-        for touch in self._touch.values():
-            touch.forget(until_ns)
 
     def _has_stopped(self, key: str, time_ns: int) -> bool:
         """Whether a stream's last sample is too old to be taken for the present one."""

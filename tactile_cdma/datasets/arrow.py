@@ -2,8 +2,6 @@
 
 """The optional library pyarrow, and the Parquet files that we write with it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any

@@ -2,8 +2,6 @@
 
 """Where episodes begin and end: whole files, intervals that are given, or a topic's marks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 """The frames of one patch, from one or many sources, as rows for a table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 

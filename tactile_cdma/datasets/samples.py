@@ -2,8 +2,6 @@
 
 """What every source hands on: constant data of a patch, its frames, samples of other topics."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

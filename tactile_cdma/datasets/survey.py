@@ -2,8 +2,6 @@
 
 """What the frames of a patch are like, for people: rate, gaps, share of invalid readings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

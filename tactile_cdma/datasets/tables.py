@@ -2,8 +2,6 @@
 
 """A patch's frames as tables: NPZ and CSV; see docs/recording.md."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

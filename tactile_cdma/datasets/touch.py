@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A patch's frames at the ticks of another clock: its last samples, their mean, or the last one."""
-
-from __future__ import annotations
+"""A patch's frames at the ticks of another clock: its last samples, or the last one."""
 
 import math
 from collections import deque
@@ -15,8 +13,8 @@ from ..base.errors import ParameterError
 from ..readings.status import is_in_service
 from .samples import NANO, Completeness, PatchInfo, SkinFrame
 
-WINDOW, MEAN, LAST = "window", "mean", "last"
-MODES = (WINDOW, MEAN, LAST)
+WINDOW, LAST = "window", "last"
+MODES = (WINDOW, LAST)
 HOLD, ZERO, DROP = "hold", "zero", "drop"
 POLICIES = (HOLD, ZERO, DROP)
 MOST_UNCERTAIN_S = 0.05
@@ -37,7 +35,7 @@ def slots(patch: PatchInfo, fps: float, mode: str) -> int:
     if count > MOST_SLOTS:
         raise ParameterError(
             f"{count} frames of {patch.name} per row, {patch.frame_period_s:g} s apart; at most "
-            f"{MOST_SLOTS} are kept: ask for more rows per s, or for --samples mean or last"
+            f"{MOST_SLOTS} are kept: ask for more rows per s, or for --samples last"
         )
     return count
 
@@ -70,7 +68,7 @@ class _Sample:
 class TouchStream:
     """Takes a patch's frames in the order of their stamps; gives what is known of it at a tick.
 
-    Memory is bounded where forget() follows the ticks. completeness: of all frames that were taken.
+    completeness: of all frames that were taken.
     """
 
     def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
@@ -79,26 +77,17 @@ class TouchStream:
         self._held = np.zeros(taxels, dtype=np.float32)
         self._wanted = np.ones(taxels, dtype=bool)
         self._window: deque[_Sample] = deque(maxlen=slots)
-        self._interval: deque[_Sample] = deque()
 
     def take(self, stamp_ns: int, frame: SkinFrame) -> None:
         valid = frame.valid & (not frame.stamp_uncertainty_s > MOST_UNCERTAIN_S)  # NaN: unknown
         self._held = np.where(valid, frame.pressure_pa, self._held)
         self._wanted = is_in_service(frame.status)
         self.completeness.take(frame)
-        sample = _Sample(stamp_ns, valid, self._held)
-        self._window.append(sample)
-        if self._mode == MEAN:
-            self._interval.append(sample)
+        self._window.append(_Sample(stamp_ns, valid, self._held))
 
     def restart(self) -> None:
         """Begin the window anew after a stop: what was before that is not of the present."""
         self._window.clear()
-
-    def forget(self, until_ns: int) -> None:
-        """Leave what was measured up to a time out of the next mean."""
-        while self._interval and self._interval[0].stamp_ns <= until_ns:
-            self._interval.popleft()
 
     def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
         """The patch at a tick that is later than all frames taken; at least one must be.
@@ -106,8 +95,6 @@ class TouchStream:
         has_stopped: the newest frame is too old for the present, so that nothing is valid.
         """
         samples = list(self._window)
-        if self._mode == MEAN:
-            samples = list(self._interval) or samples[-1:]
         ages_s = np.array([(tick_ns - sample.stamp_ns) / NANO for sample in samples])
         filled = np.array([sample.filled_pa for sample in samples])
         valid = np.array([sample.valid for sample in samples])
@@ -117,20 +104,9 @@ class TouchStream:
             ages_s = np.concatenate([ages_s[:1].repeat(missing), ages_s])
             filled = np.concatenate([filled[:1].repeat(missing, axis=0), filled])
             valid = np.concatenate([np.zeros((missing, filled.shape[1]), dtype=bool), valid])
-        if self._mode == MEAN:
-            filled, valid = _mean(filled, valid)
-            ages_s = ages_s.mean(keepdims=True)
-        elif self._mode == LAST:
+        if self._mode == LAST:
             filled, valid = filled[-1], valid[-1]
         if self._policy == ZERO:
             filled = np.where(valid, filled, np.float32(0))
         complete = bool(valid[..., self._wanted].all())
         return Touch(filled.astype(np.float32), valid, ages_s.astype(np.float32), complete)
-
-
-def _mean(filled: Floats32, valid: Bools) -> tuple[Floats32, Bools]:
-    """Over the valid samples of each taxel; where there is none, its last fill."""
-    counts = valid.sum(axis=0)
-    sums = np.where(valid, filled, 0.0).sum(axis=0, dtype=np.float64)
-    mean = np.where(counts > 0, sums / np.maximum(counts, 1), filled[-1])
-    return mean.astype(np.float32), counts > 0

@@ -2,8 +2,6 @@
 
 """The subcommand `tactile-cdma doctor`. Standard library only, until a port is to be examined."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator, Sequence

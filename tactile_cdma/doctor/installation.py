@@ -2,8 +2,6 @@
 
 """Checks whether this computer is set up for the driver. Standard library only."""
 
-from __future__ import annotations
-
 import grp
 import json
 import os

@@ -2,8 +2,6 @@
 
 """Examines a port: whether a digitizer is there, the right one, with a sound skin."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 
 """The doctor's checks and their wording. Standard library only."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

@@ -2,8 +2,6 @@
 
 """Judges the link, the line and every node by the bytes of a few seconds. No I/O."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -2,8 +2,6 @@
 
 """Decides when to discard buffered input, so that the newest frames are published."""
 
-from __future__ import annotations
-
 import math
 
 LATE_S, LATE_PERIODS = 0.25, 2.0

@@ -5,8 +5,6 @@
 One function per entry of /diagnostics; docs/diagnostics.md lists every finding with its limit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

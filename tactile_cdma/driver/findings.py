@@ -2,8 +2,6 @@
 
 """What is wrong, how bad it is, and for how long that is reported, so that levels do not flap."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum

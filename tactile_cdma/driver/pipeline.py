@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from ..base import kernel
 from ..base.errors import SpecError
+from ..base.stage import stage
 from ..clocks.clock_keeper import ClockReport
 from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
@@ -33,7 +33,7 @@ from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class TactileFrame:
     """One decoded frame.
 
@@ -154,19 +154,15 @@ class Pipeline:
         self.digitizer, self.problem = DigitizerState(), None
         self._exchanged()
 
-    def adjust(self, config: SkinConfig) -> bool:
-        """Adopt what may change while the stream goes on from another configuration.
-
-        Returns whether tare and drift stay: they do unless the curves are others.
-        """
+    def adjust(self, config: SkinConfig) -> None:
+        """Adopt what may change while the stream goes on from another configuration."""
         before, self.config = self.config, config
         self.taxels.stale_after_s = config.stale_after_s
         if self.taxels.chain.tracker is not None:
             self.taxels.chain.tracker.rules = config.rest
         self.taxels.refresh()
-        if config.calibration is before.calibration:
-            return True
-        return self.taxels.calibrate(config.calibration)
+        if config.calibration is not before.calibration:
+            self.taxels.calibrate(config.calibration)
 
     def close(self) -> None:
         """End the work beside the stream."""
@@ -240,6 +236,7 @@ class Pipeline:
         is_odd = (
             levels.rows is None
             or levels.unresolved
+            or levels.late
             or levels.level_unknown
             or heard.doubtful is not None
         )

@@ -2,8 +2,6 @@
 
 """Largest spread of samples for which the digitizer may send QUIET instead of them."""
 
-from __future__ import annotations
-
 from ..code.frame import FrameSpec
 
 HEARD_SHARE = 0.135

@@ -2,8 +2,6 @@
 
 """The host's side of the conversation with a digitizer. No I/O; see docs/protocol.md."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -2,8 +2,6 @@
 
 """Tells losses, restarts and resets: where packets belong that do not continue the stream."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 """Intel HEX, the text in which programmers of microcontrollers take a memory."""
 
-from __future__ import annotations
-
 from ..base.errors import NodeMemoryError
 
 DATA, END = 0, 1

@@ -2,8 +2,6 @@
 
 """Node memories as files, and writing them to a node by avrdude."""
 
-from __future__ import annotations
-
 import logging
 import shlex
 import subprocess

@@ -2,8 +2,6 @@
 
 """The fields of TactileSkinInfo, for the two libraries that make it: rclpy and rosbags."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -2,8 +2,6 @@
 
 """The types of our messages for programs that read or write bags without ROS."""
 
-from __future__ import annotations
-
 from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore

@@ -2,8 +2,6 @@
 
 """Connected components of the pressed taxels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.arrays import Indices

@@ -5,8 +5,6 @@
 docs/layout.md describes the format.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

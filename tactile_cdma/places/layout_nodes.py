@@ -5,8 +5,6 @@
 Every node has one place, or is listed as unplaced.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

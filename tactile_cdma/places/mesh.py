@@ -2,8 +2,6 @@
 
 """The skin's surface as triangles: a square for every taxel, in its tangent plane."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.arrays import Floats, Floats32

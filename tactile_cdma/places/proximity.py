@@ -2,8 +2,6 @@
 
 """Pairs of nearby positions on a skin, found by cell hashing in linear time."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

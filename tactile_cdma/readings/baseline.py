@@ -2,8 +2,6 @@
 
 """What a skin reads at rest: tare and slow drift, which are taken off its readings."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

@@ -2,8 +2,6 @@
 
 """Contacts on the skin: their forces and positions, tracked from frame to frame."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

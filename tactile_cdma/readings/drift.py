@@ -10,8 +10,6 @@ Neither touched nodes nor those beside a contact are followed, however long the 
 A load that grows as slowly looks like drift, too, so that drift is followed only so far: FARTHEST.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

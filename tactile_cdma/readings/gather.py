@@ -2,8 +2,6 @@
 
 """Gathers the pressed taxels of a frame into contacts."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """Voltages → pressures of all nodes: drift correction, curve, tare."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """What the kernel needs to read a frame in which nothing is odd: words and readings in one call."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -130,7 +128,7 @@ def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
         "late_share": lateness.LATE_SHARE,
         "leaked": lateness.LEAKED,
         "by_chance": lateness.BY_CHANCE,
-        "scrambled": spec.scramble,
+        "scrambled": spec.scramble and not spec.sparse,
         "spare": spare.start,
         "spare_count": spare.stop - spare.start,
     }

@@ -2,8 +2,6 @@
 
 """The stages from words to readings that pass over all nodes, and set their status."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

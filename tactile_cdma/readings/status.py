@@ -2,8 +2,6 @@
 
 """What is to be said of a taxel's reading."""
 
-from __future__ import annotations
-
 from enum import IntFlag
 
 import numpy as np

@@ -15,8 +15,6 @@ Hertz's pressure, p² = p₀²·(1 − r²/R²), a corner outside the contact ha
 p₁² + p₂² ≤ p₃², so p₁ + p₂ − p₃ − 2·(p₃ − p₁) < 0; softer edges give even less.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.arrays import Bools, Floats32, Indices

@@ -2,8 +2,6 @@
 
 """Tare: makes what a skin reads at rest its zero, unless something touches or moves it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
+from ..base.stage import stage
 from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
@@ -76,7 +77,7 @@ class Coverage:
         return 2 * self.valid >= self.in_service > 0
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Readings:
     """The readings of one frame, taxel by taxel in the order of the layout.
 
@@ -223,17 +224,11 @@ class Taxels:
             self.baseline.tared_drift_v = tared_drift_v
         self.refresh()
 
-    def calibrate(self, calibration: Calibration) -> bool:
-        """Use another calibration from now on.
-
-        Tare and drift belong to the curves they were found with: if these change, both are
-        dropped. Returns whether they were kept.
-        """
-        baseline, chain = self.baseline, self.chain
-        stay = calibration.curves.checksum == chain.calibration.curves.checksum
-        chain.calibration = calibration
-        self.restore(*(baseline.rest_v, baseline.drift_v, baseline.tared_drift_v) if stay else ())
-        return stay
+    def calibrate(self, calibration: Calibration) -> None:
+        """Use another calibration from now on; the tare is its curves' pressure at rest."""
+        self.chain.calibration = calibration
+        rest = self.baseline
+        self.restore(rest.rest_v, rest.drift_v, rest.tared_drift_v)
 
     def refresh(self) -> None:
         """Have the next frame read anew: something other than the words has changed."""
@@ -256,14 +251,12 @@ class Taxels:
         chain = self.chain
         if health.any_suspect or health.frames_to_verdict == 1:
             return None
-        conditions = Conditions(
-            health.swing_v, health.state, chain.calibration, chain.bounds, threshold
-        )
+        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, threshold
         readout = self._readout
         if readout is None or any(map(is_not, conditions, readout.conditions)):
             readout = self._readout = Readout(
-                spec, conditions, health, self._kept, self._trusted(health), self._voltage_of,
-                self._masked, self._source,
+                spec, Conditions(*conditions), health, self._kept, self._trusted(health),
+                self._voltage_of, self._masked, self._source,
             )  # fmt: skip
         nodes, taxels, noise_v = spec.nodes, readout.taxels, levels.noise_v
         active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)

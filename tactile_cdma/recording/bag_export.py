@@ -2,8 +2,6 @@
 
 """Decoded frames as a bag of TactileArray and TactileSkinInfo, without ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 
 """Files to decode offline: recordings, raw bytes of a port, or text (oscilloscope captures)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -11,8 +11,6 @@ Every record has its own checksum and the position of its bytes in the stream. S
 is cut short or damaged, everything intact is still read, at its time, and the losses are known.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct

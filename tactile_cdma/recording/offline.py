@@ -2,8 +2,6 @@
 
 """Decoding of files: the stages of a live skin, fed from a recording or a scope's capture."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

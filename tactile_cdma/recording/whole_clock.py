@@ -7,8 +7,6 @@ which may have waited for long. Here a first pass over the bytes notes when pack
 second pass, which decodes, stamps its frames by a map fitted to all arrivals.
 """
 
-from __future__ import annotations
-
 from array import array
 from bisect import bisect
 from collections.abc import Callable, Iterable

@@ -2,8 +2,6 @@
 
 """Hands out the bytes of a recording when they are due. Knows no ports."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

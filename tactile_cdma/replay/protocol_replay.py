@@ -2,8 +2,6 @@
 
 """replay:// for pyserial: a recording that is opened like any other port."""
 
-from __future__ import annotations
-
 from ..base.errors import RecordingEndError
 from ..wire.virtual_port import VirtualPort
 from .options import ReplayOptions

@@ -2,8 +2,6 @@
 
 """Reads and writes the YAML file that keeps a skin's tare and drift between runs."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

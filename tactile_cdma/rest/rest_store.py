@@ -2,8 +2,6 @@
 
 """The files of one skin's tare, drift and calibration: reads what fits, overwrites only its own."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol

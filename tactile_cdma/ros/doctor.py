@@ -6,8 +6,6 @@ A process of its own, since what is broken in ROS may end the process or hang it
 imported before it is known to be there.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -2,8 +2,6 @@
 
 """rviz files made to measure: those in config/, with a skin's or a body's names and sizes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from copy import deepcopy

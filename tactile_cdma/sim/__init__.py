@@ -9,6 +9,6 @@ pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_pa
 that press on sim://?scene=external there are the objects below; docs/simulation.md.
 """
 
-from .indenters import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from .indenters import Box, Cylinder, Foundation, Indenter, Sphere
 
-__all__ = ["Box", "Cylinder", "Foundation", "HeightMap", "Indenter", "Sphere"]
+__all__ = ["Box", "Cylinder", "Foundation", "Indenter", "Sphere"]

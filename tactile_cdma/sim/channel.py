@@ -5,8 +5,6 @@
 y(t) = offset + polarity · Σ aᵢ·xᵢ(t) + noise, clipped at the amplifier's rails, then quantised.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@
 `Schedule` decides when. So the same samples come at any pace, through any transport.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -17,6 +15,7 @@ from functools import partial
 from ..base.errors import SpecError
 from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
 from ..wire.messages import (
+    Bootsel,
     Command,
     Configure,
     FrameLayout,
@@ -32,6 +31,7 @@ from ..wire.messages import (
     Start,
     Status,
     Stop,
+    Touch,
 )
 from ..wire.packets import PacketParser, PacketWriter
 from .indenters import Indenter
@@ -126,8 +126,8 @@ class VirtualDigitizer:
         """
         if not all(isinstance(each, Indenter) for each in objects):
             raise SpecError(
-                "objects are given one by one, as press(*objects), and each is a Sphere, Cylinder, "
-                f"Box or HeightMap, not {', '.join(type(each).__name__ for each in objects)}"
+                "objects are given one by one, as press(*objects), and each is a Sphere, Cylinder "
+                f"or Box, not {', '.join(type(each).__name__ for each in objects)}"
             )
         if self._external is None:
             raise SpecError(
@@ -218,6 +218,8 @@ class VirtualDigitizer:
                 self._packs = True
             case Configure():
                 result = self._configure(command)
+            case Touch() | Bootsel():
+                result = Result.UNKNOWN_COMMAND
         self.commands_refused += result != Result.OK
         self._send(command.ack(result))
         if isinstance(command, GetInfo | Configure):

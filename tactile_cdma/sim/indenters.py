@@ -6,8 +6,6 @@ The cover is a Winkler foundation: every point of the surface is a spring of its
 normal, so that pressure = stiffness · depth; docs/simulation.md has what that leaves out.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -29,10 +27,6 @@ MOST_PA_PER_M, MOST_M = 1e12, 1e3
 EDGE_POINTS = 6
 """Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
 placed to a twelfth of a taxel's edge, or better."""
-SEARCH_STEPS, HALVINGS = 64, 30
-"""The underside of a height map is searched along a normal at SEARCH_STEPS depths; the interval in
-which it lies is then halved HALVINGS times."""
-
 Spans = tuple[Floats, Floats]
 """Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
 
@@ -90,19 +84,8 @@ class Indenter(ABC):
         enters_m, leaves_m = self._spans(own.apply(points_m), own.rotate(normals))
         return np.where(leaves_m > 0, np.maximum(-enters_m, 0.0), 0.0)
 
-    @abstractmethod
     def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
         """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
-
-    @abstractmethod
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
-
-
-class _Body(Indenter):
-    """An object that has an end on all sides."""
-
-    def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
         from_it_m = points_m - self.pose.translation_m
         along_m = (from_it_m * normals).sum(axis=1)
         beside_m2 = np.square(from_it_m).sum(axis=1) - np.square(along_m)
@@ -113,9 +96,13 @@ class _Body(Indenter):
     def _reach_m(self) -> float:
         """No line touches the object that passes its origin at a greater distance, m."""
 
+    @abstractmethod
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class Sphere(_Body):
+class Sphere(Indenter):
     """A ball about its origin."""
 
     LENGTHS: ClassVar = {"radius_m": 1}
@@ -131,7 +118,7 @@ class Sphere(_Body):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder(_Body):
+class Cylinder(Indenter):
     """A cylinder about its own z axis, its origin in the middle."""
 
     LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
@@ -151,7 +138,7 @@ class Cylinder(_Body):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box(_Body):
+class Box(Indenter):
     """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
 
     LENGTHS: ClassVar = {"size_m": 3}
@@ -164,82 +151,6 @@ class Box(_Body):
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         return _within_all(*map(_slab_spans, points_m.T, directions.T, np.array(self.size_m) / 2))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeightMap(Indenter):
-    """A relief that faces the skin, solid above its underside without end.
-
-    underside_m: (rows, columns), at least 2 × 2, m, its z in its own frame: columns along +x, rows
-    along +y, evenly from edge to edge, bilinear in between. size_m: extent in x and y, m.
-    """
-
-    LENGTHS: ClassVar = {"size_m": 2}
-
-    underside_m: Floats
-    size_m: Sequence[float]
-
-    def __post_init__(self) -> None:
-        grid = np.array(self.underside_m, dtype=np.float64)  # a copy: nobody else writes to it
-        if grid.ndim != 2 or min(grid.shape) < 2 or not (np.abs(grid) <= MOST_M).all():
-            raise ParameterError(
-                f"underside_m of HeightMap has the shape {grid.shape}; it must have at least 2 "
-                f"rows and 2 columns of values within {MOST_M:g} m"
-            )
-        object.__setattr__(self, "underside_m", grid)
-        super().__post_init__()
-
-    def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
-        """By the part of each line that is above the lowest point, seen along the own z axis."""
-        own = self.pose.inverse
-        points_m, directions = own.apply(points_m), own.rotate(normals)
-        beside, rise = directions[:, :2], directions[:, 2]
-        slant2 = np.square(beside).sum(axis=1)
-        rises = rise > 0
-        # Lines around this one begin higher by up to around_m · √slant2.
-        above_m = points_m[:, 2] - self.underside_m.min() + around_m * np.sqrt(slant2)
-        length_m = np.maximum(above_m, 0.0) / np.where(rises, rise, 1.0)
-        nearest_m = (points_m[:, :2] * beside).sum(axis=1) / np.maximum(slant2, 1e-18)
-        nearest_m = np.clip(nearest_m, 0.0, length_m)
-        passes_m = np.linalg.norm(points_m[:, :2] - nearest_m[:, None] * beside, axis=1)
-        return np.asarray(rises & (passes_m <= math.hypot(*self.size_m) / 2 + around_m))
-
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        rises = directions[:, 2] > 0  # seen from behind there is nothing but the solid
-        below_m = points_m[:, 2] - self.underside_m.min()
-        deepest_m = np.where(rises, below_m / np.where(rises, directions[:, 2], 1.0), 0.0)
-        deepest_m = np.maximum(deepest_m, 0.0)
-
-        def inside(depth_m: Floats) -> Bools:
-            return self._contains(points_m - depth_m[:, None] * directions)
-
-        shares = np.linspace(0.0, 1.0, SEARCH_STEPS + 1)
-        found = np.array([inside(share * deepest_m) for share in shares]) & rises
-        last = SEARCH_STEPS - found[::-1].argmax(axis=0)  # the deepest that is inside
-        low_m = shares[last] * deepest_m
-        high_m = shares[np.minimum(last + 1, SEARCH_STEPS)] * deepest_m
-        for _ in range(HALVINGS):
-            middle_m = (low_m + high_m) / 2
-            within = inside(middle_m)
-            low_m, high_m = np.where(within, middle_m, low_m), np.where(within, high_m, middle_m)
-        touched = found.any(axis=0)
-        return np.where(touched, -low_m, np.inf), np.where(touched, np.inf, -np.inf)
-
-    def _contains(self, points_m: Floats) -> Bools:
-        """Which points (m, 3) are above the underside, (m,)."""
-        rows, columns = self.underside_m.shape
-        width_m, height_m = self.size_m
-        x = (points_m[:, 0] / width_m + 0.5) * (columns - 1)
-        y = (points_m[:, 1] / height_m + 0.5) * (rows - 1)
-        beside = (x < 0) | (x > columns - 1) | (y < 0) | (y > rows - 1)
-        column = np.clip(x, 0, columns - 2).astype(np.intp)
-        row = np.clip(y, 0, rows - 2).astype(np.intp)
-        right, up = x - column, y - row
-        grid = self.underside_m
-        underside_m = (1 - up) * (
-            (1 - right) * grid[row, column] + right * grid[row, column + 1]
-        ) + up * ((1 - right) * grid[row + 1, column] + right * grid[row + 1, column + 1])
-        return np.asarray(~beside & (points_m[:, 2] >= underside_m))
 
 
 class Foundation:

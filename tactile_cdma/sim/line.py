@@ -2,8 +2,6 @@
 
 """The digitized line: what the converter reads in every frame period."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import chain
 from typing import Protocol

@@ -2,8 +2,6 @@
 
 """What the sensing nodes do: measure, keep time, decide whether to send, and send a word."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import count

@@ -2,8 +2,6 @@
 
 """How a digitizer divides the line among packets, and when each is sent; docs/protocol.md."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -2,8 +2,6 @@
 
 """Presses on the simulated skin at a driver's port, sim://?scene=external."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..base.errors import PortError, SpecError

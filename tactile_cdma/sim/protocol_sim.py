@@ -2,8 +2,6 @@
 
 """sim:// for pyserial: a virtual digitizer that is opened like any other port."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..wire.virtual_port import VirtualPort

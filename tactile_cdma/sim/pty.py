@@ -2,8 +2,6 @@
 
 """Serves a simulated digitizer on a real tty, for programs that open a device path."""
 
-from __future__ import annotations
-
 import logging
 import os
 import select

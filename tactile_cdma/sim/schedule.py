@@ -2,8 +2,6 @@
 
 """The digitizer's clock, and what is due by it: a report every second, and a stream's packets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple

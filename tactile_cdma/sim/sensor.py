@@ -12,8 +12,6 @@ widthⱼ. So rising loads read as the static curve says, falling ones read more,
 load, and almost nothing remains at zero.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

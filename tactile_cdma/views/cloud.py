@@ -2,14 +2,12 @@
 
 """The skin as a cloud of points: position, normal, pressure and colour in an array of records."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
 from ..places.poses import Pose
-from .heatmap import SCALE_RGB, scale_steps
+from .heatmap import GAMMA, SCALE_RGB, scale_steps
 
 _FLOATS = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "pressure")
 POINT = np.dtype([*((name, "<f4") for name in _FLOATS), ("rgb", "<u4"), ("taxel", "<u4")])
@@ -40,17 +38,17 @@ class Cloud:
         return len(self._points)
 
     def points(
-        self, pressure_pa: Floats32, max_pa: float, pose: Pose | None = None
+        self, pressure_pa: Floats32, max_pa: float, pose: Pose | None = None, gamma: float = GAMMA
     ) -> NDArray[np.void]:
         """(m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
 
         pressure_pa: (t,) float32, Pa, NaN without a reading. max_pa: end of the colour scale, Pa.
-        pose: of the skin's frame in that of the points; None: unchanged.
+        pose: of the skin's frame in that of the points; None: unchanged. gamma: of the scale.
         """
         if pose:
             self._fill(pose.apply(self.positions_m), pose.rotate(self._normals))
         self._points["pressure"] = pressure_pa
-        self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa)]
+        self._points["rgb"] = _PACKED_RGB[scale_steps(pressure_pa, max_pa, gamma=gamma)]
         # Records without fields are copied 15 times as fast.
         plain = self._points.view(np.dtype((np.void, self._points.itemsize)))
         return plain[np.isfinite(pressure_pa)].view(self._points.dtype)

@@ -2,8 +2,6 @@
 
 """A value's history over the last seconds, for a curve a few characters or pixels wide."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -6,8 +6,6 @@ No line exceeds the given width, whatever the terminal's size. Only the picture 
 contain escape sequences, and each of their lines ends with a reset.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections import defaultdict
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
 from ..readings.status import Status, is_certain, is_in_service
-from .heatmap import NO_TAXEL_RGB, colours
+from .heatmap import GAMMA, NO_TAXEL_RGB, colours, shares
 
 _RESET = "\x1b[0m"
 _SHADES = " .:-=+*#%@"
@@ -119,10 +117,10 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
             labels |= _labels(reading, look, taxel, places)
     rgb = colours(reading.pressure_pa, look.max_pa, ~is_certain(reading.status))
     paint = [*rgb.tolist(), NO_TAXEL_RGB]
-    unread = np.isnan(reading.pressure_pa).tolist()
+    up, unread = shares(reading.pressure_pa, look.max_pa), np.isnan(reading.pressure_pa).tolist()
     shades = [
         _NO_READING if is_unread else shade
-        for shade, is_unread in zip(_shades(reading.pressure_pa / look.max_pa), unread, strict=True)
+        for shade, is_unread in zip(_shades(up), unread, strict=True)
     ]
     shades.append(" ")
 
@@ -216,16 +214,21 @@ def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
 
 
 def scale(look: Look, columns: int) -> str:
-    """The colour scale from 0 to the top, with numbers; empty if it does not fit."""
-    before, after = "0 ", f" {look.max_pa / 1e3:g} kPa"
-    width = min(32, columns - len(before) - len(after))
-    if width < 4:
+    """The colour scale with numbers at its ends and its middle, and the skin's axes.
+
+    Empty if it does not fit.
+    """
+    marks = [f"{share ** (1 / GAMMA) * look.max_pa / 1e3:.3g}" for share in (0.0, 0.5, 1.0)]
+    marks[2] += " kPa   x→ y↑" if look.unicode else " kPa"
+    half = min(16, (columns - len("".join(marks)) - 4) // 2)
+    if half < 2:
         return ""
-    share = (np.arange(width) + 0.5) / width
-    if not look.coloured:
-        return f"{before}{''.join(_shades(share))}{after}"
-    paint = colours((share * look.max_pa).astype(np.float32), look.max_pa).tolist()
-    return before + "".join(f"{_ink(*rgb)} " for rgb in paint) + _RESET + after
+    share = ((np.arange(2 * half) + 0.5) / (2 * half)).astype(np.float32)
+    paint = colours(share ** np.float32(1 / GAMMA) * look.max_pa, look.max_pa).tolist()
+    drawn = [f"{_ink(*rgb)} " for rgb in paint] if look.coloured else _shades(share)
+    reset = _RESET if look.coloured else ""
+    low, high = ("".join(part) + reset for part in (drawn[:half], drawn[half:]))
+    return f"{marks[0]} {low} {marks[1]} {high} {marks[2]}"
 
 
 def sparkline(values: NDArray[np.floating], unicode: bool) -> str:

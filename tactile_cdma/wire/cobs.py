@@ -2,8 +2,6 @@
 
 """Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): encodes bytes without zeros."""
 
-from __future__ import annotations
-
 
 def cobs_encode(data: bytes) -> bytes:
     """The data encoded without zeros.

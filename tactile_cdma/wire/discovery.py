@@ -2,8 +2,6 @@
 
 """Serial ports of this machine: their names, which one is usb://SERIAL, and who has one open."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Sequence

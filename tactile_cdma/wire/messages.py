@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
 from ..base.sums import to_volts
-from ..code.frame import FrameSpec
+from ..code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from ._protocol import (
     FIELDS,
     FLAG_CALLED,
@@ -36,6 +36,7 @@ from ._protocol import (
     PacketType,
     Polarity,
     Result,
+    Scene,
     Signs,
     SyncMode,
 )
@@ -122,7 +123,8 @@ class FrameLayout(Message):
             chip_s=self.chip_ns / 10**9,  # rounds once, as the literal 50e-6 does
             frame_period_s=self.frame_period_us / 10**6,
             sign_seed=None if self.signs == Signs.NATURAL else self.sign_seed,
-            scramble=self.signs == Signs.SCRAMBLED,
+            scramble=self.signs in (Signs.SCRAMBLED, Signs.SPARSE),
+            codes=SPARSE if self.signs == Signs.SPARSE else ORTHOGONAL,
             drive=self.drive.name.lower(),
             polarity=int(self.polarity),
             amplitude_v=amplitude_v,
@@ -446,6 +448,23 @@ class Pack(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Touch(Command):
+    """Has a demonstrator touched; other digitizers do not know it.
+
+    node: counted from 1; 0: all. code: its ADC word from the next frame on, with Scene.HOST only.
+    """
+
+    scene: Scene
+    node: int = 0
+    code: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Bootsel(Command):
+    """Has the board restart as a USB drive that takes a new image."""
+
+
+@dataclass(frozen=True, slots=True)
 class OtherVersion:
     """An Info of another protocol version; its text is for people."""
 
@@ -503,6 +522,8 @@ def _checked(wire: Field, value: Any) -> Any:
 
 
 def _signs(spec: FrameSpec) -> Signs:
+    if spec.sparse:
+        return Signs.SPARSE
     if spec.scramble:
         return Signs.SCRAMBLED
     return Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
@@ -533,6 +554,8 @@ PACKETS: dict[int, type[Packet]] = {
     PacketType.CONFIGURE: Configure,
     PacketType.ROLL_CALL: RollCall,
     PacketType.PACK: Pack,
+    PacketType.TOUCH: Touch,
+    PacketType.BOOTSEL: Bootsel,
 }
 """Packets by the first byte of their body."""
 for _type, _kind in PACKETS.items():

@@ -2,8 +2,6 @@
 
 """Failures of a port in words: the likely cause, and what to do about it."""
 
-from __future__ import annotations
-
 import errno
 from urllib.parse import urlsplit
 

@@ -2,8 +2,6 @@
 
 """Reads a stream of packets from a file descriptor."""
 
-from __future__ import annotations
-
 import os
 import select
 

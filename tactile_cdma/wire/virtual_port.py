@@ -2,8 +2,6 @@
 
 """A pyserial port without hardware: the base of sim:// and replay://."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

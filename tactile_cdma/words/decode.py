@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Floats32
+from ..base.stage import stage
 from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
@@ -54,7 +55,7 @@ HIT_LEVEL of an amplitude: a slow discharge turns some nodes' levels and shows i
 disturbed lines (make torture)."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Words:
     """The words of n nodes in one frame.
 
@@ -156,7 +157,7 @@ def decode(
     measures = measure(levels.values)
     expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
     active, faint, any_faint = find_active(measures, expected, threshold, noise, bits, spec.order)
-    astray = hidden = np.zeros_like(active)
+    astray, hidden = np.zeros((2, len(active)), np.bool_)
     noise_may_be_node = False
     if any_faint:
         loud = active & ~faint
@@ -175,6 +176,7 @@ def decode(
         doubtful |= _disturbed(np.abs(levels.values), amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
+    astray[list(levels.late)] = True
     doubtful |= astray | hidden
     if noise_may_be_node:
         doubtful |= ~active

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The ROS programs of examples/ and docs/clients.md, run beside a real driver."""
-
-from __future__ import annotations
+"""The ROS programs of examples/ and docs/programs.md, run beside a real driver."""
 
 import importlib.util
 import math

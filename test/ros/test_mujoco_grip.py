@@ -2,8 +2,6 @@
 
 """examples/mujoco_grip.py: grips by touch, drops without its cue, stops when it goes blind."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -11,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
+pytest.importorskip("mujoco", reason="MuJoCo (pip install mujoco) is not installed")
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("mujoco")]
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "mujoco_grip.py"

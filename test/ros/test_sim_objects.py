@@ -2,8 +2,6 @@
 
 """~/sim/objects: a ROS program presses on a simulated skin, at its own pace or frame by frame."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -18,7 +16,7 @@ from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.msg import SimObject, SimObjects, TactileContacts
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.ros.driver.objects import indenter, sim_objects
-from tactile_cdma.sim import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, Sphere
 from test.support.skin_client import Client, running, wait_sending
 from test.support.waiting import wait_for
 
@@ -40,9 +38,6 @@ def publisher(client: Client) -> rclpy.publisher.Publisher:
         BALL,
         Cylinder(radius_m=0.01, length_m=0.03, position_m=(0, 0, 0), orientation_xyzw=(1, 0, 0, 1)),
         Box(size_m=(0.01, 0.02, 0.03), position_m=(1, 2, 3)),
-        HeightMap(
-            underside_m=np.arange(6.0).reshape(2, 3), size_m=(0.1, 0.2), position_m=(0, 0, 0)
-        ),
     ],
 )
 def test_an_object_is_the_same_on_both_sides_of_a_topic(thing: Indenter) -> None:
@@ -52,7 +47,7 @@ def test_an_object_is_the_same_on_both_sides_of_a_topic(thing: Indenter) -> None
     assert np.allclose(back.pose.rotation, thing.pose.rotation)
     assert np.array_equal(back.pose.translation_m, thing.pose.translation_m)
     assert back.stiffness_pa_per_m == thing.stiffness_pa_per_m
-    for name in ("radius_m", "length_m", "size_m", "underside_m"):
+    for name in ("radius_m", "length_m", "size_m"):
         if hasattr(thing, name):
             assert np.array_equal(getattr(back, name), getattr(thing, name))
 
@@ -64,10 +59,6 @@ def test_a_message_has_a_usual_stiffness_and_is_refused_with_the_reason() -> Non
         (SimObject(shape=9), "shape is 9"),
         (SimObject(shape=SimObject.BOX, size=[0.1]), r"a box has the size \(x, y, z\), not 1"),
         (SimObject(shape=SimObject.SPHERE, size=[-1.0]), "radius_m of Sphere is -1"),
-        (
-            SimObject(shape=SimObject.HEIGHT_MAP, size=[1.0, 1.0], rows=2, underside=[0.0] * 5),
-            "whole rows",
-        ),
     ):
         with pytest.raises(ParameterError, match=reason):
             indenter(wrong)

@@ -36,7 +36,7 @@ RATE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Choices of an export; see docs/learning.md.
+    """Choices of an export; see docs/recording.md.
 
     episodes: of a file. fps: ticks per s; None with a clock: the topic whose stamps are the ticks.
     mode, policy: see touch. from_first_complete: leave out what is before every taxel in service

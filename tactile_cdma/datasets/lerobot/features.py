@@ -2,8 +2,6 @@
 
 """Which columns a dataset has, and what a row puts into them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -2,8 +2,6 @@
 
 """Statistics of features over a whole dataset, kept while it is written, for normalising."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """Messages of a bag as samples' values. Fields are read as rosbags gives them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -2,8 +2,6 @@
 
 """Bags (rosbag2, MCAP or sqlite3) as a source, read without ROS and piece by piece."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager

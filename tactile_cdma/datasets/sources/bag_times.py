@@ -2,8 +2,6 @@
 
 """Which times of recording in a bag are believed: one that is damaged may be centuries off."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from ..samples import NANO

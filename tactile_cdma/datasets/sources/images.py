@@ -2,8 +2,6 @@
 
 """Camera messages as the bytes of image files: PNG of plain images, compressed ones as they are."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 """Opens a recording, raw bytes or a bag as a source, whichever a path names."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

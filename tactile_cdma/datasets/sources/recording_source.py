@@ -2,8 +2,6 @@
 
 """Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path

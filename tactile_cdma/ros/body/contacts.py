@@ -2,8 +2,6 @@
 
 """Combines the contacts of many patches in one message, in the body's frame."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

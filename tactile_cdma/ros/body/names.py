@@ -2,8 +2,6 @@
 
 """The names of a body's patches, as texts above them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@
 It subscribes only to what its own subscribers need.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from functools import partial
@@ -184,7 +182,8 @@ class BodyNode(Node):
         for feed in present:
             feed.is_new = False
             pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
-            cloud = feed.points(self._values["colour_max_kpa"] * 1e3, pose) if pose else None
+            max_pa, gamma = self._values["colour_max_kpa"] * 1e3, self._values["colour_gamma"]
+            cloud = feed.points(max_pa, pose, gamma) if pose else None
             if feed.array and cloud is not None:
                 stamps_ns.append(nanoseconds(feed.array.header.stamp))
                 clouds.append(cloud)

@@ -2,8 +2,6 @@
 
 """The parameters of the body node."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ _TABLE = (
     Parameter("stale_after_s", 1.0, "a patch silent for longer is absent", "s", (0.05, 86_400.0)),
     BY_NAME["visual_rate_hz"],
     BY_NAME["colour_max_kpa"],
+    BY_NAME["colour_gamma"],
 )
 _PATCHES = "patches"
 

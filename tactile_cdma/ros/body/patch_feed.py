@@ -2,8 +2,6 @@
 
 """Receives what one patch of a body publishes, while it is needed."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable
@@ -143,10 +141,10 @@ class PatchFeed:
         taxels_m = self._cloud[1].positions_m
         return taxels_m if len(taxels_m) and np.isfinite(taxels_m).all() else None
 
-    def points(self, max_pa: float, pose: Pose) -> NDArray[np.void] | None:
+    def points(self, max_pa: float, pose: Pose, gamma: float) -> NDArray[np.void] | None:
         """(m,) BODY_POINT of the latest array; None while the info that goes with it is missing.
 
-        max_pa, pose: see Cloud.points.
+        max_pa, pose, gamma: see Cloud.points.
         """
         if self.array is None or self._cloud is None:
             return None
@@ -157,7 +155,8 @@ class PatchFeed:
             return None
         pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
         certain = is_certain(np.frombuffer(self.array.status, dtype=np.uint8))
-        return cloud.points(np.where(certain, pressure_pa, np.float32(np.nan)), max_pa, pose)
+        certain_pa = np.where(certain, pressure_pa, np.float32(np.nan))
+        return cloud.points(certain_pa, max_pa, pose, gamma)
 
     def _hear(self, stamp_ns: int, info: MessageInfo) -> None:
         self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic

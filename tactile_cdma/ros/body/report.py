@@ -2,8 +2,6 @@
 
 """The body node's entry in /diagnostics: the state of its patches."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

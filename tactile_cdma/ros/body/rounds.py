@@ -2,8 +2,6 @@
 
 """Combines messages of many senders, each at its own rate, into rounds that are published once."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

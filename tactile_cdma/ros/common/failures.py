@@ -2,8 +2,6 @@
 
 """What callbacks of this process have raised: counted and logged, so that it ends no node."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -2,8 +2,6 @@
 
 """Subscriptions that exist only while somebody asks for what they bring."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rclpy.node import Node

@@ -2,8 +2,6 @@
 
 """A lifecycle node that mends what rclpy's leaves open."""
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable
 from functools import wraps

@@ -2,8 +2,6 @@
 
 """Hands the log of the core, which knows no ROS, to ROS's."""
 
-from __future__ import annotations
-
 import logging
 
 from rclpy.logging import LoggingSeverity, get_logger

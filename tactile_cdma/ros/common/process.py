@@ -2,8 +2,6 @@
 
 """Runs a node as a process until a signal comes, and then ends everything in order."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

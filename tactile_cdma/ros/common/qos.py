@@ -7,8 +7,6 @@ wrong one ends the node with an error of the middleware; here they are checked a
 other parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import copy
 

@@ -7,8 +7,6 @@ transform, whatever its stamp: a patch on a moving arm is off by the arm's speed
 the transform (10 ms at 1 m/s: 10 mm).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...base.errors import TransformError

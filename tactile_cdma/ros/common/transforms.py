@@ -2,8 +2,6 @@
 
 """Listens to /tf and /tf_static without tf2, whose Python interface is not on PyPI."""
 
-from __future__ import annotations
-
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage

@@ -2,8 +2,6 @@
 
 """Converts the contacts of a frame to their message."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...driver.pipeline import TactileFrame

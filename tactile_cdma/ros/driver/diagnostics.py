@@ -2,8 +2,6 @@
 
 """A driver's entries in /diagnostics; docs/diagnostics.md explains every value."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -11,6 +11,7 @@ from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
 from ...base.arrays import Bools, Floats, Floats32
@@ -19,7 +20,7 @@ from ...places.layout import Layout
 from ...places.mesh import CORNERS, MOST_SQUARES, taxel_squares
 from ...readings.contact import Contacts
 from ...readings.taxels import Coverage
-from ...views.heatmap import SCALE_RGB, scale_steps
+from ...views.heatmap import GAMMA, SCALE_RGB, scale_steps
 
 SURFACE, ARROWS, TEXTS, RESULTANT, SUM, BLIND = (
     *("skin", "contacts", "forces", "resultant", "sum", "blind"),
@@ -75,17 +76,19 @@ class SkinMarkers:
         heading: Heading,
         lifetime_s: float,
         unsure: Bools | bool = False,
+        gamma: float = GAMMA,
     ) -> bytes:
         """The message MarkerArray of a frame; markers of contacts that ended are deleted.
 
         A text says how many taxels in service have no certain reading, or a doubtful zero, if any:
         nothing drawn means that nothing touches only without it.
 
-        pressure_pa: (t,), Pa; colours are on the scale 0…max_pa. unsure: see scale_steps.
+        pressure_pa: (t,), Pa; colours are on the scale 0…max_pa. unsure, gamma: see scale_steps.
         lifetime_s: time after which markers vanish that no message renews, as when the skin is no
         longer read.
         """
-        markers = [self._surface(pressure_pa, max_pa, unsure)] if len(self._placed) else []
+        steps = scale_steps(pressure_pa, max_pa, unsure, gamma)
+        markers = [self._surface(pressure_pa, steps)] if len(self._placed) else []
         if len(contacts):
             markers += self._forces(contacts, max_pa)
         if not contacts.coverage.is_certain:
@@ -97,15 +100,14 @@ class SkinMarkers:
         self._drawn = drawn
         return _message(markers, heading, lifetime_s)
 
-    def _surface(self, pressure_pa: Floats32, max_pa: float, unsure: Bools | bool) -> _Marker:
+    def _surface(self, pressure_pa: Floats32, steps: NDArray[np.int16]) -> _Marker:
         placed_pa, corners_m = pressure_pa[self._placed], self._corners_m
-        steps = scale_steps(pressure_pa, max_pa, unsure)[self._placed]
         if (unread := np.isnan(placed_pa)).any():
             corners_m = np.where(unread[:, None, None], self._unread_m, corners_m)
         return _Marker(
             *(SURFACE, 0, Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),
             points_m=corners_m.reshape(-1, 3),
-            rgba=_SCALE_RGBA[steps.repeat(len(CORNERS))],
+            rgba=_SCALE_RGBA[steps[self._placed].repeat(len(CORNERS))],
         )
 
     def _forces(self, contacts: Contacts, max_pa: float) -> list[_Marker]:

@@ -2,8 +2,6 @@
 
 """Publishes to tf where the skin is mounted, or, if the parameters do not say it, its middle."""
 
-from __future__ import annotations
-
 import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from rclpy.node import Node

@@ -2,13 +2,9 @@
 
 """~/sim/objects: what other programs press on a simulated skin."""
 
-from __future__ import annotations
-
-from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from rclpy.lifecycle import LifecycleNode
 from rclpy.subscription import Subscription
 
@@ -17,7 +13,7 @@ from tactile_cdma.msg import SimObject, SimObjects
 from ...base.errors import ParameterError, TactileError
 from ...config.parameters import Values
 from ...driver.driver import Driver
-from ...sim.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, HeightMap, Indenter, Sphere
+from ...sim.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, Indenter, Sphere
 from ...sim.pressing import is_pressable, press
 from ...wire.port import Port
 from ..common.qos import RELIABLE
@@ -27,7 +23,6 @@ _SIZES = {
     SimObject.SPHERE: ("a sphere", ("radius",)),
     SimObject.CYLINDER: ("a cylinder", ("radius", "length")),
     SimObject.BOX: ("a box", ("x", "y", "z")),
-    SimObject.HEIGHT_MAP: ("a height map", ("x", "y")),
 }
 
 
@@ -92,15 +87,7 @@ def indenter(message: SimObject) -> Indenter:
         return Sphere(radius_m=size[0], **common)
     if message.shape == SimObject.CYLINDER:
         return Cylinder(radius_m=size[0], length_m=size[1], **common)
-    if message.shape == SimObject.BOX:
-        return Box(size_m=size, **common)
-    values = np.array(message.underside, dtype=np.float64)
-    if not 0 < message.rows <= values.size or values.size % message.rows:
-        raise ParameterError(
-            f"{kind} has {values.size} values of its underside in {message.rows} rows; they must "
-            "make whole rows"
-        )
-    return HeightMap(underside_m=values.reshape(message.rows, -1), size_m=size, **common)
+    return Box(size_m=size, **common)
 
 
 def sim_objects(objects: Sequence[Indenter]) -> SimObjects:
@@ -121,11 +108,6 @@ def _message(thing: Indenter) -> SimObject:
             message.size = [thing.radius_m, thing.length_m]
         case Box():
             message.shape, message.size = SimObject.BOX, [float(edge) for edge in thing.size_m]
-        case HeightMap():
-            message.shape = SimObject.HEIGHT_MAP
-            message.size = [float(edge) for edge in thing.size_m]
-            message.rows = len(thing.underside_m)
-            message.underside = array("d", thing.underside_m.ravel())
         case _:
             raise ParameterError(f"SimObject has no shape for a {type(thing).__name__}")
     return message

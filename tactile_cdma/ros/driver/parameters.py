@@ -2,8 +2,6 @@
 
 """Declares the table of parameters at a ROS node, describes them, and refuses wrong values."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any

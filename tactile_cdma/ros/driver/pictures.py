@@ -2,8 +2,6 @@
 
 """Publishes what people look at: heatmap, pressure image, points and markers of one skin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -127,23 +125,27 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
         """Top of the colour scale."""
         return float(live["colour_max_kpa"]) * 1e3
 
+    def gamma() -> float:
+        return float(live["colour_gamma"])
+
     def markers(frame: TactileFrame, heading: Heading) -> bytes:
         contacts = tracker.update(frame.readings, frame.t_middle)
         pressure_pa, unsure = seen(frame)
         fade_s = FADE_PERIODS * max(_period_s(live), config.spec.frame_period_s)
         lifetime_s = max(LEAST_FADE_S, fade_s)
-        return skin.markers(pressure_pa, most_pa(), contacts, heading, lifetime_s, unsure)
+        return skin.markers(pressure_pa, most_pa(), contacts, heading, lifetime_s, unsure, gamma())
 
     def colours(frame: TactileFrame, heading: Heading) -> bytes:
         pressure_pa, unsure = seen(frame)
         pixels = int(live["heatmap_pixels"])
-        return image(heatmap(pressure_pa, layout, most_pa(), pixels, unsure), "rgb8", heading)
+        drawn = heatmap(pressure_pa, layout, most_pa(), pixels, unsure, gamma())
+        return image(drawn, "rgb8", heading)
 
     def pressures(frame: TactileFrame, heading: Heading) -> bytes:
         return image(pressure_raster(_certain_pa(*seen(frame)), layout), "32FC1", heading)
 
     def points(frame: TactileFrame, heading: Heading) -> bytes:
-        found = cloud.points(_certain_pa(*seen(frame)), most_pa())
+        found = cloud.points(_certain_pa(*seen(frame)), most_pa(), gamma=gamma())
         return point_cloud(POINT, [found], heading)
 
     return {

@@ -2,8 +2,6 @@
 
 """The services ~/tare and ~/save_calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rclpy.lifecycle import LifecycleNode

@@ -2,8 +2,6 @@
 
 """Headers of messages: moments of the host's monotonic clock as ROS time."""
 
-from __future__ import annotations
-
 import time
 
 from rclpy.clock import JumpThreshold, TimeJump

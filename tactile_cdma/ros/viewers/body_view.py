@@ -2,8 +2,6 @@
 
 """Prints what touches a body: a line per second, and a summary of `key=value` pairs."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -2,8 +2,6 @@
 
 """Keeps a node's entries of /diagnostics, for programs that show them."""
 
-from __future__ import annotations
-
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from ...base.plain_text import plain

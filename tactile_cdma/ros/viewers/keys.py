@@ -2,8 +2,6 @@
 
 """Reads keys from a terminal without waiting for them or for Enter."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys

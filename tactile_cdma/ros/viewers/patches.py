@@ -2,8 +2,6 @@
 
 """What viewers know about a patch: the names of its topics, and its layout from ~/info."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_cdma.msg import TactileSkinInfo

@@ -28,7 +28,7 @@ from ...places.layout import Layout
 from ...places.mesh import taxel_squares
 from ...places.poses import Pose
 from ...readings.status import is_certain
-from ...views.heatmap import colours, heatmap
+from ...views.heatmap import GAMMA, colours, heatmap
 from ..common.convert import nanoseconds, readings_of, rows
 from .complaints import LEVELS, Complaints
 from .patches import OLD_S, layout_of
@@ -41,8 +41,10 @@ SHOWN_S = 20.0
 HALF_LENGTH_N = 5.0
 """An arrow for this force is half as long as the longest, which is half as long as the skin.
 Chosen: a firm press."""
-PIXELS = 16
+PIXELS = 32
 """Pixels per pitch in the picture, at most; chosen."""
+MARGIN = PIXELS
+"""Pixels beneath the picture for its scale; chosen."""
 EYE = (0.55, -1.05, 0.85)
 """Position of the eye relative to the middle of the skins, in units of their extent; chosen."""
 BACKGROUND_RGB = (44, 50, 58)
@@ -103,6 +105,7 @@ class PatchScene:
         self._recording.log(f"{self.path}/surface", surface, static=True)
         no_pressure_pa = np.zeros(len(layout), dtype=np.float32)
         self.picture_px = heatmap(no_pressure_pa, layout, self._max_pa, PIXELS).shape[:2]
+        self._explain_picture()
         for entity, width in (("force", 2.5), ("peak", 1.5)):
             self._style(entity, self.path, width)
 
@@ -185,6 +188,23 @@ class PatchScene:
         if self._contacts is not None:
             self._recording.log(f"{self.path}/contacts", self._arrows(*self._contacts))
         self._pressure_pa = self._contacts = None
+
+    def _explain_picture(self) -> None:
+        """Log the picture's scale, beneath it, and the skin's axes, at its lower left corner."""
+        height, width = self.picture_px
+        share = np.linspace(0.0, 1.0, 5)
+        pressure_pa = (share ** (1 / GAMMA) * self._max_pa).astype(np.float32)
+        places = np.column_stack([width * (0.1 + 0.8 * share), np.full(5, height + MARGIN / 2)])
+        numbers = [f"{pressure / 1e3:.3g} kPa" for pressure in pressure_pa.tolist()]
+        paint = colours(pressure_pa, self._max_pa)
+        scale = rr.Points2D(places, colors=paint, radii=MARGIN / 6, labels=numbers)
+        self._recording.log(f"{self.path}/heatmap/scale", scale, static=True)
+        axes = rr.Arrows2D(
+            origins=[[0.0, height], [0.0, height]],
+            vectors=[[MARGIN, 0.0], [0.0, -MARGIN]],
+            labels=["x", "y"],
+        )
+        self._recording.log(f"{self.path}/heatmap/axes", axes, static=True)
 
     def _end(self, silent_s: float) -> None:
         """Let all taxels be without a reading, contacts be gone and curves break."""
@@ -295,5 +315,5 @@ def _picture(scene: PatchScene) -> rrb.Spatial2DView:
         origin=f"/{scene.path}/heatmap",
         name=scene.path,
         background=BACKGROUND_RGB,
-        visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height]),
+        visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height + MARGIN]),
     )

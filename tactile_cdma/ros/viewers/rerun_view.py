@@ -5,8 +5,6 @@
 Rerun (rerun.io) is not among what the driver needs: `make view` installs it.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

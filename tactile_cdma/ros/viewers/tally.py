@@ -2,8 +2,6 @@
 
 """Statistics of messages as they arrive: rate, losses, age."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -6,8 +6,6 @@ On a terminal it draws the skin live; otherwise, or with --seconds, it prints a 
 and ends with a summary of `key=value` pairs.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -5,8 +5,6 @@
 All by the compiled kernel and by numpy.
 """
 
-from __future__ import annotations
-
 import threading
 import tracemalloc
 from collections.abc import Iterator
@@ -14,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
@@ -22,6 +20,7 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code import transform
 from tactile_cdma.code.codes import code_book
 from tactile_cdma.code.transform import correlate, numpy_transform, spread
+from test.support.examples import examples
 
 BLOCKS = [1, 2, 4, 12, 20, 64, 128, 148, 244, 388]  # one dense block
 PRODUCTS = [144, 256, 400, 1024, 1040, 4096, 4144, 4160, 16_384, 65_520, 65_536]  # several
@@ -84,7 +83,7 @@ def test_spreading_adds_up_rows(order: int) -> None:
     assert np.abs(spread(symbols, code_book(order)) - chips).max() < 1e-3
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.sampled_from([20, 312, 1024, 1040, 4160, 65_536]), st.integers(0, 2**32 - 1), st.data())
 def test_error_stays_within_the_bound_for_harsh_frames(
     order: int, seed: int, data: st.DataObject

@@ -2,8 +2,6 @@
 
 """Options of `export` and `info` that an output or an input does not have: refused, not ignored."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -80,25 +78,21 @@ def test_a_table_has_the_skin_s_own_frames(
 
 
 @pytest.mark.parametrize("option", OF_SKIN, ids=lambda option: option[0])
-@pytest.mark.parametrize("kind", ["bag", "table"])
 def test_what_was_decoded_before_is_not_decoded_anew(
     files: dict[str, Path],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    kind: str,
     option: list[str],
 ) -> None:
     if option[0] == "--params":
         file = tmp_path / option[1]
         file.write_text("skin:\n  ros__parameters:\n    vref_v: 1.0\n    parity: true\n")
         option = ["--params", str(file)]
-    commands = [["info", str(files[kind])]]
-    if kind == "bag":
-        commands.append(["export", str(files[kind]), "-o", str(tmp_path / "out.npz")])
-    for words in commands:
+    bag, out = str(files["bag"]), tmp_path / "out.npz"
+    for words in (["info", bag], ["export", bag, "-o", str(out)]):
         said = refused([*words, *option], capsys)
-        assert f"{files[kind]}: --params and the skin's options (" in said
+        assert f"{bag}: --params and the skin's options (" in said
         assert "are for recordings" in said
         named = {"--nodes": "nodes", "--vref": "vref_v", "--no-parity": "parity"}
         assert f"({named.get(option[0], 'parity, vref_v')})" in said
-    assert not (tmp_path / "out.npz").exists()
+    assert not out.exists()

@@ -2,8 +2,6 @@
 
 """Streams on one clock: a row holds what was known at its tick, whatever order messages came in."""
 
-from __future__ import annotations
-
 import weakref
 from bisect import bisect_right
 from collections import deque
@@ -16,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from tactile_cdma.base.errors import CaptureError, ParameterError
 from tactile_cdma.datasets.alignment import STALE_S, WAIT_S, Aligner, Row
@@ -26,7 +23,6 @@ from tactile_cdma.datasets.touch import (
     DROP,
     HOLD,
     LAST,
-    MEAN,
     MODES,
     WINDOW,
     ZERO,
@@ -166,12 +162,6 @@ def touch_of(row: Row) -> Touch:
     return touch
 
 
-def mean_felt(begin_ms: float, end_ms: float, samples: Sequence[Sample]) -> float:
-    """Of what was measured after a time, up to another one."""
-    stamps_ms = np.array([sample.stamp_ns / MS for sample in samples if sample.stream == "skin"])
-    return float(felt(stamps_ms[(stamps_ms > begin_ms) & (stamps_ms <= end_ms)]).mean())
-
-
 @pytest.mark.parametrize("fps", [1, 2, 30])
 @pytest.mark.parametrize("mode", MODES)
 def test_all_frames_of_an_interval_are_valid_however_long_it_is(mode: str, fps: int) -> None:
@@ -181,11 +171,8 @@ def test_all_frames_of_an_interval_are_valid_however_long_it_is(mode: str, fps: 
     rows = rows_of(aligner, samples)[1:]  # the first one's window begins before the first frame
     assert len(rows) >= 4
     for row in rows:
-        touch, tick_ms = touch_of(row), row.tick.time_ns / MS
+        touch = touch_of(row)
         assert touch.complete and touch.valid.all() and not row.stopped
-        if mode == MEAN:
-            expected = mean_felt(tick_ms - 1000 / fps, tick_ms, samples)
-            assert touch.pressure_pa[0] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -219,39 +206,18 @@ def test_a_window_begins_anew_after_a_stop(pause_ms: int) -> None:
     assert second.valid.all() and (second.age_s <= 0.1).all()
 
 
-@pytest.mark.parametrize("clock", [None, "camera"])
-def test_the_first_mean_of_an_episode_is_of_its_own_interval(clock: str | None) -> None:
-    skin = skin_samples(0, 9000)
-    camera = [state(t, t + 40, 0.0, "camera") for t in range(7, 9000, 33)]
-    episodes = [Episode(e * MS, (e + 1000) * MS, "") for e in (4000, 7000)]
-    streams = {"skin": SKIN, "camera": stream("camera")}
-    aligner = Aligner(streams, skin_taken(MEAN), episodes, 30, clock)
-    rows = rows_of(aligner, in_order(skin, camera))
-    for number in (0, 1):
-        first, second, *_ = (row for row in rows if row.tick.episode == number)
-        first_ms, second_ms = first.tick.time_ns / MS, second.tick.time_ns / MS
-        assert 0 < second_ms - first_ms < 34 and first_ms - episodes[number].begin_ns / MS < 34
-        for row, begin_ms, end_ms in (
-            (first, first_ms - 1000 / 30, first_ms),
-            (second, first_ms, second_ms),
-        ):
-            expected = mean_felt(begin_ms, end_ms, skin)
-            assert touch_of(row).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
-            assert touch_of(row).age_s[0] < 0.03
-
-
 def test_an_episode_includes_what_is_measured_at_its_beginning() -> None:
     skin = skin_samples(0, 1000)
-    aligner = Aligner({"skin": SKIN}, skin_taken(MEAN), [Episode(128 * MS, FOREVER_NS, "")], 10)
-    first, *_ = rows_of(aligner, skin)
+    episodes = [Episode(128 * MS, FOREVER_NS, "")]
+    first, *_ = rows_of(Aligner({"skin": SKIN}, skin_taken(WINDOW, 8), episodes, 10), skin)
     assert first.tick.time_ns == 228 * MS
-    expected = mean_felt(127, 228, skin)
-    assert touch_of(first).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
+    ages_ms = [228 - sample.stamp_ns / MS for sample in skin if sample.stamp_ns >= 128 * MS]
+    assert touch_of(first).age_s == pytest.approx(np.array(ages_ms[:8]) / 1e3)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_after_a_pause_of_the_clock_a_row_is_of_the_present(mode: str) -> None:
-    """One image lost: the mean is of the longer interval. Three seconds without: of their end."""
+    """After a lost image, and after three seconds without any."""
     skin = skin_samples(0, 7000)
     stamps = [t for t in range(0, 7000, 100) if t != 1500 and not 3000 < t < 6000]
     camera = [state(t, t + 2, 0.0, "camera") for t in stamps]
@@ -262,10 +228,6 @@ def test_after_a_pause_of_the_clock_a_row_is_of_the_present(mode: str) -> None:
     for tick_ms in (1600, 6000):
         touch = touch_of(rows[tick_ms])
         assert touch.complete and (touch.age_s >= 0).all() and (touch.age_s < STALE_S).all()
-    if mode == MEAN:
-        for tick_ms, begin_ms in ((1600, 1400), (6000, 5500), (6100, 6000)):
-            expected = mean_felt(begin_ms, tick_ms, skin)
-            assert touch_of(rows[tick_ms]).pressure_pa[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_clock_that_comes_too_late_makes_no_row_of_what_is_newer() -> None:
@@ -378,7 +340,6 @@ def test_a_frame_that_may_be_of_another_time_has_no_valid_reading(mode: str) -> 
         found = touch_at(taken, ms + 1)
         assert found.valid.all() == (ms == 0)
         assert found.pressure_pa.ravel().tolist() == [3.0]
-        taken.forget((ms + 1) * MS)
 
 
 def test_masked_taxels_do_not_count() -> None:
@@ -387,21 +348,6 @@ def test_masked_taxels_do_not_count() -> None:
     assert touch_at(taken, 1).complete
     taken.take(2, skin_frame(1, np.nan, np.nan, masked=[1]))
     assert not touch_at(taken, 3).complete
-
-
-@given(st.lists(st.lists(st.floats(0, 1e5) | st.just(np.nan), min_size=2, max_size=2), min_size=1))
-def test_a_mean_is_that_of_the_valid_samples(values: list[list[float]]) -> None:
-    taken = TouchStream(taxels=2, slots=1, mode=MEAN, policy=ZERO)
-    for i, pressures in enumerate(values):
-        taken.take(i, skin_frame(*pressures))
-    found = touch_at(taken, 1)
-    table: NDArray[np.float32] = np.array(values, dtype=np.float32)
-    for taxel in range(2):
-        known = table[:, taxel][np.isfinite(table[:, taxel])].astype(float)
-        assert found.valid[taxel] == (len(known) > 0)
-        assert found.pressure_pa[taxel] == pytest.approx(
-            known.mean() if len(known) else 0, rel=1e-5
-        )
 
 
 class _Marked:

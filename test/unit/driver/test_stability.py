@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.encode import frame_levels, line_chips
@@ -26,6 +26,7 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.wire.messages import FrameLayout, Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import decode
+from test.support.examples import examples
 
 SPEC = FrameSpec()
 A = 0.3
@@ -171,7 +172,7 @@ def counts_of(kind: str, size: int, rng: np.random.Generator) -> np.ndarray:
     return rng.integers(-32768, 32768, size)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     st.sampled_from(["noise", "extremes", "stuck", "spikes"]),
     st.sampled_from([1, 4]),

@@ -2,21 +2,20 @@
 
 """The kernel fits words to candidates as numpy does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.fit import compiled_fit_words, numpy_fit_words
 from test.support.correlations import lines
+from test.support.examples import examples
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(lines())
 def test_words_of_candidates_are_those_of_numpy(line: tuple[FrameSpec, np.ndarray]) -> None:
     spec, rows = line

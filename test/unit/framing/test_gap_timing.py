@@ -2,8 +2,6 @@
 
 """Gap timing on a synthetic line: right words, right times, nothing invented."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -21,6 +19,7 @@ from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.raster import Expected
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import decode
+from test.support.examples import examples
 from test.support.synthetic_line import (
     DEFAULT,
     PAPER,
@@ -177,7 +176,7 @@ def test_offset_and_clipping_are_reported() -> None:
         assert frame.clipped == pytest.approx(np.mean((inside < -1.5) | (inside > 2.3)), abs=0.01)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.data())
 def test_chunking_is_invisible(data: st.DataObject) -> None:
     wire = Wire(PAPER, 5.1, seed=5)

@@ -7,7 +7,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
@@ -30,6 +30,7 @@ from tactile_cdma.sim.packets import stream
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.words.decode import decode
 from tactile_cdma.words.health import NodeHealth, NodeState
+from test.support.examples import examples
 
 SPEC = FrameSpec()
 
@@ -83,7 +84,7 @@ def test_a_word_fainter_than_the_noise_of_the_gap_is_not_called_silent(
     assert [frame.levels is not None for frame in last] == [True] * told
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     st.sampled_from(["idle", "press", "moving", "all"]),
     st.sampled_from([1, 4]),

@@ -2,19 +2,18 @@
 
 """Marks, bits and samples some whole chips beside their places, where few nodes speak."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.doubt.words import compare, decode
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.fit import read_words
 from tactile_cdma.framing.shifted import is_shifted, may_be_shifted
+from test.support.examples import examples
 from test.support.independent_line import Digitizer, Line, Skin, Talk, render, row_sign
 
 RAW, MEANS = Digitizer(), Digitizer(integrated=True, samples_per_chip=8)
@@ -86,7 +85,7 @@ ORDERS = (4, 8, 12, 16, 32)
 SPEC = {n: FrameSpec(nodes=n - 1, order=n, first_row=1, chip_s=2e-5) for n in ORDERS}
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(
     st.sampled_from(ORDERS),
     st.sets(st.integers(0, 30), min_size=1, max_size=3),

@@ -2,13 +2,11 @@
 
 """The digitizer leaves out only frames that the decoder would have found silent."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
@@ -23,6 +21,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Quiet, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.words.decode import decode as read_words
+from test.support.examples import examples
 
 CONFIGS = {
     "raw": {},
@@ -143,7 +142,7 @@ def test_where_nothing_is_certain_nothing_is_left_out(spec: FrameSpec) -> None:
     assert quiet_uv(spec) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     st.sampled_from(["bipolar", "unipolar"]),
     st.sampled_from([1, 4]),

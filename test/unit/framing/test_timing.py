@@ -2,8 +2,6 @@
 
 """Line timing on a synthetic line: right words and times, or the frame is rejected."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -11,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
@@ -20,6 +18,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
+from test.support.examples import examples
 from test.support.synthetic_line import DEFAULT, PAPER, SPECS, Wire, garbage, same, words_of
 
 
@@ -138,7 +137,7 @@ def test_integrated_chips(spec: FrameSpec) -> None:
     ]
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.lists(st.integers(0, 7000), max_size=20), st.sampled_from([0.0, 0.07]))
 def test_chunking_is_invisible_with_marks(cuts: list[int], stretch: float) -> None:
     wire = marked(PAPER, 4.0, stretch, seed=22)

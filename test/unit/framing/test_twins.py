@@ -8,7 +8,7 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
@@ -21,6 +21,7 @@ from tactile_cdma.framing.gap import GapSearch
 from tactile_cdma.framing.gap_timing import GapTiming
 from tactile_cdma.framing.judge import Votes, Weighed
 from tactile_cdma.framing.raster import Expected
+from test.support.examples import examples
 from test.support.synthetic_line import DEFAULT, SPECS, Wire, check, run, words_of
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
@@ -49,7 +50,7 @@ def line_of(line: dict) -> tuple[Wire, np.ndarray]:
     return wire, volts.astype(np.float64)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(LINES, st.floats(-0.4, 0.4), st.floats(-2e-3, 2e-3), st.booleans())
 def test_refined_timing(line: dict, off: float, longer: float, bounded: bool) -> None:
     wire, volts = line_of(line)
@@ -70,7 +71,7 @@ def same(found: Weighed, expected: Weighed) -> None:
     assert found.cost == pytest.approx(expected.cost, rel=1e-3, abs=1e-2)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(
     LINES,
     st.integers(-5, 0),
@@ -89,7 +90,7 @@ def test_candidates_whole_chips_apart(
     same(judge.weigh(*given), judge.numpy_weigh(*given))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(LINES, st.integers(1, 5), st.sampled_from([5.0, 40.0, 1e9]))
 def test_candidates_that_are_ruled_out_early_are_ruled_out(
     line: dict, reach: int, margin: float
@@ -108,7 +109,7 @@ def test_candidates_that_are_ruled_out_early_are_ruled_out(
     assert found.words.rows[~left] == pytest.approx(expected.words.rows[~left], rel=1e-4, abs=2e-6)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(LINES, st.lists(st.tuples(st.floats(-2, 2), st.floats(-0.02, 0.1)), min_size=1, max_size=4))
 def test_candidates_of_other_chips(line: dict, others: list[tuple[float, float]]) -> None:
     wire, volts = line_of(line)
@@ -131,7 +132,7 @@ def test_views_of_more_than_a_million_chips() -> None:
     same(judge.weigh(*given), judge.numpy_weigh(*given))
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(
     LINES, st.floats(0, 1), st.floats(0, 1), st.sampled_from([1e-12, 1e-5, 1e-2]), st.floats(-1, 1)
 )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
@@ -15,6 +15,7 @@ from tactile_cdma.places.layout import MAX_CELLS, NEIGHBOUR_PITCHES, Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere
 from tactile_cdma.places.proximity import beside, usual_distance_m
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
+from test.support.examples import examples
 
 PITCH_M = 7e-3
 SURFACES = {
@@ -154,7 +155,7 @@ def test_a_single_taxel_has_no_neighbours() -> None:
     assert irregular(np.zeros((1, 2))).neighbours.tolist() == [[0]]
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 80), st.floats(0.5, 12))
 def test_neighbours_are_exactly_the_taxels_within_reach(
     seed: int, count: int, spread: float
@@ -174,7 +175,7 @@ def test_neighbours_are_exactly_the_taxels_within_reach(
     assert found == {(b, a) for a, b in found}, "who is beside me has me beside him"
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 60))
 def test_the_usual_distance_is_the_median_of_the_nearest(seed: int, count: int) -> None:
     places = np.random.default_rng(seed).normal(size=(count, 3))
@@ -195,8 +196,9 @@ def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:
     assert np.array_equal(grid.raster, np.arange(40).reshape(5, 8))
     assert np.array_equal(same.raster, grid.raster.repeat(2, axis=0).repeat(2, axis=1))
     pressure = np.linspace(0, 1e5, 40).astype(np.float32)
-    expected = heatmap(pressure, grid, 1e5, pixels=6)
-    assert np.array_equal(heatmap(pressure, same, 1e5, pixels=6), expected)
+    for pixels in (6, 32):  # without and with lines between taxels
+        expected = heatmap(pressure, grid, 1e5, pixels)
+        assert np.array_equal(heatmap(pressure, same, 1e5, pixels), expected)
 
 
 @pytest.mark.parametrize("name", [*SURFACES, "list"])
@@ -209,7 +211,7 @@ def test_pictures_show_the_skin_as_it_looks_from_outside(name: str) -> None:
     assert (layout.normals[:, 2] > 0).all()
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(1, 10))
 def test_every_cell_of_a_raster_shows_the_nearest_taxel(
     seed: int, count: int, spread: float

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import LayoutError, SpecError
@@ -21,6 +21,7 @@ from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.words.decode import silent
+from test.support.examples import examples
 from test.support.simulated import run, stream
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[3] / "config" / "layouts").glob("*.yaml"))
@@ -306,7 +307,7 @@ TEXTS = [path.read_text() for path in EXAMPLES]
 VALUES = ["", "~", "0", "-1", "1e9", "0.001", "nan", "[]", "[[0]]", "{}", "'1'", "x", "99999"]
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.sampled_from(TEXTS), st.data())
 def test_any_file_is_read_or_refused(text: str, data: st.DataObject) -> None:
     """Random edits of values, lines and characters give a LayoutError or a valid layout."""

@@ -2,8 +2,6 @@
 
 """Documents: every link has a target, and the README stays short."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess
@@ -61,7 +59,7 @@ def test_every_example_says_how_to_run_it_and_a_page_lists_it() -> None:
 
 def test_the_program_of_the_calibration_page_writes_the_loads_of_its_scene(tmp_path: Path) -> None:
     """The staircase that the page describes: 2 s at each load, 5 kPa apart."""
-    page = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "pressure.md").read_text(encoding="utf-8")
     program = re.search(r"^    # loads\.py\n(?:    .*\n|\n)+", page, re.MULTILINE)
     assert program is not None
     (tmp_path / "loads.py").write_text(textwrap.dedent(program[0]))

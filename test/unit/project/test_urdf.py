@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The macro that mounts a patch on a robot, expanded by xacro as docs/urdf.md shows it."""
-
-from __future__ import annotations
+"""The macro that mounts a patch on a robot, expanded by xacro as docs/driver.md shows it."""
 
 import re
 import xml.etree.ElementTree as ElementTree
@@ -44,7 +42,7 @@ def numbers(element: ElementTree.Element | None, key: str) -> list[float]:
 
 
 def test_the_example_of_the_docs_is_one_tree_with_the_patch_where_it_says(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "urdf.md").read_text()
+    page = (ROOT / "docs" / "driver.md").read_text()
     [example] = re.findall(r"```xml\n(.*?)```", page, re.DOTALL)
     assert INSTALLED in example
     tree = expanded(tmp_path, example)

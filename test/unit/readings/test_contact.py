@@ -2,15 +2,13 @@
 
 """Contacts: forces against integrals, taxels against a graph search, ids over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -24,6 +22,7 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Coverage, Readings
 from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
+from test.support.examples import examples
 from test.support.simulated import run, stream
 
 PITCH_M, TAXEL_M = 7e-3, 5.5e-3
@@ -101,7 +100,7 @@ TOUCHES = st.lists(
 
 @given(TOUCHES)
 @example([[(0, 0), (0, 1)], [(0, 0), (5, 5)]])
-@settings(max_examples=60)
+@examples(60)
 def test_contacts_are_the_connected_taxels_of_each_frame(
     frames: list[list[tuple[int, int]]],
 ) -> None:
@@ -482,7 +481,7 @@ def test_torque_is_that_of_the_force_at_the_centre_of_pressure_on_a_flat_skin() 
 
 
 @given(TOUCHES)
-@settings(max_examples=60)
+@examples(60)
 def test_ids_are_never_used_twice(frames: list[list[tuple[int, int]]]) -> None:
     ended: set[int] = set()
     last: dict[int, set[int]] = {}

@@ -2,13 +2,11 @@
 
 """The taxels of each contact and their sums, compared with a plain search from taxel to taxel."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
@@ -16,6 +14,7 @@ from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.readings.gather import RIM, Gatherer, moments_of
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
+from test.support.examples import examples
 
 CONTACT_PA, RELEASE_PA = 1e3, 5e2
 SLEEVE = Layout(
@@ -94,7 +93,7 @@ class Searched:
         ]
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 2), st.integers(0, 2**32), st.sampled_from([0.02, 0.2, 0.7]))
 def test_contacts_are_those_of_a_search(which: int, seed: int, density: float) -> None:
     gatherer, searched = Gatherer(LAYOUTS[which]), Searched(LAYOUTS[which])

@@ -2,13 +2,11 @@
 
 """The kernel reads plain frames as numpy does, and leaves the odd ones to it untouched."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
@@ -25,6 +23,7 @@ from tactile_cdma.readings.taxels import Readings, Taxels
 from tactile_cdma.words.decode import Words, decode
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth
 from test.support.correlations import lines
+from test.support.examples import examples
 
 pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
@@ -104,7 +103,7 @@ def compare(spec: FrameSpec, frames: np.ndarray, seed: int, threshold: float = A
     return sides[0].at_once
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(lines(4), st.integers(0, 99), st.sampled_from([0.3, 0.5, 0.9]))
 def test_frames_are_read_as_by_numpy(
     line: tuple[FrameSpec, np.ndarray], seed: int, threshold: float

@@ -2,13 +2,11 @@
 
 """Nodes whose value does not change while their neighbours' values do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
@@ -17,6 +15,7 @@ from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.stuck import LOOK_S, SWINGS, StuckNodes
 from tactile_cdma.readings.taxels import Readings
+from test.support.examples import examples
 
 CONTACT_PA = 1e3
 COUNT_PA = 100.0
@@ -119,7 +118,7 @@ def test_a_node_beyond_its_range_is_named_only_if_it_stays_there() -> None:
     assert pressed(skin, len(GRID), {INNER: 140e3}, 6) == [INNER + 1]
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.lists(st.sets(st.integers(0, SIDE * SIDE - 1)), min_size=1, max_size=6))
 def test_what_neighbours_tell_does_not_depend_on_who_was_unreadable_before(
     unreadable: list[set[int]],
@@ -142,7 +141,7 @@ def test_what_neighbours_tell_does_not_depend_on_who_was_unreadable_before(
     assert unreadable[-1] or np.isfinite(told_pa[0]).any()
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     st.lists(
         st.tuples(

@@ -6,8 +6,6 @@ On a flat Winkler foundation the force is stiffness × the volume below the surf
 of shapes only whether a point is inside.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -21,7 +19,7 @@ from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.sim.indenters import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from tactile_cdma.sim.indenters import Box, Cylinder, Foundation, Indenter, Sphere
 
 PITCH_M, K = 2e-3, 2e7
 LAYOUT = Layout.grid(32 * 32, 32, 32, PITCH_M, PITCH_M)  # 64 × 64 mm
@@ -79,20 +77,6 @@ def test_half_a_taxel_has_half_the_pressure() -> None:
     assert np.count_nonzero(pressure_pa) == 1
 
 
-def test_height_map_is_bilinear() -> None:
-    ramp = np.array([[-3e-3, 1e-3], [-3e-3, 1e-3]])  # deepest at −x; reaches 0 at 3/4
-    relief = HeightMap(
-        underside_m=ramp, size_m=(0.04, 0.02), position_m=(0, 0, 0), stiffness_pa_per_m=K
-    )
-    assert force_n(relief) == pytest.approx(K * 0.02 * 0.03 * 3e-3 / 2, rel=0.01)
-    row = COVER.pressure_pa([relief]).reshape(32, 32)[16]
-    x_m = LAYOUT.positions_m[:32, 0]
-    inside = np.abs(x_m) < 0.02 - PITCH_M
-    expected_pa = K * np.clip(1e-3 - 4e-3 * (x_m + 0.02) / 0.04 + 2e-3, 0, None)
-    assert row[inside] == pytest.approx(expected_pa[inside], abs=0.03 * K * PITCH_M)
-    assert not row[np.abs(x_m) > 0.02].any()
-
-
 def in_sphere(p: Points) -> NDArray[np.bool_]:
     return np.asarray(np.linalg.norm(p, axis=1) < 0.01)
 
@@ -105,29 +89,10 @@ def in_box(p: Points) -> NDArray[np.bool_]:
     return np.asarray((np.abs(p) < [0.01, 0.006, 0.008]).all(axis=1))
 
 
-HILLS = 2e-3 * np.cos(np.linspace(0, 6, 9))[:, None] * np.cos(np.linspace(0, 5, 12)) + 1e-3
-
-
-def above_hills(p: Points) -> NDArray[np.bool_]:
-    """By another interpolation: of the height at a place, first along y, then along x."""
-    y, x = np.linspace(-0.01, 0.01, 9), np.linspace(-0.012, 0.012, 12)
-    inside = (np.abs(p[:, 0]) < 0.012) & (np.abs(p[:, 1]) < 0.01)
-    along_y = np.stack([np.interp(p[:, 1], y, column) for column in HILLS.T], axis=1)
-    cell = np.clip(np.searchsorted(x, p[:, 0]) - 1, 0, 10)
-    share = (p[:, 0] - x[cell]) / (x[1] - x[0])
-    rows = np.arange(len(p))
-    height = (1 - share) * along_y[rows, cell] + share * along_y[rows, cell + 1]
-    return np.asarray(inside & (p[:, 2] > height))
-
-
 SHAPES: dict[str, tuple[Callable[..., Indenter], Callable[[Points], NDArray[np.bool_]]]] = {
     "sphere": (lambda **pose: Sphere(radius_m=0.01, **pose), in_sphere),
     "cylinder": (lambda **pose: Cylinder(radius_m=0.008, length_m=0.02, **pose), in_cylinder),
     "box": (lambda **pose: Box(size_m=(0.02, 0.012, 0.016), **pose), in_box),
-    "height map": (
-        lambda **pose: HeightMap(underside_m=HILLS, size_m=(0.024, 0.02), **pose),
-        above_hills,
-    ),
 }
 
 
@@ -140,8 +105,7 @@ def test_force_is_stiffness_times_the_volume_below_the_surface(shape: str) -> No
     around_m = rng.uniform(-0.025, 0.025, (200_000, 3))
     below_m = around_m * [1, 1, 0.5 * depth_m / 0.025] - [0, 0, depth_m / 2]
     for _ in range(2):
-        tilt = 0.15 if shape == "height map" else 1.0  # it is solid above without end
-        turned = [*rng.normal(0, tilt, 3), 1.0]
+        turned = [*rng.normal(0, 1.0, 3), 1.0]
         own = Pose.of_quaternion((0, 0, 0), turned).inverse
         lowest_m = around_m[contains(own.apply(around_m)), 2].min()
         place_m = (1e-3, -2e-3, -lowest_m - depth_m)
@@ -233,18 +197,8 @@ def test_what_reaches_below_a_surface_may_touch_what_is_around(shape: str) -> No
         ),
         (lambda: Sphere(radius_m=1.0, position_m=(0, 2e3, 0)), "within 1000 m"),
         (lambda: Sphere(radius_m=1e9, position_m=(0, 0, 0)), "1000 at most"),
-        (
-            lambda: HeightMap(
-                underside_m=np.full((2, 2), np.nan), size_m=(1, 1), position_m=(0, 0, 0)
-            ),
-            "within 1000 m",
-        ),
         (lambda: Box(size_m=(1, 1), position_m=(0, 0, 0)), "must have 3"),
         (lambda: Cylinder(radius_m=1, length_m=math.inf, position_m=(0, 0, 0)), "length_m"),
-        (
-            lambda: HeightMap(underside_m=np.zeros((1, 4)), size_m=(1, 1), position_m=(0, 0, 0)),
-            r"shape \(1, 4\)",
-        ),
     ],
 )
 def test_what_cannot_be_is_refused(make: Callable[[], Indenter], reason: str) -> None:

@@ -2,8 +2,6 @@
 
 """sim://?scene=external: what a program presses, through sensors, ADC, line and decoder."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -15,7 +13,7 @@ import pytest
 
 from tactile_cdma import Frame, ParameterError, PortError, Skin, SpecError
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.sim import Box, Cylinder, Foundation, HeightMap, Indenter, Sphere
+from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, Sphere
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pressing import press
@@ -41,11 +39,6 @@ def test_pressures_come_back_within_the_resolution_of_the_converter() -> None:
             Box(size_m=(0.012, 0.02, 0.01), position_m=(0, 0, 4e-3), stiffness_pa_per_m=3e7),
             Cylinder(
                 radius_m=0.01, length_m=0.02, position_m=(0, 0, 9e-3), orientation_xyzw=(1, 0, 0, 1)
-            ),
-            HeightMap(
-                underside_m=np.array([[0, -1e-3], [-2e-3, 0]]),
-                size_m=(0.03, 0.03),
-                position_m=(0, 0, 0),
             ),
         ):
             true_pa = COVER.pressure_pa([thing])

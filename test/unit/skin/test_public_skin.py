@@ -2,8 +2,6 @@
 
 """The public interface: live frames, bytes to frames, errors, the examples of its documents."""
 
-from __future__ import annotations
-
 import doctest
 import gc
 import math
@@ -81,7 +79,7 @@ def test_examples_of_the_docstrings_run() -> None:
 
 @pytest.mark.slow
 def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = ROOT / "docs" / "python.md"
+    page = ROOT / "docs" / "programs.md"
     text = page.read_text(encoding="utf-8").replace("```", "")
     command = "tactile-cdma record 'sim://?speed=0' touch.skin --seconds 1"
     assert command in text

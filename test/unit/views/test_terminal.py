@@ -2,13 +2,11 @@
 
 """The skin in characters: essentials stay visible, and no line exceeds the terminal."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
@@ -26,6 +24,7 @@ from tactile_cdma.views.terminal import (
     sparkline,
     status_lines,
 )
+from test.support.examples import examples
 
 ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 COLOURED, PLAIN = Look(140e3), Look(140e3, coloured=False, unicode=False)
@@ -53,7 +52,7 @@ def grid(rows: int, columns: int, pressure_kpa: object = 0.0, status: object = 0
     look=st.sampled_from([COLOURED, PLAIN, Look(1e3, Numbers.NODES)]),
     seed=st.integers(0, 99),
 )
-@settings(deadline=None, max_examples=60)
+@examples(60)
 def test_a_screen_never_exceeds_its_terminal(
     rows: int, cells: int, columns: int, lines: int, look: Look, seed: int
 ) -> None:
@@ -217,6 +216,7 @@ def test_a_sparkline_rises_where_its_values_do(values: list[float]) -> None:
 
 
 def test_the_scale_names_its_ends_or_is_left_out() -> None:
-    assert plain([scale(COLOURED, 80)])[0].split() == ["0", "140", "kPa"]
-    assert len(plain([scale(COLOURED, 20)])[0]) <= 20
+    assert plain([scale(COLOURED, 80)])[0].split() == ["0", "35", "140", "kPa", "x→", "y↑"]
+    for columns in range(80):
+        assert len(plain([scale(COLOURED, columns)])[0]) <= columns
     assert scale(COLOURED, 8) == ""

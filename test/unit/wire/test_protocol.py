@@ -5,8 +5,6 @@
 All by the compiled kernel and without it.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib
@@ -18,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
@@ -68,6 +66,7 @@ from tactile_cdma.wire.packets import (
     diagnose,
     wrap,
 )
+from test.support.examples import examples
 
 VECTORS = Path(__file__).parents[3] / "firmware" / "vectors"
 PROTOCOL = json.loads((VECTORS / "protocol.json").read_text())
@@ -392,7 +391,7 @@ PIECES = st.one_of(
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(st.lists(PIECES, max_size=6), st.data())
 def test_chunks_are_invisible(pieces: list[Packet | bytes], data: st.DataObject) -> None:
     writer = PacketWriter()

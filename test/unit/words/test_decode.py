@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.codes import code_book
@@ -16,6 +16,7 @@ from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.code.separate import separate
 from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.words.decode import decode, silent
+from test.support.examples import examples
 
 SPECS = {
     "default": FrameSpec(),
@@ -49,7 +50,7 @@ def test_correlation_keeps_the_energy(order: int) -> None:
     assert energy == pytest.approx(np.square(chips.astype(np.float64)).sum(), rel=1e-5)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.sampled_from(sorted(SPECS)), st.integers(0, 2**32 - 1), st.floats(0, 1))
 def test_decoding_undoes_encoding_for_every_word_and_activity(
     name: str, seed: int, share: float

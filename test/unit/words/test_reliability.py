@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.encode import line_chips, with_parity, word_bits
@@ -17,6 +17,7 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.readings.status import Status
 from tactile_cdma.words.decode import Words, decode
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
+from test.support.examples import examples
 
 SPEC = FrameSpec()
 PARITY = FrameSpec(parity=True)
@@ -41,7 +42,7 @@ def test_a_word_and_its_parity_bit_have_an_even_number_of_ones(bits: int, seed: 
     assert not (line.sum(axis=1) % 2).any()
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.integers(8, 16), st.sampled_from([1, -1]), st.integers(0, 2**32 - 1))
 def test_parity_changes_no_word(bits: int, polarity: int, seed: int) -> None:
     spec = FrameSpec(bits=bits, parity=True, polarity=polarity, frame_period_s=0.1)
@@ -229,7 +230,7 @@ def said(codes: np.ndarray) -> NodeLevels:
 
 
 @given(st.integers(0, 9), st.floats(0.3, 20.0), st.integers(0, 2**32 - 1))
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_what_hits_one_bit_of_all_nodes_makes_no_certain_wrong_word(
     bit: int, size: float, seed: int
 ) -> None:

@@ -2,14 +2,14 @@
 
 """Contacts of MuJoCo on the simulated skin: what lies on a skin weighs what it weighs."""
 
-from __future__ import annotations
-
+import runpy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="MuJoCo (the extra `mujoco`) is not installed")
+pytest.importorskip("mujoco", reason="MuJoCo (pip install mujoco) is not installed")
 
 import mujoco
 
@@ -17,8 +17,9 @@ from tactile_cdma import ParameterError, Skin
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.sim import Foundation
-from tactile_cdma.sim.mujoco_skin import MujocoSkin
 
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "mujoco_skin.py"
+MujocoSkin = runpy.run_path(str(EXAMPLE))["MujocoSkin"]
 LAYOUT = Layout.grid(16, 4, 4, 7e-3, 7e-3)
 COVER = Foundation(LAYOUT.positions_m, LAYOUT.normals, LAYOUT.areas_m2)
 TURNED = Pose.of_rpy((0.0, 0.0, 0.01), (0.0, 0.0, np.pi / 2))  # the skin's x along the world's y

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contacts of a MuJoCo geom as objects on the simulated skin; needs the extra `mujoco`.
+"""Contacts of a MuJoCo geom as objects on the simulated skin, to copy: pip install mujoco.
 
 MuJoCo's bodies are nearly rigid: its contacts have forces, but no depth that a soft cover would
 have. So each object that touches the geom is pressed into the cover until that answers with
-MuJoCo's normal force, and the skin reads what the physics carries.
+MuJoCo's normal force, and the skin reads what the physics carries. examples/mujoco_grip.py uses
+examples/mujoco_skin.py.
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
@@ -15,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Floats
-from ..base.errors import ParameterError
-from ..places.layout import Layout
-from ..places.poses import Pose
-from .indenters import STIFFNESS_PA_PER_M, Box, Cylinder, Foundation, Indenter, Sphere
+from tactile_cdma import ParameterError
+from tactile_cdma.base.arrays import Floats
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.poses import Pose
+from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, Sphere
+from tactile_cdma.sim.indenters import STIFFNESS_PA_PER_M
 
 ABOVE_M, FIRST_M, GROWTH, DEEPEST_M = 2e-3, 1e-4, 1.5, 0.02
 """The depth that gives a force is searched from ABOVE_M above MuJoCo's place down to DEEPEST_M, m,
