@@ -2,16 +2,23 @@
 // two bulk endpoints. It replaces the emulator's own transfers, which deliver at once whatever the host
 // does and ignore data toggles.
 //
-// One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows.
+// One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows. Frames begin every
+// 1 ms, and no transaction begins that would not end within its frame.
 
 const SIE_BUS_RESET = 1 << 19;
 const FULL = 1 << 15;
 const DATA1 = 1 << 13;
 const STALL = 1 << 11;
 const AVAILABLE = 1 << 10;
+const RESET = 1 << 12;
+const DOUBLE_BUFFERED = 1 << 30;
 const LENGTH = 0x3ff;
 const PACKET = 64;
 const TRANSFER = 128; // bytes that Linux' CDC ACM driver reads at a time
+const FRAME_NS = 1e6;
+const LATE_NS = [810e3, 990e3]; // of a frame, in which RP2040-E15 forbids to offer a packet
+const DEV_SOF = 1 << 17;
+const SOF_RD = 0x48;
 const IN = 0;
 const OUT = 1;
 const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
@@ -43,9 +50,35 @@ export class UsbHost {
       if (this.plugged) this.#begin();
     };
     this.usb.onResetReceived = () => {};
-    this.usb.DPRAMUpdated = (offset) => {
+    this.usb.DPRAMUpdated = (offset, value) => {
+      const phase = chip.now - this.frameNs;
+      if (offset === 0x90) {
+        // buffer 0 is the next one from when it is handed over with RESET
+        const resets = (value & (RESET | AVAILABLE)) === (RESET | AVAILABLE);
+        if (resets && !this.resets) this.buffer[IN] = 0;
+        this.resets = resets;
+        const available = value & ((AVAILABLE << 16) | AVAILABLE);
+        if (available & ~this.available && phase > LATE_NS[0] && phase < LATE_NS[1]) this.latePackets++;
+        this.available = available;
+      }
       if (offset >= 0x80 && offset < 0x100) this.#serve();
     };
+    this.frameNs = 0; // when the present frame began
+    this.latePackets = this.available = 0;
+    this.buffer = [1, 0];
+    const read = this.usb.readUint32.bind(this.usb);
+    this.usb.readUint32 = (offset) => {
+      if (offset === SOF_RD) this.#signalFrame(false);
+      return read(offset);
+    };
+    this.frame = chip.clock.createAlarm(() => {
+      if (!this.plugged) return;
+      this.frameNs = chip.now;
+      this.usb.sofFrameNumber++;
+      this.#signalFrame(true);
+      this.frame.schedule(FRAME_NS);
+      this.#serve();
+    });
     this.step = chip.clock.createAlarm(() => this.#advance());
     this.done = chip.clock.createAlarm(() => {
       this.busy = false;
@@ -88,8 +121,16 @@ export class UsbHost {
     this.toggle[IN] = 0;
   }
 
+  #signalFrame(begins) {
+    if (begins) this.usb.intRaw |= DEV_SOF;
+    else this.usb.intRaw &= ~DEV_SOF;
+    this.usb.checkInterrupts();
+  }
+
   #begin() {
     this.configured = false;
+    this.buffer = [1, 0]; // the next one; of IN unknown until it is reset
+    this.frame.schedule(FRAME_NS);
     this.script = this.#enumerate();
     this.#advance();
   }
@@ -196,18 +237,22 @@ export class UsbHost {
   }
 
   #serveBulk() {
+    if (this.chip.now - this.frameNs + TRANSACTION_NS(PACKET) > FRAME_NS) return;
     for (const direction of this.toSend.length ? [OUT, IN] : [IN]) {
-      const control = this.#control(2, direction);
+      const number = this.buffer[direction];
+      const control = this.#control(2, direction) >>> (16 * number);
       if (!(control & AVAILABLE) || (direction === IN && !this.reading)) continue;
       this.#check(control & DATA1, this.toggle[direction], `data toggle of ${direction}`);
       this.toggle[direction] ^= DATA1;
-      const buffer = this.view.getUint32(direction === IN ? 0x10 : 0x14, true) & 0xffc0;
+      const base = this.view.getUint32(direction === IN ? 0x10 : 0x14, true);
+      const buffer = (base & 0xffc0) + PACKET * number;
+      if (base & DOUBLE_BUFFERED) this.buffer[direction] ^= 1;
       const bytes =
         direction === IN
           ? this.#bytes(buffer, control & LENGTH)
           : this.toSend.splice(0, Math.min(PACKET, control & LENGTH));
       this.#start(bytes.length, () => {
-        this.#complete(2, direction, bytes, buffer);
+        this.#complete(2, direction, bytes, buffer, number);
         if (direction === IN) this.#collect(bytes);
       });
       return;
@@ -228,13 +273,15 @@ export class UsbHost {
   }
 
   // Does what the controller does when a buffer has been sent or filled.
-  #complete(endpoint, direction, bytes, buffer) {
-    let control = this.#control(endpoint, direction) & ~AVAILABLE;
+  #complete(endpoint, direction, bytes, buffer, number = 0) {
+    const shift = 16 * number;
+    let control = this.#control(endpoint, direction) & ~(AVAILABLE << shift);
     if (direction === OUT) {
       this.chip.rp2040.usbDPRAM.set(bytes, buffer);
       control = (control & ~LENGTH) | bytes.length | FULL;
     } else {
-      control &= ~FULL;
+      control &= ~(FULL << shift);
+      this.available &= ~(AVAILABLE << shift);
     }
     this.#control(endpoint, direction, control);
     this.usb.indicateBufferReady(endpoint, direction === OUT);

@@ -195,6 +195,7 @@ struct usb {
 #define USB_INT_BUFF_STATUS (1u << 4)
 #define USB_INT_BUS_RESET (1u << 12)
 #define USB_INT_SETUP_REQ (1u << 16)
+#define USB_INT_DEV_SOF (1u << 17) /* cleared by reading sof_rd */
 
 /* The USB controller's memory: index [0] is IN, [1] is OUT; ep_ctrl[n] belongs to endpoint n + 1. */
 struct usb_dpram {
@@ -202,10 +203,12 @@ struct usb_dpram {
 };
 #define USB_DPRAM BLOCK(usb_dpram, 0x50100000u)
 #define USB_EP_ENABLE (1u << 31)
+#define USB_EP_DOUBLE_BUFFERED (1u << 30)
 #define USB_EP_INT_PER_BUFFER (1u << 29)
 #define USB_EP_TYPE(type) ((uint32_t)(type) << 26)
 #define USB_BUF_FULL (1u << 15)
 #define USB_BUF_DATA1 (1u << 13)
+#define USB_BUF_RESET (1u << 12) /* buffer 0 is the next */
 #define USB_BUF_STALL (1u << 11)
 #define USB_BUF_AVAILABLE (1u << 10)
 #define USB_BUF_LENGTH 0x3ffu

@@ -5,9 +5,8 @@
 The chips are those of the document (test/support/sparse_codes.py), added up here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -157,12 +156,32 @@ def test_a_sample_lost_or_doubled_anywhere_leaves_nothing_false(
             assert not sure
 
 
+def test_what_breaks_off_in_the_last_of_many_bits_is_seen() -> None:
+    """In the mean of all bits it is less than chance may be."""
+    rig = Rig(replace(SPEC, bits=16))
+    line = rig.sent({7: 54321})
+    assert certain(rig.read(line)).all()
+    at = line.size - 58
+    line[at:-1] = line[at + 1 :]
+    assert not certain(rig.read(line)).any()
+
+
 def test_silence_is_not_claimed_of_a_node_that_cannot_be_understood() -> None:
     """It spoke, and flips its chips by another seed: there is nothing to see but noise."""
     rig = Rig()
     strange = node_chips(9, SPEC.nodes, SPEC.order, SPEC.bits, seed=4).ravel()
     for others in (0, 20):
         assert not certain(rig.read(rig.sent(rig.some(others)) + strange)).any()
+
+
+@pytest.mark.parametrize("rho", [20.0, RHO])
+def test_a_node_that_is_never_understood_is_not_taken_for_noise(rho: float) -> None:
+    """It speaks in every frame, from the first one on."""
+    strange = node_chips(9, SPEC.nodes, SPEC.order, SPEC.bits, seed=4).ravel()
+    for known in (True, False):
+        rig = Rig(rho=rho, known=known)
+        for _ in range(2 * sparse_timing.RELEARNT):
+            assert not certain(rig.read(rig.sent(rig.some(3)) + strange)).any()
 
 
 def test_silence_is_not_claimed_where_noise_may_hide_a_node() -> None:
