@@ -293,7 +293,8 @@ void sparse_detect(struct sparse *sparse, const float *chips, double damping, st
             double share = fmin(fmax(power / swing2, 1) / (double)book->nodes, 0.5);
             odds = log(share / (1 - share));
         }
-        noise = fmax(noise, 1e-12 * swing2);
+        if (noise < 1e-12 * swing2) /* not fmax: a frame that is no number does not settle */
+            noise = 1e-12 * swing2;
         if (noise < rules->soft_noise * rules->soft_noise * swing2 ||
             noise > rules->stalled * rules->stalled * before)
             soft = false;

@@ -9,7 +9,7 @@
 
 FUZZ_OUT := $(BUILD)/fuzz
 FUZZ_UNPACK := python3 ../torture/fuzz/corpus.py unpack
-FUZZ_NAMES := framing setup digitizer demonstrator node kernel stream $(if $(wildcard /usr/include/simavr/sim_avr.h),board)
+FUZZ_NAMES := framing setup digitizer demonstrator node kernel stream sparse $(if $(wildcard /usr/include/simavr/sim_avr.h),board)
 # The driver's, which this Makefile does not build otherwise:
 FUZZ_KERNEL := $(filter-out binding module module_%,$(basename $(notdir $(wildcard ../kernel/*.c))))
 FUZZ_SOURCES := $(addprefix fuzz/,commands.c framing.c host.c line.c settings.c) $(wildcard $(CORE)/*.c)
@@ -46,7 +46,7 @@ $$(FUZZ_OUT)/$(1)/kernel_sources/%.o: ../kernel/%.c $$(FUZZ_HEADERS)
 	@mkdir -p $$(@D)
 	$(2) $$(FUZZ_CFLAGS) $$(FUZZ_SANITIZE) $(3) -c $$< -o $$@
 
-$$(FUZZ_OUT)/$(1)/kernel $$(FUZZ_OUT)/$(1)/stream: $$(FUZZ_KERNEL:%=$$(FUZZ_OUT)/$(1)/kernel_sources/%.o)
+$$(FUZZ_OUT)/$(1)/kernel $$(FUZZ_OUT)/$(1)/stream $$(FUZZ_OUT)/$(1)/sparse: $$(FUZZ_KERNEL:%=$$(FUZZ_OUT)/$(1)/kernel_sources/%.o)
 $$(FUZZ_OUT)/$(1)/board: $$(patsubst sim/%.c,$$(FUZZ_OUT)/$(1)/sim/%.o,$$(wildcard sim/*.c))
 $$(FUZZ_OUT)/$(1)/%: $$(FUZZ_OUT)/$(1)/fuzz/fuzz_%.o $$(FUZZ_SOURCES:%.c=$$(FUZZ_OUT)/$(1)/%.o) $(5)
 	$(2) $$(FUZZ_SANITIZE) $(4) $$(filter %.o,$$^) -o $$@ $$(if $$(filter board,$$*),-lsimavr -lelf) -lm

@@ -151,6 +151,15 @@ def test_the_kernel_finds_what_numpy_finds(nodes: int, order: int, damping: floa
             assert np.allclose(loudness, numpy_loudness(chips, lateness, spec), atol=1e-4)
 
 
+def test_chips_that_are_no_numbers_have_no_words() -> None:
+    spec = sparse(40, 16)
+    chips = np.zeros((10, 16), np.float32)
+    chips[3, 4] = np.nan
+    assert not Detector(spec).detect(chips).settled
+    with np.errstate(invalid="ignore"):
+        assert not numpy_detect(chips, spec).settled
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
