@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from test.support.independent_line import Line, Skin, Talk
+from test.support.independent_line import Digitizer, Line, Skin, Talk
 
 from .words import BLIND, TIMINGS
 from .words import LineCondition as Condition
@@ -137,6 +137,23 @@ CLAIMS = (
 )
 """Lines on which silence, or a word, has no evidence."""
 
+SPARSE = Skin(nodes=256, order=64, period_chips=832, amplitude_v=0.15, sparse=True)
+SOME = Talk(share=0.08)
+SPARSE_LINES = (
+    Condition("8 % speak", talk=SOME),
+    Condition("8 % speak, equal words", talk=Talk(share=0.08, words="equal")),
+    Condition("joining and leaving", talk=Talk(share=0.08, stay=8, words="slow")),
+    Condition("a quarter at 0.6 A", Line(gains=tuple((i, 0.6) for i in range(0, 256, 4))), SOME),
+    Condition("30 % speak", talk=Talk(share=0.3)),
+    Condition("nodes 1 to 3 chips late", Line(late=((2, 1), (3, 2), (4, 3))), SOME),
+    Condition("hum of A", Line(hum_v=0.15), SOME),
+    Condition("hum of 2 A, 300 Hz", Line(hum_v=0.3, hum_hz=300, onset=0.5), SOME),
+    Condition("marks late", talk=SOME, digitizer=Digitizer(mark_shifts=(1, 2))),
+    Condition("samples dropped", talk=SOME, digitizer=Digitizer(slip_share=0.3)),
+)
+"""Sparse codes, of which 31 nodes at a time are told apart. All are rough: the first frames, of
+which the noise is learnt, are flagged; `make bench-sparse` counts what is certain."""
+
 
 def conditions() -> Iterator[Condition]:
     """All conditions; names begin with how frames are timed."""
@@ -156,6 +173,10 @@ def conditions() -> Iterator[Condition]:
         for order in (8, 24, 28, 32, 36, 40):
             skin = Skin(nodes=order - 1, order=order, period_chips=13 * order, amplitude_v=0.2)
             yield Condition(f"{name}: order {order}", talk=CHURN, skin=skin, digitizer=digitizer)
+    for condition in SPARSE_LINES:
+        name = f"sparse: {condition.name}"
+        means = replace(condition.digitizer, integrated=True, samples_per_chip=8)
+        yield replace(condition, name=name, skin=SPARSE, digitizer=means, rough=True)
     yield from gap_conditions()
     yield from mark_conditions()
 

@@ -124,6 +124,7 @@ def config_of(recording: Recording, learnt: bool = False, **more: float) -> Skin
             "order": skin.order,
             "first_row": skin.first_row,
             "scramble": skin.scramble,
+            "codes": "sparse" if skin.sparse else "orthogonal",
             "sign_seed": -1 if skin.sign_seed is None else skin.sign_seed,
             "chip_us": 1e6 * skin.chip_s,
             "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,

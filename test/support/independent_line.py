@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from .sparse_codes import node_chips
+
 Floats: TypeAlias = NDArray[np.floating[Any]]
 Ints: TypeAlias = NDArray[np.integer[Any]]
 
@@ -172,7 +174,8 @@ def _remainder(dividend: Ints, divisor: Ints, p: int) -> Ints:
 class Skin:
     """How the nodes share the line; docs/protocol.md has the meaning of each field.
 
-    period_chips: from frame start to frame start. drive: "bipolar" or "unipolar".
+    period_chips: from frame start to frame start. drive: "bipolar" or "unipolar". sparse: codes
+        are, which are scrambled by themselves.
     """
 
     nodes: int = 16
@@ -187,6 +190,7 @@ class Skin:
     drive: str = "bipolar"
     polarity: int = 1
     scramble: bool = False
+    sparse: bool = False
 
     @property
     def chips(self) -> int:
@@ -199,12 +203,18 @@ class Skin:
         Row j belongs to the j-th node that is not silent.
         """
         nodes = np.flatnonzero(codes != SILENT)
-        rows = code_book(self.order)[self.first_row + nodes]
-        signs = np.array([row_sign(self.first_row + int(node), self.sign_seed) for node in nodes])
         bits = codes[nodes, None] >> np.arange(self.bits - 1, -1, -1) & 1
         if self.parity:
             bits = np.column_stack((bits, bits.sum(axis=1) % 2))
-        levels: Floats = (2.0 * bits - 1)[:, :, None] * (signs[:, None] * rows)[:, None, :]
+        if self.sparse:
+            chips = np.zeros((nodes.size, bits.shape[1], self.order))
+            for sent, node in zip(chips, nodes, strict=True):
+                sent[:] = _sparse_chips(self, int(node) + 1)
+        else:
+            signs = [row_sign(self.first_row + int(node), self.sign_seed) for node in nodes]
+            rows = code_book(self.order)[self.first_row + nodes]
+            chips = (np.array(signs)[:, None] * rows)[:, None, :]
+        levels: Floats = (2.0 * bits - 1)[:, :, None] * chips
         if self.scramble:
             assert self.sign_seed is not None
             levels *= flips(bits.shape[1], self.order, self.sign_seed)
@@ -212,6 +222,14 @@ class Skin:
             levels = (levels + 1) / 2
         flat: Floats = self.polarity * self.amplitude_v * levels.reshape(len(nodes), self.chips)
         return flat
+
+
+@cache
+def _sparse_chips(skin: Skin, node: int) -> Floats:
+    """What a node, counted from 1, sends for 1 bits, (bits, order) of ±1."""
+    assert skin.sign_seed is not None
+    bits = skin.bits + skin.parity
+    return node_chips(node, skin.nodes, skin.order, bits, skin.sign_seed)
 
 
 @dataclass(frozen=True)
