@@ -9,6 +9,8 @@
 # make firmware         build the images of nodes and digitizer, in firmware/build
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
 # make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes
+# make demo    the image that makes a Pico a skin; copied to a demonstrator, or to the board at PORT
+# make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
 # make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
 # make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file
 # make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
@@ -62,7 +64,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand firmware-figures firmware-tools amplifier spice boards scope paper
+.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand demo demo-test firmware-figures firmware-tools amplifier spice boards scope paper
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -126,6 +128,12 @@ firmware-thousand: firmware
 
 amplifier: setup
 	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%")
+
+demo: firmware
+	@"$(BIN)/python" tools/copy_demo.py firmware/build/rp2040/demo.uf2 "$(PORT)"
+
+demo-test: firmware
+	@"$(BIN)/python" firmware/sim/demo.py
 
 spice: firmware-tools
 	@"$(BIN)/python" firmware/analog/spice.py

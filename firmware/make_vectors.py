@@ -18,10 +18,12 @@ import numpy as np
 
 from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
-from tactile_cdma.wire._protocol import PacketType, Result, SyncMode
+from tactile_cdma.hardware.node_memory import node_memory
+from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import (
     Ack,
+    Bootsel,
     Configure,
     FrameLayout,
     GetInfo,
@@ -36,6 +38,7 @@ from tactile_cdma.wire.messages import (
     Start,
     Status,
     Stop,
+    Touch,
 )
 from tactile_cdma.wire.packets import PacketWriter
 
@@ -112,6 +115,8 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     ),
     "roll call": (3, RollCall()),
     "pack": (4, Pack()),
+    "touch": (5, Touch(Scene.HOST, 16, 1023)),
+    "bootsel": (6, Bootsel()),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 
@@ -136,6 +141,8 @@ COBS = (  # examples of the literature, then blocks around 254 bytes
 CODE_ORDERS = (1, 2, 4, 12, 16, 20, 28, 36, 64, 144)
 LONG_ORDERS = {1024: (1, 512, 1023), 1040: (1, 519, 1039)}
 """Orders too large to be written in full, and the rows that are written."""
+DEMO_REST = 1015
+"""Code at rest of a demonstrator's nodes: 0.8 kPa on the default curve. Chosen: a tare has work."""
 SIGN_SEEDS = (0, 1, 2, 0xDEADBEEF, 0xFFFFFFFF)
 SIGN_ROWS = (*range(32), 1023, 4095, 65_534, 65_535)
 
@@ -184,6 +191,24 @@ def code_vectors() -> str:
             ],
         }
     )
+
+
+def demo_memories() -> str:
+    """C: the memories of a demonstrator's nodes, which are those of the default skin."""
+    spec = FrameSpec()
+    memories = [node_memory(spec, node + 1, rest=DEMO_REST) for node in range(spec.nodes)]
+    rows = [
+        textwrap.fill(
+            "    " + " ".join(f"0x{byte:02x}," for byte in memory), 100, subsequent_indent="    "
+        )
+        for memory in memories
+    ]
+    begin = [
+        f"#define DEMO_MEMORY_SIZE {len(memories[0])}u /* bytes of a node */",
+        "",
+        f"static const uint8_t demo_memories[{len(memories)} * DEMO_MEMORY_SIZE] = {{",
+    ]
+    return "\n".join([*begin, *rows, "};", ""])
 
 
 def example() -> str:

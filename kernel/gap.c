@@ -22,10 +22,9 @@ size_t gap_scratch(const struct fit_code *code, const struct burst_search *searc
 {
     size_t order = code->frame.order, each = code->frame.bits * order + 2 * code->frame.nodes + 4;
     size_t judge = (GAP_MOST + 2) * most_chips(code) + GAP_MOST * code->frame.bits * order;
-    size_t beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
+    size_t beside = 4 * (search->gap_size / search->half + 1);
 
-    judge = judge < beside ? beside : judge;
-    return GAP_MOST * each + (judge < refine ? refine : judge);
+    return fit_scratch(code) + GAP_MOST * each + (judge < beside ? beside : judge);
 }
 
 /* Whole chips by which rivals may begin earlier or later than a fit; as GapSearch._shifts_of. */
@@ -72,10 +71,22 @@ static double square(double value)
     return value * value;
 }
 
-/* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. */
+static void copy_words(const struct words_frame *frame, const struct fit_words *from, const struct fit_words *to)
+{
+    memcpy(to->rows, from->rows, frame->bits * frame->order * sizeof *to->rows);
+    memcpy(to->amplitude, from->amplitude, frame->nodes * sizeof *to->amplitude);
+    memcpy(to->uneven, from->uneven, frame->nodes * sizeof *to->uneven);
+    *to->pedestal = *from->pedestal;
+    *to->power = *from->power;
+    *to->spread = *from->spread;
+    *to->misfit = *from->misfit;
+}
+
+/* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. model:
+ * as in judge_candidates. */
 static bool judge(const struct fit_code *code, const struct fit_line *line, const struct judge_limits *limits,
                   const struct gap_rules *rules, const struct gap_expected *expected, double noise,
-                  double earliest, double latest, struct gap_seen *seen, float *scratch)
+                  double earliest, double latest, const float *model, struct gap_seen *seen, float *scratch)
 {
     const struct words_frame *frame = &code->frame;
     size_t size = frame->bits * frame->order, nodes = frame->nodes, count = (size_t)(latest - earliest) + 1;
@@ -83,9 +94,14 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
     double start[GAP_MOST], chip[GAP_MOST], cost[GAP_MOST];
     float *rows = scratch, *amplitude = rows + GAP_MOST * size, *uneven = amplitude + GAP_MOST * nodes;
     float *four = uneven + GAP_MOST * nodes;
-    struct judge_found found = {rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
-                                four + 3 * GAP_MOST, cost};
+    const struct judge_found found = {{rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
+                                       four + 3 * GAP_MOST}, cost};
+    struct fit_words own = {rows + likely * size, amplitude + likely * nodes, uneven + likely * nodes, four + likely,
+                            four + GAP_MOST + likely, four + 2 * GAP_MOST + likely, four + 3 * GAP_MOST + likely};
     struct judge_votes votes;
+
+    if (model)
+        copy_words(frame, &seen->words, &own);
 
     for (size_t c = 0; c < count; c++) {
         start[c] = seen->fit.start + seen->fit.chip * ((double)c + earliest);
@@ -93,16 +109,16 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
     }
     struct judge_candidates all = {count, likely, start, chip, start[0],
                                    start[count - 1] + (double)code->span * chip[0], rules->ruled_out,
-                                   rules->ruled_out / 2};
+                                   rules->ruled_out / 2, model};
     bool decided = false;
     seen->unaided = false;
     /* Mostly the least that the others cost is enough. */
     for (; !(decided && seen->unaided) && all.close <= all.margin; all.close *= 2) {
         votes = (struct judge_votes){0, 0};
         judge_weigh(code, line, limits, &all, noise, &found, &votes, four + 4 * GAP_MOST);
-        double power = found.power[likely] > 1e-30f ? (double)found.power[likely] : 1e-30;
+        double power = *own.power > 1e-30f ? (double)*own.power : 1e-30;
         double most = judge_most(limits, rules->disturbed, &votes, count - 1 + code->span), least = cost[likely];
-        if (!((double)found.misfit[likely] < rules->carried_noise * noise / power + rules->carried_misfit &&
+        if (!((double)*own.misfit < rules->carried_noise * noise / power + rules->carried_misfit &&
               least + log1p(square((start[likely] - seen->burst.first) / (0.5 * chip[likely]))) < most))
             return false;
         for (size_t c = 0; c < count; c++) {
@@ -117,19 +133,13 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
     }
     if (!decided)
         return false;
-    memcpy(seen->words.rows, rows + likely * size, size * sizeof *rows);
-    memcpy(seen->words.amplitude, amplitude + likely * nodes, nodes * sizeof *amplitude);
-    memcpy(seen->words.uneven, uneven + likely * nodes, nodes * sizeof *uneven);
-    *seen->words.pedestal = found.pedestal[likely];
-    *seen->words.power = found.power[likely];
-    *seen->words.spread = found.spread[likely];
-    *seen->words.misfit = found.misfit[likely];
+    copy_words(frame, &own, &seen->words);
     return true;
 }
 
 /* As WordFit.believable, of words that are even, by all of them and this noise of a chip's level. */
 static bool are_sound(const struct words_frame *frame, const struct gap_rules *rules,
-                      const struct judge_found *words, double noise)
+                      const struct fit_words *words, double noise)
 {
     double power = (double)*words->power, pedestal = (double)*words->pedestal, active = 0;
     double even = power - pedestal * pedestal, spread = (double)*words->spread;
@@ -142,6 +152,14 @@ static bool are_sound(const struct words_frame *frame, const struct gap_rules *r
     double expected = noise * active / (double)frame->order / even * (1.3 + 4 * scatter);
     return spread < rules->spread * (1.7 - 0.7 / active) && spread < rules->spread / 2 + expected &&
            (double)*words->misfit < rules->left * noise / power + rules->misfit;
+}
+
+/* As GapSearch.carried: whether a refined fit is as good where it was. */
+static bool is_still(const struct gap_rules *rules, const struct fit *fit, const struct fit *refined, size_t span)
+{
+    double moved = fabs(refined->start - fit->start) + fabs(refined->chip - fit->chip) * (double)span;
+
+    return moved < rules->still_chips * fit->chip;
 }
 
 /* Whether there may be a weaker burst before this one, as GapTiming._first_burst asks. */
@@ -161,7 +179,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
               double least_power, const struct burst_gap *known, const struct gap_expected *expected,
               struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
 {
-    size_t halves = size / search->half;
+    size_t halves = size / search->half, turn;
     double *sums = values, *means = sums + size + 1, *rest = means + halves, earliest, latest;
     double behind = 0; /* the last half chip */
     struct burst_found *burst = &seen->burst;
@@ -189,8 +207,13 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     const struct fit_line line = {size, volts, sums, seen->gap.level};
     fit_sums(volts, size, line.level, sums);
     const struct fit_refining refining = {limits->blur, rules->settled_chips, turns, reaches};
-    seen->fit = fit_refine(code, &line, &refining, (struct fit){expected->start, expected->chip}, -INFINITY,
-                           INFINITY, scratch);
+    const struct fit place = {expected->start, expected->chip};
+    const float *model = scratch + 1;
+    seen->fit = fit_refine(code, &line, &refining, place, -INFINITY, INFINITY, &seen->words, &turn, scratch);
+    scratch += fit_scratch(code);
+    if (is_still(rules, &place, &seen->fit, code->span))
+        seen->fit = place;
+    model = turn > 1 || seen->fit.start != place.start || seen->fit.chip != place.chip ? NULL : model;
     double end = seen->fit.start + (double)code->span * seen->fit.chip;
     if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > rules->least_chip * expected->chip))
         return true;
@@ -198,7 +221,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     seen->proven = end + latest * seen->fit.chip;
     double noise = burst->variance * (double)search->half / seen->fit.chip;
     if (!(latest - earliest < GAP_MOST && seen->proven <= (double)size) ||
-        !judge(code, &line, limits, rules, expected, noise, earliest, latest, seen, scratch))
+        !judge(code, &line, limits, rules, expected, noise, earliest, latest, model, seen, scratch))
         return true;
     double first = floor(seen->fit.start - seen->fit.chip);
     end = ceil(end + seen->fit.chip);

@@ -10,6 +10,7 @@
 
 #define LANES 16 /* sums that are kept apart, so that they can be added at once */
 #define MOST_CHIPS (1 << 25) /* of a view: more than any frame has */
+#define RULING_CHIPS 1000
 #define SAME 1e-9 /* chips: starts that are as close to whole chips apart are on one lattice */
 
 /* One candidate in the view: `lead` chips before its frame, `count` in all. */
@@ -162,59 +163,82 @@ static struct seen look_at(struct weighing *w, size_t c)
     return seen;
 }
 
+/* Bits by which the words of a candidate are to be found: all of the one that is `whole`, unless they are known. */
+static size_t bits_of(const struct weighing *w, size_t c, size_t whole, size_t bits)
+{
+    size_t all = c == w->all->likely && w->all->model ? 0 : w->code->frame.bits;
+
+    return c == whole ? all : bits;
+}
+
+/* The last bits of a frame alone. Not the first ones, in which words are more alike. */
+static struct fit_code last_of(const struct fit_code *code, size_t bits)
+{
+    size_t before = (code->frame.bits - bits) * code->frame.order;
+    struct fit_code last = *code;
+
+    last.frame.bits = bits;
+    last.places += before;
+    last.flips = code->flips ? code->flips + before : NULL;
+    return last;
+}
+
 /* Finds the words of the candidates from `first` to before `end`, and the model: by all bits of the one that is
- * `whole`, and of the others by their first bits alone. What transforms do at once costs little more than one
+ * `whole`, and of the others by their last bits alone. What transforms do at once costs little more than one
  * of them. */
 static void find_words(struct weighing *w, size_t first, size_t end, size_t whole, size_t bits)
 {
-    const struct judge_found *found = w->found;
-    const size_t order = w->code->frame.order, all = w->code->frame.bits;
-    struct words_frame frame = w->code->frame;
-    size_t total = 0;
+    const struct fit_words *found = &w->found->words;
+    const size_t order = w->code->frame.order, size = w->code->frame.bits * order, nodes = w->code->frame.nodes;
+    size_t total = 0, some;
 
-    for (size_t c = first; c < end; total += frame.bits, c++) {
-        frame.bits = c == whole ? all : bits;
+    for (size_t c = first; c < end; total += some, c++) {
+        some = bits_of(w, c, whole, bits);
+        struct fit_code code = last_of(w->code, some);
         struct seen seen = look_at(w, c);
-        fit_chips(w->code, w->levels + seen.lead, frame.bits, w->model + total * order);
+        fit_chips(&code, w->levels + seen.lead, some, w->model + total * order);
     }
     transform_multiply(w->code->correlate, w->model, w->model, total);
     float *model = w->model;
-    for (size_t c = first; c < end; model += frame.bits * order, c++) {
-        float *rows = found->rows + c * all * order, *amplitude = found->amplitude + c * frame.nodes;
-        frame.bits = c == whole ? all : bits;
-        memcpy(rows, model, frame.bits * order * sizeof *rows);
-        memset(rows + frame.bits * order, 0, (all - frame.bits) * order * sizeof *rows);
-        words_fit(&frame, rows, amplitude, found->uneven + c * frame.nodes, &found->pedestal[c],
+    for (size_t c = first; c < end; model += some * order, c++) {
+        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * nodes;
+        some = bits_of(w, c, whole, bits);
+        if (!some)
+            continue;
+        struct fit_code code = last_of(w->code, some);
+        memcpy(rows, model, some * order * sizeof *rows);
+        words_fit(&code.frame, rows, amplitude, found->uneven + c * nodes, &found->pedestal[c],
                   &found->power[c], &found->spread[c], &found->misfit[c]);
-        fit_symbols(w->code, frame.bits, rows, amplitude, model);
+        fit_symbols(w->code, some, rows, amplitude, model);
     }
     transform_multiply(w->code->spread, w->model, w->model, total);
     model = w->model;
-    for (size_t c = first; c < end; model += frame.bits * order, c++) {
-        frame.bits = c == whole ? all : bits;
-        fit_model(w->code, frame.bits, found->pedestal[c], model);
+    for (size_t c = first; c < end; model += some * order, c++) {
+        some = bits_of(w, c, whole, bits);
+        struct fit_code code = last_of(w->code, some);
+        fit_model(&code, some, found->pedestal[c], model);
     }
 }
 
-/* Finds what the model's chips of the first bits leave of the levels of a candidate's view, and what is silent
+/* Finds what the model's chips of the last bits leave of the levels of a candidate's view, and what is silent
  * in that. Returns how many they are. */
 VECTORS static size_t find_off(struct weighing *w, size_t c, size_t bits, const float *model)
 {
-    const struct fit_code *code = w->code;
+    const struct fit_code code = last_of(w->code, bits);
     struct seen seen = look_at(w, c);
-    size_t chips = bits * code->frame.order, end = seen.lead + code->span;
-    size_t coded = bits < code->frame.bits ? seen.lead + (size_t)code->places[chips - 1] + 1 : end;
+    size_t chips = bits * code.frame.order;
+    ptrdiff_t before = bits < w->code->frame.bits ? code.places[0] : 0; /* chips of the frame */
     float *off = w->off + c * w->most, *own = off + seen.lead;
 
-    memcpy(off, w->levels, coded * sizeof *off);
-    memcpy(off + coded, w->levels + end, (seen.count - end) * sizeof *off);
-    if (code->span == code->frame.bits * code->frame.order)
+    memcpy(off, w->levels, seen.lead * sizeof *off);
+    memcpy(own, w->levels + seen.lead + before, (seen.count - seen.lead - (size_t)before) * sizeof *off);
+    if (code.span == w->code->frame.bits * code.frame.order)
         for (size_t i = 0; i < chips; i++)
             own[i] -= model[i];
     else
         for (size_t i = 0; i < chips; i++)
-            own[code->places[i]] -= model[i];
-    return coded + seen.count - end;
+            own[code.places[i] - before] -= model[i];
+    return seen.count - (size_t)before;
 }
 
 /* The power of what a candidate leaves over. */
@@ -243,18 +267,28 @@ static double cost_of(const struct weighing *w, size_t c, size_t size)
     return weight * votes_of(w->off + c * w->most, size, w->votes, w->limits->vote);
 }
 
+/* Bits that rule candidates out: what is wrong by whole chips is wrong in all. Chosen: of about so many chips,
+ * but half of the bits at most. */
+static size_t first_bits(const struct words_frame *frame)
+{
+    size_t half = (frame->bits + 1) / 2, bits = RULING_CHIPS / frame->order + 1;
+
+    bits = bits < half ? bits : half;
+    return bits < 2 ? 2 : bits;
+}
+
 /* Weighs the likely candidate, and of the others those that their first bits do not rule out. False where
  * one of them leaves less over than the likely one does: then it is the one by which chips vote. */
 static bool weigh_likely(struct weighing *w)
 {
     const size_t likely = w->all->likely, count = w->all->count, all = w->code->frame.bits;
-    /* Chosen: half of them; what is wrong by whole chips is wrong in all. */
-    const size_t bits = (all + 1) / 2 < 2 ? 2 : (all + 1) / 2, part = bits * w->code->frame.order;
+    const size_t bits = first_bits(&w->code->frame), part = bits * w->code->frame.order;
     double *cost = w->found->cost;
-    float *more = w->found->misfit; /* whether they leave more over than the likely one, until their words are known */
+    /* whether they leave more over than the likely one, until their words are known */
+    float *more = w->found->words.misfit;
 
     find_words(w, 0, count, likely, bits);
-    size_t size = find_off(w, likely, all, w->model + likely * part);
+    size_t size = find_off(w, likely, all, w->all->model ? w->all->model : w->model + likely * part);
     double left = left_by(w, likely, size);
     find_votes(w, likely);
     double least = cost[likely] = cost_of(w, likely, size);
@@ -265,7 +299,7 @@ static bool weigh_likely(struct weighing *w)
             more[c] = (float)left_by(w, c, size) > (float)left;
             cost[c] = cost_of(w, c, size);
         }
-        model += (c == likely ? all : bits) * w->code->frame.order;
+        model += bits_of(w, c, likely, bits) * w->code->frame.order;
     }
     for (size_t c = 0; c < count; c++) {
         if (c == likely || cost[c] > least + (more[c] > 0 ? w->all->close : w->all->margin))

@@ -97,7 +97,7 @@ static const struct field rules_fields[] = {
     FIELD(gap_rules, period),        FIELD(gap_rules, beyond),        FIELD(gap_rules, carried_noise),
     FIELD(gap_rules, carried_misfit), FIELD(gap_rules, doubt),        FIELD(gap_rules, disturbed),
     FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
-    FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),        FIELD(gap_rules, spread),
+    FIELD(gap_rules, still_chips),   FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),        FIELD(gap_rules, spread),
     FIELD(gap_rules, left),          FIELD(gap_rules, misfit),        FIELD(gap_rules, spare),
     FIELD(gap_rules, spare_count),
 };

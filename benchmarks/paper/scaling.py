@@ -16,7 +16,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from tactile_cdma.code.codes import smallest_order
-from tactile_cdma.hardware.node_memory import FAST, MCUS, MEASURING_S, Mcu
+from tactile_cdma.code.frame import MEASURING_S
+from tactile_cdma.hardware.node_memory import FAST, MCUS, Mcu
 
 from .claims import DIFFERS, EXCEEDED, REPRODUCED, Claim
 

@@ -14,6 +14,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "tactile_protocol.h"
+
 struct dg;
 
 /* The digitizer's clock and converter. Constant; setup_default must be possible with it. */
@@ -26,6 +28,10 @@ struct dg_board {
     int16_t zero_count;    /* reading at 0 V on the line */
     int16_t min_count;     /* rails of the converter, within 0…4095, because a mean is sent in */
     int16_t max_count;     /* eighths of a count and must fit 16 bits */
+    /* Executes a command that not every board knows; UNKNOWN_COMMAND: nor does this one. NULL: none. */
+    enum tp_result (*command)(uint8_t type, const uint8_t *payload, size_t size);
+    /* The only layout that its nodes know, but for samples_per_chip; NULL: any. */
+    const struct tp_frame_layout *layout;
 };
 
 /* Bytes: a serial link to a host. None of these functions waits. */

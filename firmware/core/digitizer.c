@@ -70,13 +70,24 @@ static void start(struct dg *dg)
     dg->running = dg->restarted = true;
 }
 
+static bool nodes_know(const struct dg_board *board, const struct tp_frame_layout *asked)
+{
+    struct tp_frame_layout theirs;
+
+    if (!board->layout)
+        return true;
+    theirs = *board->layout;
+    theirs.samples_per_chip = asked->samples_per_chip;
+    return memcmp(&theirs, asked, sizeof theirs) == 0;
+}
+
 static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
 {
     struct setup setup;
 
     if (!tp_configure_in_range(asked))
         return TP_RESULT_OUT_OF_RANGE;
-    if (!setup_make(&setup, dg->board, asked))
+    if (!nodes_know(dg->board, &asked->frame) || !setup_make(&setup, dg->board, asked))
         return TP_RESULT_UNSUPPORTED;
     stop(dg);
     dg->setup = setup;
@@ -114,7 +125,9 @@ static enum tp_result obey(struct dg *dg)
         memcpy(&asked, dg->reader.payload, sizeof asked);
         return configure(dg, &asked);
     default:
-        return TP_RESULT_UNKNOWN_COMMAND;
+        return dg->board->command
+                   ? dg->board->command(type, dg->reader.payload, dg->reader.payload_size)
+                   : TP_RESULT_UNKNOWN_COMMAND;
     }
     if (type == TP_START)
         start(dg);

@@ -26,8 +26,10 @@
 #define TP_MAX_PACKET_US 3000
 #define TP_TAIL_CHIPS 3
 #define TP_MAX_GAP 4096
-/* first bytes of tp_info.digitizer_id wherever no board measures */
+/* tp_info.digitizer_id begins so where nothing is measured; a demonstrator's ends so */
 #define TP_SIMULATED_ID "\163\151\155\000"
+#define TP_DEMO_WIRED 0xDE01u
+#define TP_DEMO_WIRELESS 0xDE02u
 
 /* pulses on the sync line: unit, lengths and lead in units; memory of a node */
 #define TP_SYNC_UNIT_US 16u
@@ -52,6 +54,8 @@
 #define TP_CONFIGURE 0x84
 #define TP_ROLL_CALL 0x85
 #define TP_PACK 0x86
+#define TP_TOUCH 0x87
+#define TP_BOOTSEL 0x88
 
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
@@ -92,6 +96,15 @@ enum tp_result {
     TP_RESULT_OUT_OF_RANGE = 3, /* a field is outside its range */
     TP_RESULT_UNSUPPORTED = 4, /* a valid request that this digitizer cannot fulfil */
     TP_RESULT_BUSY = 5, /* try again later */
+};
+
+/* What touches a demonstrator. */
+enum tp_scene {
+    TP_SCENE_REST = 0, /* nothing */
+    TP_SCENE_PRESS = 1, /* a press in the middle, again and again */
+    TP_SCENE_SLIDE = 2, /* a press that slides over the taxels, again and again */
+    TP_SCENE_HOST = 3, /* the codes that the host gives, all others as at rest */
+    TP_SCENE_ALL = 4, /* REST, PRESS and SLIDE by turns, as after power-up */
 };
 
 /* Starts the body of every packet. */
@@ -336,6 +349,22 @@ static inline bool tp_configure_in_range(const struct tp_configure *m)
            m->frame.parity <= 1u &&
            (m->sync_mode == 0 || m->sync_mode == 1 || m->sync_mode == 2) &&
            m->integrated <= 1u;
+}
+
+/* Has a demonstrator touched. */
+struct __attribute__((packed)) tp_touch {
+    uint8_t scene; /* what touches it */
+    uint16_t node; /* HOST: the node that is touched; 0: all */
+    uint16_t code; /* HOST: its code from the next frame on */
+};
+TP_ASSERT_AT(tp_touch, scene, 0);
+TP_ASSERT_AT(tp_touch, node, 1);
+TP_ASSERT_AT(tp_touch, code, 3);
+_Static_assert(sizeof(struct tp_touch) == 5, "size of tp_touch");
+/* Whether every field is within its range. */
+static inline bool tp_touch_in_range(const struct tp_touch *m)
+{
+    return (m->scene == 0 || m->scene == 1 || m->scene == 2 || m->scene == 3 || m->scene == 4);
 }
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */

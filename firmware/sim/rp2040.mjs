@@ -1,8 +1,11 @@
 // Runs the digitizer's image in an emulated RP2040, controlled by a parent process.
 //
-//     node rp2040.mjs digitizer.bin flash-id
+//     node rp2040.mjs digitizer.bin flash-id [network]
 //
-// flash-id: the flash's unique number, 16 hexadecimal digits. Messages go over stdin and stdout:
+// flash-id: the flash's unique number, 16 hexadecimal digits. network: JSON of resistors by which the chip's
+// own pins drive its line: `ohms` of pin 0, 1, …, null for none; `bias_ohms` to the supply and to ground
+// each; `noise_counts`, rms; `told`, whether the parent is told of these pins. Without it the parent is asked
+// for the line. Messages go over stdin and stdout:
 //
 //     u8 type, u32 size, payload of this size
 //
@@ -12,6 +15,7 @@
 //     'U' bytes            to UART0, from now on, at its speed
 //     'S' bytes            to USB
 //     'H' u8               USB host: 0 unplugged, 1 plugged in but not reading, 2 reading
+//     'L' u32              the USB host sets the port's speed, baud
 //     'C'                  the USB host clears the halt of the device's bulk IN endpoint
 //     'T' f64              stall the CPU for this many ns
 //     'M' f64              DMA takes no samples from the ADC for this many ns
@@ -19,8 +23,9 @@
 //
 // and gets
 //
-//     'D' time, f64        it has run until then; cycles awake of the CPU since power-up
-//     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0) or high (1)
+//     'D' time, f64, u8    it has run until then; cycles awake of the CPU since power-up; 1: it has restarted as
+//                          the boot ROM's USB drive, and runs no more
+//     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0), high (1) or released (2)
 //     'U' time, bytes      UART0 has sent them, the last one at that time
 //     'S' time, bytes      USB likewise
 //     'I' JSON             a USB host has configured the device: its descriptors
@@ -105,13 +110,20 @@ let chip;
 try {
   const { Chip } = await import('./rp2040_chip.mjs');
   const { UsbHost } = await import('./rp2040_usb_host.mjs');
-  const [image, flashId] = process.argv.slice(2);
-  chip = new Chip({ image: readFileSync(image), flashId: Buffer.from(flashId, 'hex'), line, uartByte });
+  const [image, flashId, json] = process.argv.slice(2);
+  const network = json && JSON.parse(json);
+  chip = new Chip({
+    image: readFileSync(image),
+    flashId: Buffer.from(flashId, 'hex'),
+    line: network ?? line,
+    uartByte,
+  });
   const host = new UsbHost(chip, {
     received: (bytes) => send('S', chip.now, bytes),
     enumerated: (device) => send('I', JSON.stringify(device)),
   });
-  for (const pin of PINS) chip.onPin(pin, (high) => send('P', chip.now, [pin, Number(high)]));
+  const told = network?.told ? [...network.ohms.keys()] : [];
+  for (const pin of [...PINS, ...told]) chip.onPin(pin, (level) => send('P', chip.now, [pin, level]));
 
   for (;;) {
     const { type, payload } = receive();
@@ -119,7 +131,7 @@ try {
       case 'R':
         chip.run(payload.readDoubleLE());
         flushUart();
-        send('D', chip.now, chip.cycles);
+        send('D', chip.now, chip.cycles, [Number(chip.isDrive)]);
         break;
       case 'U':
         chip.uartReceive(payload);
@@ -129,6 +141,9 @@ try {
         break;
       case 'H':
         host.plug(payload[0] > 0, payload[0] > 1);
+        break;
+      case 'L':
+        host.setBaud(payload.readUInt32LE());
         break;
       case 'C':
         host.clearHalt();

@@ -21,7 +21,7 @@ import shutil
 import struct
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -49,6 +49,20 @@ class EmulatorError(RuntimeError):
 
 
 @dataclass(frozen=True, slots=True)
+class Network:
+    """A line that the chip's own pins drive, biased to half the supply by two resistors.
+
+    ohms: from GPIO0, 1, … to GPIO26; None: not there. noise_counts: of the converter, rms.
+    told: `on_pin` is called with these pins' changes.
+    """
+
+    ohms: tuple[float | None, ...]
+    bias_ohms: float = 2e3
+    noise_counts: float = 1.0
+    told: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class UsbDevice:
     """The device's USB descriptors; `strings` by index, None if there is none."""
 
@@ -61,17 +75,19 @@ class Rp2040:
     """The chip with its flash, a line at its ADC and hosts at UART and USB.
 
     image: the flash's content, a .bin file.
-    line: gives the ADC's counts.
+    line: gives the ADC's counts, or the network by which the chip's pins do.
     on_sync: called with every edge of the sync line.
+    on_pin: called with time in ns, pin and level (2: released) of the other pins that are told.
     flash_id: the flash's unique number, 8 bytes; by default it tells that this is no board.
     """
 
     def __init__(
         self,
         image: Path,
-        line: Line,
+        line: Line | Network,
         on_sync: SyncEdge | None = None,
         flash_id: bytes = SIMULATED_ID + b"rp20",
+        on_pin: Callable[[float, int, int], None] | None = None,
     ) -> None:
         node = shutil.which("node")
         if node is None:
@@ -80,8 +96,9 @@ class Rp2040:
             raise EmulatorError(f"rp2040js is not installed: `npm ci` in {HERE} does that")
         if not image.is_file():
             raise EmulatorError(f"no image {image}: `make rp2040` in firmware/ builds it")
+        network = (json.dumps(asdict(line)),) if isinstance(line, Network) else ()
         self._line = line
-        self._on_sync = on_sync
+        self._on_sync, self._on_pin = on_sync, on_pin
         self._uart = bytearray()
         self._usb = bytearray()
         self._pending = bytearray()
@@ -90,10 +107,12 @@ class Rp2040:
         self.cycles = 0.0
         """Cycles that the CPU was awake since power-up."""
         self.led = False
+        self.is_drive = False
+        """It has restarted as the boot ROM's USB drive, and runs no more."""
         self.usb_device: UsbDevice | None = None
         """Set when a host has configured the device, after about 30 ms."""
         self._process = subprocess.Popen(
-            [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex()],
+            [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex(), *network],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -148,6 +167,10 @@ class Rp2040:
         """Plug in a USB host. If not `reading`, it takes no data from the device."""
         self._send(b"H", bytes([2 if reading else 1]))
 
+    def set_usb_baud(self, baud: int) -> None:
+        """Have the USB host set the port's speed."""
+        self._send(b"L", struct.pack("<I", baud))
+
     def clear_usb_halt(self) -> None:
         """Have the USB host clear the halt of the endpoint that it reads, halted or not."""
         self._send(b"C", b"")
@@ -185,11 +208,14 @@ class Rp2040:
         elif kind == "P":
             now_ns, pin, level = struct.unpack("<dBB", payload)
             if pin == PIN_LED:
-                self.led = bool(level)
-            elif pin == PIN_SYNC and self._on_sync is not None:
-                self._on_sync(now_ns, bool(level))
+                self.led = level == 1
+            elif pin == PIN_SYNC:
+                if self._on_sync is not None and level < 2:
+                    self._on_sync(now_ns, level == 1)
+            elif self._on_pin is not None:
+                self._on_pin(now_ns, pin, level)
         elif kind == "D":
-            self._now_ns, self.cycles = struct.unpack("<dd", payload)
+            self._now_ns, self.cycles, self.is_drive = struct.unpack("<dd?", payload)
         elif kind == "I":
             self.usb_device = _device(json.loads(payload))
         elif kind == "X":
@@ -202,6 +228,7 @@ class Rp2040:
         """Send the line's counts at a conversion and at those before the sync line may change."""
         ahead = (min(stays_ns, self._until_ns) - now_ns) // period_ns
         times = now_ns + period_ns * np.arange(min(max(ahead, 1), MAX_COUNTS))
+        assert callable(self._line), "a network answers in the emulator"
         counts = np.asarray(self._line(times))
         if counts.shape != times.shape:
             raise EmulatorError(f"a line of shape {counts.shape} for times of shape {times.shape}")

@@ -7,7 +7,18 @@ const FLASH_BOOT_STAGE = 256;
 const BOOT_STAGE_ADDRESS = 0x20041f00; // where the boot ROM loads it
 const PSM_ALL_BUT_OSCILLATORS = 0x1fffc;
 const RESET_ADC = 1 << 0;
+const RESET_PIO0 = 1 << 10;
 const RESET_PWM = 1 << 14;
+const PIO_CTRL = 0x00;
+const PIO_OUT_OF_RESET = { pc: 0, waiting: false, outputShiftCount: 32, x: 0, y: 0 };
+const JMP_X_DEC = 0x0040;
+const ROM = { 0x14: 0x100, 0x18: 0x201, 0x200: 0x4770be00, 0x300: 0xe7febe01 }; // bkpt 0, bx lr; bkpt 1, b .
+const ROM_FUNCTIONS = 0x100;
+const ROM_RESET_TO_USB = 0x301;
+const SUPPLY_V = 3.3;
+const COUNTS = 4096;
+const PULL_OHMS = 60e3; // of a pad, 50 to 80 kΩ
+const PULLED_V = { 3: SUPPLY_V, 4: 1e-9 }; // by the state of a released pin: pulled up, or down
 const DREQ_UART0_TX = 20;
 const PWM_DIV = 0x04;
 const DMA_CHAN_ABORT = 0x444;
@@ -18,7 +29,8 @@ const UART_DMACR = 0x48;
 const INTERRUPT_CYCLES = 15 + 13; // entry and return, which take no time in the emulator
 
 export class Chip {
-  // image: content of the flash. flashId: its unique number, 8 bytes. line: time in ns → ADC count.
+  // image: content of the flash. flashId: its unique number, 8 bytes. line: time in ns → ADC count;
+  // or a network, as rp2040.mjs describes it, which the chip's own pins drive.
   // uartByte: called with every byte that UART0 sends, at the end of its stop bit.
   constructor({ image, flashId, line, uartByte }) {
     this.rp2040 = new RP2040();
@@ -31,7 +43,10 @@ export class Chip {
     this.#resetBlocks();
     this.#stopPwm();
     this.#abortDma();
-    this.#connectLine(line);
+    this.#clockPio();
+    this.#hearPins();
+    this.#standInForRom();
+    this.#connectLine(typeof line === 'function' ? line : network(this.rp2040, line));
     this.#connectFlash(flashId);
     this.#paceUart(uartByte);
     const { [0x40010]: psm, [0x40058]: watchdog } = this.rp2040.peripherals;
@@ -50,7 +65,8 @@ export class Chip {
   run(until) {
     const { clock, rp2040 } = this;
     const { core } = rp2040;
-    while (clock.nanosCounter < until) {
+    if (this.isDrive) clock.tick(until - clock.nanosCounter);
+    while (clock.nanosCounter < until && !this.isDrive) {
       // The emulator misses an interrupt that comes between its last check and WFI.
       if (core.waiting && core.pendingInterrupts & core.enabledInterrupts) core.waiting = false;
       if (core.waiting || clock.nanosCounter < this.stalledUntil) {
@@ -94,10 +110,11 @@ export class Chip {
     return Math.min(alarmA.clockAlarm.nanos, alarmBottom.clockAlarm.nanos);
   }
 
+  // changed: called with 0 (driven low), 1 (driven high) or 2 (released).
   onPin(pin, changed) {
-    let high = false;
+    let level = 2;
     this.rp2040.gpio[pin].addListener((state) => {
-      if (high !== (state === 1)) changed((high = !high));
+      if (level !== Math.min(state, 2)) changed((level = Math.min(state, 2)));
     });
   }
 
@@ -141,7 +158,78 @@ export class Chip {
         pwm.gpioValue = pwm.intRaw = pwm.intEnable = 0;
         pwm.checkInterrupts();
       }
+      if (value & RESET_PIO0) {
+        const pio = this.rp2040.pio[0];
+        pio.writeUint32(PIO_CTRL, 0);
+        pio.fdebug = pio.txStall = pio.pinValues = pio.pinDirections = 0;
+        for (const machine of pio.machines) {
+          Object.assign(machine, PIO_OUT_OF_RESET);
+          machine.txFIFO.reset();
+          machine.updateDMATx();
+        }
+        pio.checkChangedPins();
+      }
     };
+  }
+
+  // An emulated state machine runs in bursts that take no time, and the clock does not know of it. Here
+  // every instruction is an alarm of the clock, at clk_sys; one that waits, or that has counted down to
+  // itself, is one alarm.
+  #clockPio() {
+    for (const pio of this.rp2040.pio) {
+      pio.run = () => {};
+      for (const machine of pio.machines) {
+        const period = () => 1e9 / this.rp2040.clkSys;
+        let stepping = false;
+        const alarm = this.clock.createAlarm(() => {
+          const { cycles, pc } = machine;
+          stepping = true;
+          if (pio.instructions[pc] === (JMP_X_DEC | pc)) {
+            machine.cycles += machine.x + 1;
+            machine.x = 0xffffffff;
+            machine.nextPC();
+          } else {
+            machine.step();
+          }
+          stepping = false;
+          pio.checkChangedPins();
+          if (!machine.waiting) alarm.schedule((machine.cycles - cycles) * period());
+        });
+        const check = machine.checkWait.bind(machine);
+        machine.checkWait = () => {
+          const waited = machine.waiting;
+          check();
+          if (waited && !machine.waiting && !stepping) alarm.schedule(period());
+        };
+        let enabled = false;
+        Object.defineProperty(machine, 'enabled', {
+          get: () => enabled,
+          set: (on) => {
+            if (on && !enabled) alarm.schedule(period());
+            if (!on) alarm.cancel();
+            enabled = on;
+          },
+        });
+      }
+    }
+  }
+
+  // There is no boot ROM. This has its function table with one entry, by which the image asks to restart as
+  // a USB drive; then the processor does no more.
+  #standInForRom() {
+    const { bootrom, core } = this.rp2040;
+    for (const [address, word] of Object.entries(ROM)) bootrom[address / 4] = word;
+    this.isDrive = false;
+    this.rp2040.onBreak = (number) => {
+      const [table, code] = core.registers;
+      if (number) this.isDrive = true;
+      else core.registers[0] = table === ROM_FUNCTIONS && code === 0x4255 ? ROM_RESET_TO_USB : 0;
+    };
+  }
+
+  // Emulated inputs do not see what their own pins put out.
+  #hearPins() {
+    for (const pin of this.rp2040.gpio) pin.addListener((state) => pin.setInputValue(state === 1));
   }
 
   // An emulated slice starts counting when its divider is set, even if it is not enabled.
@@ -242,6 +330,29 @@ export class Chip {
       throw new Error(`UART0 is set to ${baudRate} baud, its host to ${UART_BAUD}`);
     return 10e9 / baudRate;
   }
+}
+
+// The line that pins drive through resistors: a count of the ADC by the network's voltage, with noise.
+function network({ gpio }, { ohms, bias_ohms, noise_counts }) {
+  let seed = 1;
+  const random = () => (seed = (Math.imul(seed, 1664525) + 1013904223) >>> 0) / 2 ** 32 - 0.5;
+  return () => {
+    let siemens = 2 / bias_ohms;
+    let amperes = SUPPLY_V / bias_ohms;
+    for (const [pin, resistor] of ohms.entries()) {
+      if (resistor === null) continue;
+      const { value } = gpio[pin];
+      if (value > 1 && !PULLED_V[value]) continue; // released: no current
+      const conductance = 1 / (resistor + (value > 1 ? PULL_OHMS : 0));
+      siemens += conductance;
+      amperes += conductance * (value > 1 ? PULLED_V[value] : value * SUPPLY_V);
+    }
+    // the sum of 12 has a variance of 1
+    let noise = 0;
+    for (let i = 0; i < 12; i++) noise += random();
+    const count = (amperes / siemens / SUPPLY_V) * COUNTS + noise * noise_counts;
+    return Math.min(Math.max(Math.floor(count), 0), COUNTS - 1);
+  };
 }
 
 // The emulator reports what it cannot do. For this firmware all of it would be an error.

@@ -67,6 +67,16 @@ export class UsbHost {
     this.#serve();
   }
 
+  // Sets the line coding, as a host does when a program sets the port's speed.
+  setBaud(baud) {
+    this.script = this.#write(setup(0x21, 0x20, 0, 0, 7), [
+      ...le16(baud & 0xffff),
+      ...le16(baud >>> 16),
+      ...[0, 0, 8],
+    ]);
+    this.#advance();
+  }
+
   // Clears the halt of the bulk IN endpoint, as some hosts do when a program opens the port.
   clearHalt() {
     this.script = this.#clearHalt();

@@ -95,7 +95,7 @@ class Marks:
         self._integrated = config.samples_per_chip == 1
         self._sample_us = config.spec.chip_s * 1e6 / config.samples_per_chip
         self._start_us = 0
-        self._marks_ns: list[int] = []
+        self.marks_ns: list[int] = []
 
     def take(self, packet: object) -> None:
         """Take note of a packet."""
@@ -104,14 +104,14 @@ class Marks:
         if packet.first_index == 0:  # taken half a period after the stream's start
             self._start_us = packet.device_time_us - int(self._sample_us / 2)
         if packet.sync and self._integrated:  # its index does not count the time of gaps
-            self._marks_ns.append(1000 * packet.device_time_us)
+            self.marks_ns.append(1000 * packet.device_time_us)
         elif packet.sync:
             mark_us = self._start_us + packet.first_index * self._sample_us
-            self._marks_ns.append(round(1e3 * mark_us))
+            self.marks_ns.append(round(1e3 * mark_us))
 
     def nearest(self, frame: TactileFrame) -> int:
         """The mark of a frame, ns."""
-        return min(self._marks_ns[::-1], key=lambda mark: abs(mark - frame.t_start * 1e9))
+        return min(self.marks_ns[::-1], key=lambda mark: abs(mark - frame.t_start * 1e9))
 
 
 def edge_errors(

@@ -19,7 +19,7 @@ class TactileError(Exception):
 class SpecError(TactileError, ValueError):
     """A parameter, or a combination of parameters, that cannot work.
 
-    Example: nodes=64 with the default frame_period_ms, into which their frames do not fit.
+    Example: frame_period_ms=5 for 16 nodes of 50 µs chips, whose frames last 10 ms.
     """
 
 

@@ -28,6 +28,8 @@ DEFAULT_AMPLITUDE_V = 0.3
 MAX_STRETCH = 0.11
 """Largest relative stretch of a frame that is searched for. The paper's hardware reaches 0.10 (8.0
 to 8.8 ms); the rest is margin."""
+MEASURING_S = 1e-3
+"""Least gap after a frame, s, in which nodes measure and get ready for the next sync edge."""
 _RANGES = {
     "nodes": (1, 65_536),
     "bits": (8, 16),

@@ -13,7 +13,7 @@ from ..base.errors import TactileError
 from ..base.plain_text import plain
 from ..config.parameters import BY_NAME
 from ..wire.discovery import USB, SerialPort, leave_alone_if_open, serial_ports
-from ..wire.identity import is_simulated, shown_id
+from ..wire.identity import is_demonstrator, is_simulated, shown_id
 from ..wire.introduction import described_info, introduction
 from ..wire.messages import Info
 from ..wire.port import Port
@@ -100,6 +100,7 @@ def as_values(answer: Answer) -> dict[str, Any]:
         values |= {
             "digitizer_id": shown_id(info.digitizer_id),
             "simulated": is_simulated(info.digitizer_id),
+            "demonstrator": is_demonstrator(info.digitizer_id),
             "firmware": f"{info.firmware_major}.{info.firmware_minor}",
             "protocol_version": info.version,
             "sample_rate_hz": info.sample_rate_hz,

@@ -16,7 +16,9 @@ _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
     *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v", "parity", "scramble"),
 )
-"""Parameters that are options: --nodes, …, --vref, --parity and --no-parity, …"""
+"""Parameters that are options: --nodes, …, --vref-v, --parity and --no-parity, …"""
+_SHORT = {"vref_v": ("--vref",)}
+"""Other names that options have."""
 
 
 def add_skin_options(
@@ -27,13 +29,14 @@ def add_skin_options(
     group = parser.add_argument_group(f"the skin (default: {default})")
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for name in _NAMES:
-        option, parameter = "--" + name.removesuffix("_v").replace("_", "-"), BY_NAME[name]
+        parameter = BY_NAME[name]
+        options = ("--" + name.replace("_", "-"), *_SHORT.get(name, ()))
         kind, text = type(parameter.default), parameter.description.replace("%", "%%")
         if kind is bool:
             either = argparse.BooleanOptionalAction
-            group.add_argument(option, action=either, default=None, dest=name, help=text)
+            group.add_argument(*options, action=either, default=None, dest=name, help=text)
         else:
-            group.add_argument(option, type=kind, dest=name, help=text)
+            group.add_argument(*options, type=kind, dest=name, help=text)
     group.add_argument(
         "--natural-signs",
         action="store_const",

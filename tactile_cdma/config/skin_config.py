@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 from ..base.errors import SpecError
 from ..base.named_file import expanded
-from ..code.frame import MAX_STRETCH, FrameSpec
+from ..code.frame import MAX_STRETCH, MEASURING_S, FrameSpec
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
@@ -22,11 +23,18 @@ from ..readings.contact import ContactThresholds
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
+_log = logging.getLogger(__name__)
+
 FRAME_PARAMETERS = (
     *("nodes", "bits", "parity", "order", "first_row", "resync_chips", "guard_chips"),
     *("drive", "polarity", "scramble"),
 )
 """Parameters that are fields of FrameSpec as they are."""
+CURVE_PARAMETERS = {
+    *("v0_v", "knee_kpa", "range_kpa", "sensitivity1_v_per_kpa", "sensitivity2_v_per_kpa"),
+    "calibration_file",
+}
+"""Parameters of the curves from voltage to pressure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,24 +65,12 @@ class SkinConfig:
         LayoutError and CalibrationError for files that cannot be used.
         """
         get: Values = {**DEFAULTS, **check_values(values)}
-        spec = FrameSpec(
-            chip_s=get["chip_us"] * 1e-6,
-            frame_period_s=get["frame_period_ms"] * 1e-3,
-            sign_seed=None if get["sign_seed"] == NATURAL_SIGNS else get["sign_seed"],
-            amplitude_v=get["amplitude_mv"] * 1e-3 or None,
-            **{name: get[name] for name in FRAME_PARAMETERS},
-        )
+        spec = _spec(get)
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])
         if get["roll_call"]:
             _check_roll_call(spec, get["timing"], get["samples_per_chip"])
-        curve = PressureCurve.two_stage(
-            v0_v=get["v0_v"],
-            knee_pa=get["knee_kpa"] * 1e3,
-            range_pa=get["range_kpa"] * 1e3,
-            stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
-            stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
-        )
+        curve = _curve(get)
         adc = AdcScale(get["bits"], get["vref_v"])
         return cls(
             spec=spec,
@@ -101,18 +97,35 @@ class SkinConfig:
         )
 
     def recalibrated(self, values: Values) -> SkinConfig:
-        """With calibration_file, of the values of all parameters, read again.
+        """With CURVE_PARAMETERS among the values of all parameters; the file is read again.
 
-        Raises CalibrationError for a file that cannot be used.
+        Raises SpecError for an impossible curve, CalibrationError for a file that cannot be used.
         """
-        return replace(
-            self,
-            calibration=_calibration(values, self.spec, self.adc, self.curve),
-        )
+        curve = _curve(values)
+        calibration = _calibration(values, self.spec, self.adc, curve)
+        return replace(self, curve=curve, calibration=calibration)
 
     def adjusted(self, values: Values) -> SkinConfig:
         """With the live parameters among the values of all parameters; no file is read again."""
         return replace(self, **_live(values))
+
+
+def _spec(get: Values) -> FrameSpec:
+    """The frame; its period, where that is 0, or the default and too short, is the shortest."""
+    spec = FrameSpec(
+        chip_s=get["chip_us"] * 1e-6,
+        frame_period_s=math.inf,
+        sign_seed=None if get["sign_seed"] == NATURAL_SIGNS else get["sign_seed"],
+        amplitude_v=get["amplitude_mv"] * 1e-3 or None,
+        **{name: get[name] for name in FRAME_PARAMETERS},
+    )
+    longest_s = spec.frame_s * (1 + MAX_STRETCH if get["timing"] == GAP else 1)
+    period_s = get["frame_period_ms"] * 1e-3
+    left_open = get["frame_period_ms"] in (0.0, DEFAULTS["frame_period_ms"])
+    if left_open and period_s < longest_s:
+        period_s = math.ceil((longest_s + MEASURING_S) * 1e4 - 1e-6) / 1e4
+        _log.info("a frame lasts %g ms; its period is %g ms", spec.frame_s * 1e3, period_s * 1e3)
+    return replace(spec, frame_period_s=period_s)
 
 
 def contact_thresholds(values: Values) -> ContactThresholds:
@@ -129,6 +142,17 @@ def _live(values: Values) -> dict[str, Any]:
         "threshold": values["threshold"],
         "stale_after_s": values["stale_after_s"],
     }
+
+
+def _curve(get: Values) -> PressureCurve:
+    """The two-stage curve; raises SpecError where it is none."""
+    return PressureCurve.two_stage(
+        v0_v=get["v0_v"],
+        knee_pa=get["knee_kpa"] * 1e3,
+        range_pa=get["range_kpa"] * 1e3,
+        stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
+        stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
+    )
 
 
 def _layout(get: Values) -> Layout:

@@ -48,7 +48,7 @@ def _skin(about: Mapping[str, Any]) -> Lines:
     calibration = about.get("calibration_id")
     yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
     measured = about.get("measured_by", "unknown")
-    simulated = ": nothing was touched" if measured == "simulated" else ""
+    simulated = ": nothing was touched" if measured in ("simulated", "demonstrator") else ""
     yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
 
 

@@ -10,7 +10,7 @@ from enum import IntEnum
 from ..config.parameters import GAP, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..wire._protocol import PacketType, Result, Signs, SyncMode
-from ..wire.identity import is_simulated, shown_id
+from ..wire.identity import is_demonstrator, is_simulated, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
 from .quiet_limit import quiet_uv
 
@@ -27,6 +27,7 @@ class Origin(IntEnum):
     BOARD = 1
     SIMULATED = 2
     REPLAYED = 3
+    DEMONSTRATOR = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +50,11 @@ class Source:
 
     @property
     def measured_by(self) -> Origin:
-        """BOARD or SIMULATED, now or when it was recorded; UNKNOWN before the introduction."""
+        """BOARD, SIMULATED or DEMONSTRATOR, now or when it was recorded; else UNKNOWN, at first."""
         if self.digitizer_id is None:
             return Origin.UNKNOWN
+        if is_demonstrator(self.digitizer_id):
+            return Origin.DEMONSTRATOR
         return Origin.SIMULATED if is_simulated(self.digitizer_id) else Origin.BOARD
 
     @property
@@ -86,7 +89,12 @@ class SourceWatch:
 
     @property
     def unasked(self) -> str | None:
-        """A warning while readings are simulated and nobody asked for that; else None."""
+        """A warning while readings are made up and nobody asked for that; else None."""
+        if self.source.origin == Origin.DEMONSTRATOR:
+            return (
+                f"the readings are made up: the board at {self.source.port} is a demonstrator, "
+                "whose nodes have no sensors"
+            )
         asked = self.port.lower().startswith(SIMULATION)
         if asked or self.source.origin != Origin.SIMULATED:
             return None

@@ -154,19 +154,15 @@ class Pipeline:
         self.digitizer, self.problem = DigitizerState(), None
         self._exchanged()
 
-    def adjust(self, config: SkinConfig) -> bool:
-        """Adopt what may change while the stream goes on from another configuration.
-
-        Returns whether tare and drift stay: they do unless the curves are others.
-        """
+    def adjust(self, config: SkinConfig) -> None:
+        """Adopt what may change while the stream goes on from another configuration."""
         before, self.config = self.config, config
         self.taxels.stale_after_s = config.stale_after_s
         if self.taxels.chain.tracker is not None:
             self.taxels.chain.tracker.rules = config.rest
         self.taxels.refresh()
-        if config.calibration is before.calibration:
-            return True
-        return self.taxels.calibrate(config.calibration)
+        if config.calibration is not before.calibration:
+            self.taxels.calibrate(config.calibration)
 
     def close(self) -> None:
         """End the work beside the stream."""

@@ -59,6 +59,9 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
+_STILL_CHIPS = 0.005
+"""Change of an expected frame's edges, chips, below which it is as good as refined. Chosen: leaves
+1e-4 of the words' power over."""
 _LEAST_CHIP = 0.5
 """Share of an expected chip duration below which a refined one fits no frame: most edges were out
 of view. Chosen."""
@@ -158,6 +161,7 @@ class GapSearch(BurstSearch):
             wide=WIDE,
             ruled_out=RULED_OUT,
             settled_chips=SETTLED_CHIPS,
+            still_chips=_STILL_CHIPS,
             least_chip=_LEAST_CHIP,
             uneven=UNEVEN,
             spread=LIMITS.spread,
@@ -192,7 +196,11 @@ class GapSearch(BurstSearch):
         """The frame where it is surely expected, refined on its own edges."""
         if expected is None or not self.is_sure(expected):
             return None
-        fit = refine(line, Fit(expected.start, expected.chip), self.spec)
+        place = Fit(expected.start, expected.chip)
+        fit = refine(line, place, self.spec)
+        longer = abs(fit.chip - place.chip) * self.spec.span_chips
+        if abs(fit.start - place.start) + longer < _STILL_CHIPS * place.chip:
+            fit = place
         within = fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size
         return fit if within and fit.chip > _LEAST_CHIP * expected.chip else None
 

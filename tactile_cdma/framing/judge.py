@@ -146,7 +146,7 @@ def weigh(
     if code is None:
         return numpy_weigh(line, start, chip, view, spec, noise, votes)
     count = start.size
-    rows = np.empty((count, spec.line_bits, spec.order), np.float32)
+    rows = np.zeros((count, spec.line_bits, spec.order), np.float32)
     amplitude, uneven = np.empty((2, count, spec.nodes), np.float32)
     pedestal, power, spread, misfit = np.empty((4, count), np.float32)
     cost = np.empty(count)

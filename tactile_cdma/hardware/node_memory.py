@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import NodeMemoryError, SpecError, check_limits
 from ..code.codes import scrambler_state
-from ..code.frame import FrameSpec
+from ..code.frame import MEASURING_S, FrameSpec
 from ..config.parameters import LINE
 from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
 from ..wire.messages import WIRE, FrameLayout, Message
@@ -51,8 +51,6 @@ MCUS = {
     FAST: Mcu("m328p", 4096, 500, 1750, 16_000, 250, bits_restart=True, restart_s=80e-6),
     "attiny85": Mcu("t85", 1024, 40_000, 40_000),
 }
-MEASURING_S = 1e-3
-"""Least gap after a frame, s, in which the node measures and gets ready for the next sync edge."""
 HEARTBEAT_S = 1.0
 """Default time between two words of a node at rest, s; chosen, below stale_after_s."""
 _OF_LAYOUT = (

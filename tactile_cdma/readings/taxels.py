@@ -223,17 +223,11 @@ class Taxels:
             self.baseline.tared_drift_v = tared_drift_v
         self.refresh()
 
-    def calibrate(self, calibration: Calibration) -> bool:
-        """Use another calibration from now on.
-
-        Tare and drift belong to the curves they were found with: if these change, both are
-        dropped. Returns whether they were kept.
-        """
-        baseline, chain = self.baseline, self.chain
-        stay = calibration.curves.checksum == chain.calibration.curves.checksum
-        chain.calibration = calibration
-        self.restore(*(baseline.rest_v, baseline.drift_v, baseline.tared_drift_v) if stay else ())
-        return stay
+    def calibrate(self, calibration: Calibration) -> None:
+        """Use another calibration from now on; the tare is its curves' pressure at rest."""
+        self.chain.calibration = calibration
+        rest = self.baseline
+        self.restore(rest.rest_v, rest.drift_v, rest.tared_drift_v)
 
     def refresh(self) -> None:
         """Have the next frame read anew: something other than the words has changed."""

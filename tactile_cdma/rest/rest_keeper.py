@@ -147,22 +147,14 @@ class RestKeeper:
                 self._read()
             return
         with self._driver.between_frames() as pipeline:
-            stay = pipeline.adjust(config)
+            pipeline.adjust(config)
             if not recalibrated:
                 return
-            if not stay:
-                self._store.disown()
-                self._kept, self.tared = None, ""
             self._tell()
         name = config.calibration.identity or "by default"
-        self._log.info(
-            f"calibration {name} is in force; tare and drift "
-            + (
-                "stay"
-                if stay
-                else "were dropped with the old curves; tare again while nothing touches the skin"
-            )
-        )
+        self._log.info(f"calibration {name} is in force; tare and drift stay, by its curves")
+        if self._kept is not None and self._store.path is not None:
+            self._save()  # on file they are with the curves that they are used with
 
     def tick(self) -> None:
         """Report and save drift if that is due; call it about once a second."""

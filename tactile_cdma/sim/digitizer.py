@@ -15,6 +15,7 @@ from functools import partial
 from ..base.errors import SpecError
 from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
 from ..wire.messages import (
+    Bootsel,
     Command,
     Configure,
     FrameLayout,
@@ -30,6 +31,7 @@ from ..wire.messages import (
     Start,
     Status,
     Stop,
+    Touch,
 )
 from ..wire.packets import PacketParser, PacketWriter
 from .indenters import Indenter
@@ -216,6 +218,8 @@ class VirtualDigitizer:
                 self._packs = True
             case Configure():
                 result = self._configure(command)
+            case Touch() | Bootsel():
+                result = Result.UNKNOWN_COMMAND
         self.commands_refused += result != Result.OK
         self._send(command.ack(result))
         if isinstance(command, GetInfo | Configure):

@@ -133,7 +133,7 @@ class SimOptions:
         "", (BY_THE_SECOND, 65_535))
     start_phase: float = _option(0.0,
         "share of the first frame's period that has passed at START", "", (0, 0.99))
-    seed: int = _option(0, "of everything random", "", (0, 2**32 - 1))
+    seed: int = _option(0, "of everything random", "", (0, 2**31 - 1))
     speed: float = _option(1.0, "pace; 1: real time, 0: as fast as it is read", "", (0.0, 1000.0))
     rows: int = _option(0, "taxel rows; 0: as square as fits", "", (0, 4_096))
     columns: int = _option(0, "taxel columns; 0: as square as fits", "", (0, 4_096))

@@ -22,6 +22,8 @@ SYNC_LEAD = 4
 NODE_MAGIC = 1314145108
 NODE_VERSION = 2
 NODE_LEARN_REST = 65535
+DEMO_WIRED = 56833
+DEMO_WIRELESS = 56834
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
 FLAG_CALLED = 0x04
@@ -42,6 +44,8 @@ class PacketType(IntEnum):
     CONFIGURE = 0x84
     ROLL_CALL = 0x85
     PACK = 0x86
+    TOUCH = 0x87
+    BOOTSEL = 0x88
 
 
 class SyncMode(IntEnum):
@@ -83,6 +87,16 @@ class Result(IntEnum):
     OUT_OF_RANGE = 3
     UNSUPPORTED = 4
     BUSY = 5
+
+
+class Scene(IntEnum):
+    """What touches a demonstrator."""
+
+    REST = 0
+    PRESS = 1
+    SLIDE = 2
+    HOST = 3
+    ALL = 4
 
 
 class Field(NamedTuple):
@@ -143,5 +157,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("integrated", "B", bool), Field("quiet_uv", "I", U32),),
     "RollCall": (),
     "Pack": (),
+    "Touch": (Field("scene", "B", Scene), Field("node", "H", U16), Field("code", "H", U16),),
+    "Bootsel": (),
 }
 # fmt: on

@@ -5,11 +5,16 @@
 import re
 
 from ..base.errors import ParameterError
-from ._protocol import SIMULATED_ID
+from ._protocol import DEMO_WIRED, DEMO_WIRELESS, SIMULATED_ID
 
 ID_BYTES = 8
 NO_ID = bytes(ID_BYTES)
 """Reported by a board that has no number of its own."""
+_DEMONSTRATORS = {
+    DEMO_WIRED.to_bytes(2, "little"): "a demonstrator without sensors, its pins wired",
+    DEMO_WIRELESS.to_bytes(2, "little"): "a demonstrator without sensors, nothing wired",
+}
+"""Kinds of demonstrators by the end of their ids; no seed of a simulator, below 2³¹, ends so."""
 _SEPARATORS = re.compile(r"[\s:._-]")
 
 
@@ -38,5 +43,17 @@ def shown_id(digitizer_id: bytes) -> str:
 
 
 def is_simulated(digitizer_id: bytes) -> bool:
-    """Whether a digitizer says by its id that it is a simulator or an emulator, not a board."""
+    """Whether a digitizer says by its id that nothing is measured: nobody touches a sensor."""
     return digitizer_id.startswith(SIMULATED_ID)
+
+
+def is_demonstrator(digitizer_id: bytes) -> bool:
+    """Whether it says that it is a demonstrator: a board whose nodes have no sensors."""
+    return is_simulated(digitizer_id) and digitizer_id[6:] in _DEMONSTRATORS
+
+
+def kind_of(digitizer_id: bytes) -> str:
+    """What a digitizer is, for people; empty for a board."""
+    if is_demonstrator(digitizer_id):
+        return _DEMONSTRATORS[digitizer_id[6:]]
+    return "simulated" if is_simulated(digitizer_id) else ""

@@ -6,7 +6,7 @@ import logging
 import time
 
 from ..base.errors import PortError, ProtocolError
-from .identity import is_simulated, shown_id
+from .identity import kind_of, shown_id
 from .messages import GetInfo, Info, OtherVersion
 from .packets import PacketParser, PacketWriter, diagnose
 from .port import Port
@@ -42,9 +42,9 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
 def described_info(info: Info, settings: str = "set to") -> str:
     """A digitizer and its settings in one line. settings: the words that introduce these."""
     frame = info.frame
-    kind = ", simulated" if is_simulated(info.digitizer_id) else ""
+    known = ", ".join(filter(None, (shown_id(info.digitizer_id), kind_of(info.digitizer_id))))
     return (
-        f"{shown_id(info.digitizer_id)}{kind}, firmware {info.firmware_major}."
+        f"{known}, firmware {info.firmware_major}."
         f"{info.firmware_minor}, {settings} {frame.nodes} nodes × {frame.bits} bits, order "
         f"{frame.order}, {frame.chip_ns / 1e3:g} µs chips, a frame every "
         f"{frame.frame_period_us / 1e3:g} ms"

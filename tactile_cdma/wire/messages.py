@@ -36,6 +36,7 @@ from ._protocol import (
     PacketType,
     Polarity,
     Result,
+    Scene,
     Signs,
     SyncMode,
 )
@@ -446,6 +447,23 @@ class Pack(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Touch(Command):
+    """Has a demonstrator touched; other digitizers do not know it.
+
+    node: counted from 1; 0: all. code: its ADC word from the next frame on, with Scene.HOST only.
+    """
+
+    scene: Scene
+    node: int = 0
+    code: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Bootsel(Command):
+    """Has the board restart as a USB drive that takes a new image."""
+
+
+@dataclass(frozen=True, slots=True)
 class OtherVersion:
     """An Info of another protocol version; its text is for people."""
 
@@ -533,6 +551,8 @@ PACKETS: dict[int, type[Packet]] = {
     PacketType.CONFIGURE: Configure,
     PacketType.ROLL_CALL: RollCall,
     PacketType.PACK: Pack,
+    PacketType.TOUCH: Touch,
+    PacketType.BOOTSEL: Bootsel,
 }
 """Packets by the first byte of their body."""
 for _type, _kind in PACKETS.items():

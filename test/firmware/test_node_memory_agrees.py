@@ -12,8 +12,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import MCUS, MEASURING_S, Mcu, node_memory
+from tactile_cdma.code.frame import MEASURING_S, FrameSpec
+from tactile_cdma.hardware.node_memory import MCUS, Mcu, node_memory
 from test.support.node_limits import BLANK, CORRUPT, GOOD, UNFIT, limits, load
 
 

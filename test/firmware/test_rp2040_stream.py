@@ -12,9 +12,17 @@ import numpy as np
 import pytest
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.wire._protocol import SYNC_CALL, SYNC_FRAME, SYNC_RESTART, SYNC_UNIT_US, SyncMode
+from tactile_cdma.wire._protocol import (
+    SYNC_CALL,
+    SYNC_FRAME,
+    SYNC_RESTART,
+    SYNC_UNIT_US,
+    Result,
+    SyncMode,
+)
 from tactile_cdma.wire.messages import (
     Ack,
+    Bootsel,
     Configure,
     FrameLayout,
     GetInfo,
@@ -26,6 +34,7 @@ from tactile_cdma.wire.messages import (
     Status,
     Stop,
 )
+from tactile_cdma.wire.packets import wrap
 from test.support.rp2040_bench import (
     FLASH_ID,
     LEAD_NS,
@@ -242,3 +251,20 @@ def test_quiet_and_means(rp2040_image: Path) -> None:
 def test_a_flash_without_a_number(rp2040_image: Path, flash_id: bytes) -> None:
     with Bench(rp2040_image, UART, flash_id=flash_id) as bench:
         assert bench.of(Info)[0].digitizer_id == bytes(8)
+
+
+@pytest.mark.parametrize("image", ["digitizer.bin", "demo.bin"])
+def test_a_command_or_1200_baud_restarts_it_as_a_drive(rp2040_image: Path, image: str) -> None:
+    """Not before the command is answered; other speeds and lengths do nothing."""
+    for ask in (lambda bench: bench.send(Bootsel()), lambda bench: bench.board.set_usb_baud(1200)):
+        with Bench(rp2040_image.with_name(image)) as bench:
+            bench.write(b"\0" + wrap(b"\x88\x00\x00\x01"))
+            bench.board.set_usb_baud(115200)
+            bench.run(0.2)
+            assert bench.of(Ack)[-1].result == Result.BAD_LENGTH and not bench.board.is_drive
+            bench.send(Start())
+            ask(bench)
+            bench.run(0.02)
+            assert bench.of(Ack)[-1].result == Result.OK and not bench.board.is_drive
+            bench.run(0.2)
+            assert bench.board.is_drive

@@ -205,6 +205,7 @@ def test_an_unknown_parameter_is_named_and_nothing_is_published() -> None:
 
 def test_configure_refuses_impossible_combinations_until_they_are_resolved() -> None:
     with running(autostart=False) as (_, client):
+        assert client.set(frame_period_ms=12.9) == (True, "")
         assert client.set(nodes=36) == (True, "")
         assert not client.change(Transition.TRANSITION_CONFIGURE)
         wait_for(lambda: any("longer than its period" in s.message for s in client.diagnostics))

@@ -21,9 +21,11 @@ from test.support.waiting import wait_for
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 BOARD, SIMULATED = TactileSkinInfo.ORIGIN_BOARD, TactileSkinInfo.ORIGIN_SIMULATED
-REPLAYED = TactileSkinInfo.ORIGIN_REPLAYED
+REPLAYED, DEMONSTRATOR = TactileSkinInfo.ORIGIN_REPLAYED, TactileSkinInfo.ORIGIN_DEMONSTRATOR
+NAMES = {BOARD: "board", SIMULATED: "simulated", DEMONSTRATOR: "demonstrator"}
 OPTIONS = SimOptions(scene="press", seed=3)
 SIMULATOR_ID = "73696D0003000000"
+DEMO = "73696D00414201DE"
 FIRST, SECOND = "E660000000000001", "E660000000000002"
 
 
@@ -129,11 +131,12 @@ def test_another_board_on_the_port_is_told_of_once(
 
 
 def test_a_replay_says_so_and_of_what(tmp_path: Path) -> None:
-    for number, (power_up, kind) in enumerate(((a_board(FIRST), BOARD), (simulator, SIMULATED))):
+    kinds = ((a_board(FIRST), BOARD), (simulator, SIMULATED), (a_board(DEMO), DEMONSTRATOR))
+    for number, (power_up, kind) in enumerate(kinds):
         path = tmp_path / f"{number}.skin"
         with plugged(power_up, tmp_path / "tty") as port:
             assert main(["record", port, str(path), "--seconds", "1", "--nodes", "16"]) == 0
         with running(port=f"replay://{path}?loop=true") as (_, client):
             wait_for(told(client, OK, f"replayed from replay://{path}"))
             wait_for(lambda kind=kind: origin(client)[:2] == (REPLAYED, kind))
-            assert client.value("source", "measured by") == ("board", "simulated")[number]
+            assert client.value("source", "measured by") == NAMES[kind]

@@ -249,7 +249,7 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> N
     assert has_no_gap(client.arrays)
 
 
-def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
+def test_other_curves_keep_the_tare_and_a_bad_file_changes_nothing(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:
     preload(800.0)
@@ -269,12 +269,15 @@ def test_other_curves_forget_the_tare_and_a_bad_file_changes_nothing(
         assert client.arrays[-1].info_id == 2
         assert client.set(calibration_file=str(path)) == (True, "")
         wait_for(lambda: len(client.infos) == 3 and client.arrays[-1].info_id == 3)
-        assert np.allclose(client.arrays[-1].pressure, 781.25 / 2, atol=15)
-        assert list(client.infos[-1].tare) == []
+        assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+        assert np.allclose(client.infos[-1].tare, 781.25 / 2, atol=15)
         assert client.infos[-1].calibration_id == identity
-        before = len(client.arrays)
-        wait_for(lambda: len(client.arrays) > before + 90)
-        assert tare_at_last(client).success
+        assert client.set(calibration_file="") == (True, "")
+        taken, why = client.set(knee_kpa=141.0)
+        assert not taken and "knee" in why
+        assert client.set(sensitivity1_v_per_kpa=0.0165) == (True, "")
+        wait_for(lambda: len(client.infos) == 5 and client.arrays[-1].info_id == 5)
+        assert np.allclose(client.infos[-1].tare, 781.25 * 2, atol=30)
     assert has_no_gap(client.arrays)
-    kept = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml.old").read_text())
-    assert np.allclose(kept["rest_v"], REST_V)  # for when the curves before come back
+    kept = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())
+    assert np.allclose(kept["rest_v"], REST_V)

@@ -54,7 +54,7 @@ void clocks_init(void)
     WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 1 µs; also the timer's tick */
     PSM->wdsel = PSM_ALL_BUT_OSCILLATORS; /* blocks that the watchdog resets */
     watchdog_feed();
-    WATCHDOG->ctrl = WATCHDOG_ENABLE;
+    WATCHDOG->ctrl = WATCHDOG_ENABLE | WATCHDOG_PAUSE_DEBUG;
 
     TIMER->inte = 1;
     NVIC_ISER = 1u << IRQ_TIMER_0;

@@ -2,6 +2,7 @@
 
 /* The digitizer on an RP2040: supplies to the portable core what core/board.h declares. */
 #include "loop.h"
+#include "nodes.h"
 #include "registers.h"
 #include "rp2040.h"
 
@@ -14,6 +15,16 @@
 
 _Static_assert(OUTPUT_SIZE >= DG_OUTPUT_MIN(TP_MAX_SAMPLES), "output ring too small");
 
+static enum tp_result obey(uint8_t type, const uint8_t *payload, size_t size)
+{
+    if (type != TP_BOOTSEL)
+        return nodes_obey(type, payload, size);
+    if (size)
+        return TP_RESULT_BAD_LENGTH;
+    bootsel_ask();
+    return TP_RESULT_OK;
+}
+
 static struct dg_board board = {
     .ticks_per_us = TICKS_PER_US,
     .min_ticks = SAMPLER_MIN_TICKS,
@@ -22,6 +33,7 @@ static struct dg_board board = {
     .zero_count = 2048, /* the amplifier rests at half the supply */
     .min_count = 0,
     .max_count = 4095,
+    .command = obey,
 };
 static struct dg dg;
 static uint8_t output[OUTPUT_SIZE];
@@ -46,12 +58,14 @@ static void restart(struct dg *dg)
 {
     sync_stop();
     sampler_stop();
+    nodes_stop();
     tick_every(dg->running ? TICK_STREAMING_US : TICK_IDLE_US);
     if (!dg->running) {
         SIO->out_clr = 1u << PIN_LED;
         return;
     }
     struct moment moment;
+    nodes_begin(dg);
     sync_prepare();
     uint32_t begin = sampler_start(dg->ticks_per_sample, &moment);
     dg_begin(dg, moment.us - (moment.tick + TICKS_PER_US / 2) / TICKS_PER_US);
@@ -59,21 +73,15 @@ static void restart(struct dg *dg)
     SIO->out_set = 1u << PIN_LED;
 }
 
-static const struct dg_link links[] = {
-    {usb_ready, usb_read, usb_send, usb_sending, usb_cancel},
-    {uart_ready, uart_read, uart_send, uart_sending, uart_cancel},
-};
-
-static const struct dg_hardware hardware = {
+static struct dg_hardware hardware = {
     .time_us = time_us,
     .sleep = sleep,
-    .links = links,
-    .link_count = sizeof links / sizeof *links,
+    .links = nodes_links,
     .restart = restart,
-    .take_samples = sampler_take,
+    .take_samples = nodes_take,
     .release_samples = sampler_done,
     .pause_samples = sampler_pause,
-    .pulses_failed = sync_failed,
+    .pulses_failed = nodes_failed,
 };
 
 int main(void)
@@ -91,7 +99,8 @@ int main(void)
     flash_id(board.id);
     sampler_init();
     sync_stop();
-    uart_init();
+    nodes_init(&board);
+    hardware.link_count = nodes_link_count;
     usb_init(board.id);
     dg_init(&dg, &board, output, sizeof output, samples, SAMPLE_CAPACITY, time_us());
     dg_loop_init(&loop, &dg, &hardware);
@@ -99,6 +108,7 @@ int main(void)
 
     for (;;) {
         watchdog_feed();
+        bootsel_when_asked();
         dg_loop_pass(&loop);
     }
 }

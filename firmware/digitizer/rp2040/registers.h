@@ -25,6 +25,7 @@ struct resets { uint32_t reset, wdsel, done; };
 #define RESET_DMA (1u << 2)
 #define RESET_IO_BANK0 (1u << 5)
 #define RESET_PADS_BANK0 (1u << 8)
+#define RESET_PIO0 (1u << 10)
 #define RESET_PLL_SYS (1u << 12)
 #define RESET_PLL_USB (1u << 13)
 #define RESET_PWM (1u << 14)
@@ -73,6 +74,7 @@ struct psm { uint32_t frce_on, frce_off, wdsel, done; };
 struct watchdog { uint32_t ctrl, load, reason, scratch[8], tick; };
 #define WATCHDOG BLOCK(watchdog, 0x40058000u)
 #define WATCHDOG_ENABLE (1u << 30)
+#define WATCHDOG_PAUSE_DEBUG (7u << 24) /* while a debugger halts a core, as after a reset */
 #define WATCHDOG_TICK_ENABLE (1u << 9)
 
 struct timer {
@@ -88,10 +90,12 @@ struct io { struct { uint32_t status, ctrl; } gpio[30]; };
 #define IO_UART 2u
 #define IO_PWM 4u
 #define IO_SIO 5u
+#define IO_PIO0 6u
 #define IO_OUTOVER_LOW (2u << 8)
 
 struct pads { uint32_t voltage_select, gpio[30]; };
 #define PADS_BANK0 BLOCK(pads, 0x4001c000u)
+#define PAD_PULL_DOWN (1u << 2)
 #define PAD_PULL_UP (1u << 3)
 #define PAD_DRIVE_4MA (1u << 4)
 #define PAD_SCHMITT (1u << 1)
@@ -115,6 +119,7 @@ struct uart {
 struct adc { uint32_t cs, result, fcs, fifo, div; };
 #define ADC BLOCK(adc, 0x4004c000u)
 #define ADC_CS_EN (1u << 0)
+#define ADC_CS_START_ONCE (1u << 2)
 #define ADC_CS_START_MANY (1u << 3)
 #define ADC_CS_READY (1u << 8)
 #define ADC_FCS_EN (1u << 0)
@@ -138,6 +143,7 @@ struct dma_control { uint32_t intr, inte0, intf0, ints0, pad[13], chan_abort; };
 #define DMA BLOCK(dma_control, 0x50000400u)
 #define DMA_EN (1u << 0)
 #define DMA_HALFWORDS (1u << 2)
+#define DMA_WORDS (2u << 2)
 #define DMA_INCR_READ (1u << 4)
 #define DMA_INCR_WRITE (1u << 5)
 #define DMA_RING_WRITE(bits) ((uint32_t)(bits) << 6 | 1u << 10)
@@ -145,8 +151,22 @@ struct dma_control { uint32_t intr, inte0, intf0, ints0, pad[13], chan_abort; };
 #define DMA_TREQ(n) ((uint32_t)(n) << 15)
 #define DMA_QUIET (1u << 21)
 #define DMA_BUSY (1u << 24)
+#define DREQ_PIO0_TX0 0
 #define DREQ_UART0_TX 20
 #define DREQ_ADC 36
+
+struct pio {
+    uint32_t ctrl, fstat, fdebug, flevel, txf[4], rxf[4], irq, irq_force, input_sync_bypass;
+    uint32_t dbg_padout, dbg_padoe, dbg_cfginfo, instr_mem[32];
+    struct { uint32_t clkdiv, execctrl, shiftctrl, addr, instr, pinctrl; } sm[4];
+};
+#define PIO0 BLOCK(pio, 0x50200000u)
+#define PIO_CTRL_SM0_ENABLE (1u << 0)
+#define PIO_FDEBUG_TXSTALL_SM0 (1u << 24)
+#define PIO_EXECCTRL_WRAP(bottom, top) ((uint32_t)(top) << 12 | (uint32_t)(bottom) << 7)
+#define PIO_SHIFTCTRL_OUT_RIGHT (1u << 19)
+#define PIO_SHIFTCTRL_AUTOPULL (1u << 17) /* after 32 bits */
+#define PIO_PINCTRL_OUT(base, count) ((uint32_t)(count) << 20 | (uint32_t)(base))
 
 struct ssi {
     uint32_t ctrlr0, ctrlr1, ssienr, mwcr, ser, baudr, txftlr, rxftlr, txflr, rxflr, sr;
@@ -190,6 +210,9 @@ struct usb_dpram {
 #define USB_BUF_AVAILABLE (1u << 10)
 #define USB_BUF_LENGTH 0x3ffu
 
+/* The boot ROM's table of functions, and the one that looks a function up: their addresses. */
+extern const volatile uint16_t rom_functions, rom_lookup;
+
 /* Registers of the Cortex-M0+. */
 #define NVIC_ISER (*(volatile uint32_t *)0xe000e100u)
 #define VTOR (*(volatile uint32_t *)0xe000ed08u)
@@ -209,6 +232,7 @@ _Static_assert(sizeof(struct timer) == 0x44, "struct timer");
 _Static_assert(sizeof(struct uart) == 0x4c, "struct uart");
 _Static_assert(sizeof(struct dma_channel) == 0x40, "struct dma_channel");
 _Static_assert(sizeof(struct dma_control) == 0x48, "struct dma_control");
+_Static_assert(sizeof(struct pio) == 0x128, "struct pio");
 _Static_assert(sizeof(struct pwm) == 0xac, "struct pwm");
 _Static_assert(sizeof(struct ssi) == 0xf8, "struct ssi");
 _Static_assert(sizeof(struct usb) == 0x9c, "struct usb");

@@ -23,7 +23,7 @@ enum pin {
     PIN_LED = 25,
     PIN_LINE = 26,
 };
-enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART };
+enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART, DMA_PINS };
 
 /* clocks: crystal, PLLs, watchdog, time, and the tick that wakes main() */
 void clocks_init(void);
@@ -84,6 +84,10 @@ void usb_interrupt(void);
 
 /* flash_id: the flash's unique number; zeros where it has none */
 void flash_id(uint8_t id[8]);
+
+/* bootsel: restarts the board as a USB drive, soon after that was asked for */
+void bootsel_ask(void);
+void bootsel_when_asked(void);
 
 /* main: wakes main(), because an interrupt has left it work */
 void wake(void);

@@ -5,6 +5,7 @@
  * ends, so an interrupt has a whole period to program the next, and its latency does not delay the
  * pulses. Long intervals consist of several periods.
  */
+#include "nodes.h"
 #include "registers.h"
 #include "rp2040.h"
 
@@ -27,7 +28,7 @@ void sync_stop(void)
     IO_BANK0->gpio[PIN_SYNC].ctrl = IO_SIO;
     SIO->out_clr = 1u << PIN_SYNC;
     SIO->oe_set = 1u << PIN_SYNC;
-    PADS_BANK0->gpio[PIN_SYNC] = PAD_DRIVE_4MA | PAD_SCHMITT;
+    PADS_BANK0->gpio[PIN_SYNC] = PAD_DRIVE_4MA | PAD_SCHMITT | PAD_INPUT;
     reset_blocks(RESET_PWM);
 }
 
@@ -48,7 +49,7 @@ static void program_next(void)
 
     if (pulse_left && pulse.tick == programmed_end) {
         high = pulse.units * TP_SYNC_UNIT_US * TICKS_PER_US;
-        pulse_left = dg_pulse(source, &pulse);
+        pulse_left = nodes_pulse(source, &pulse);
     }
     if (pulse_left)
         left = pulse.tick - programmed_end;
@@ -74,7 +75,7 @@ void sync_start(struct dg *dg, uint32_t begin_tick, const struct moment *moment)
     source = dg;
     begin = *moment;
     programmed_end = begin_tick + FIRST_TICKS;
-    pulse_left = dg_pulse(dg, &pulse);
+    pulse_left = nodes_pulse(dg, &pulse);
     if (!pulse_left)
         return;
     program_next();

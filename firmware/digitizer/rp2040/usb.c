@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding and DTR are accepted and ignored.
+/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding and DTR are accepted and ignored, but
+ * for 1200 baud, by which a host asks for the boot ROM's USB drive, as it does with many boards.
  */
 #include "byte_ring.h"
+#include "nodes.h"
 #include "registers.h"
 #include "rp2040.h"
 #include "usb_descriptors.h"
@@ -12,6 +14,8 @@ enum { GET_STATUS = 0, CLEAR_FEATURE = 1, SET_ADDRESS = 5, GET_DESCRIPTOR = 6,
        GET_CONFIGURATION = 8, SET_CONFIGURATION = 9,
        SET_LINE_CODING = 0x20, GET_LINE_CODING = 0x21, SET_CONTROL_LINE_STATE = 0x22 };
 enum { TO_DEVICE = 0x00, TO_INTERFACE = 0x01, TO_ENDPOINT = 0x02, CLASS = 0x20, FROM_DEVICE = 0x80 };
+
+#define BAUD_OF_BOOTSEL 1200u
 
 struct setup_packet {
     uint8_t request_type, request;
@@ -125,7 +129,7 @@ static void reply_string(const struct setup_packet *setup)
 {
     static const char *const texts[] = {
         [USB_MANUFACTURER] = "tactile_cdma",
-        [USB_PRODUCT] = "Tactile skin digitizer",
+        [USB_PRODUCT] = nodes_product,
     };
     static const char digits[] = "0123456789ABCDEF";
     static uint8_t string[USB_PACKET];
@@ -309,10 +313,13 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
             reply_next();
         }
     } else if (endpoint == EP_CONTROL) {
-        if (reply)
+        if (reply) {
             reply = NULL; /* the end of a reply */
-        else
-            control_send(NULL, 0); /* acknowledges data, which are ignored */
+        } else { /* a line coding: nothing else comes with data */
+            if (size >= 4 && *memory(EP0_BUFFER) == BAUD_OF_BOOTSEL)
+                bootsel_ask();
+            control_send(NULL, 0);
+        }
     } else if (direction == DIR_IN) {
         packet_taken();
     } else {

@@ -27,7 +27,7 @@ static const uint8_t device_descriptor[] = {
 };
 
 static const uint8_t configuration_descriptor[] = {
-    9, USB_CONFIGURATION, LE16(CONFIGURATION_SIZE), 2, 1, 0, 0x80, 50, /* 100 mA */
+    9, USB_CONFIGURATION, LE16(CONFIGURATION_SIZE), 2, 1, 0, 0x80, 250, /* 500 mA: a skin is fed by it */
     8, 11, 0, 2, 2, 2, 0, 0,                    /* interfaces 0 and 1 are one function: CDC ACM */
     9, 4, 0, 0, 1, 2, 2, 0, 0,                  /* interface 0: its control */
     5, 0x24, 0, LE16(0x0110),                   /* CDC 1.1 */

@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 from ...base.errors import ParameterError, TactileError
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
-from ...config.skin_config import SkinConfig
+from ...config.skin_config import CURVE_PARAMETERS, SkinConfig
 from ...driver.checkup import rivals
 from ...driver.digitizer import Origin, SourceWatch
 from ...driver.driver import NOT_YET, Driver
@@ -110,7 +110,7 @@ class SkinNode(ManagedNode):
         """Let new values of parameters take effect; raises TactileError to refuse them."""
         if self._rest is not None:
             config = self._rest.config.adjusted(values)
-            if "calibration_file" in new:
+            if new & CURVE_PARAMETERS:
                 config = recalibrated(config, values)
             self._rest.adjust(config)
             self._frames.change(config.contact)
@@ -260,7 +260,7 @@ class SkinNode(ManagedNode):
         is_first, self._heard = self._heard is None, info
         warnings = self._watch.hear(info)
         if self._rest is not None:
-            self._rest.hear(self._watch.source.measured_by == Origin.SIMULATED)
+            self._rest.hear(self._watch.source.measured_by != Origin.BOARD)
         for warning in warnings or ():
             self.get_logger().warning(warning)
         if is_first or warnings is not None:
@@ -301,7 +301,7 @@ def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
         return config.recalibrated(values)
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         read = process.submit(config.recalibrated, values).result()
-    return replace(config, calibration=read.calibration)
+    return replace(config, curve=read.curve, calibration=read.calibration)
 
 
 def main() -> int:

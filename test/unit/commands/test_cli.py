@@ -190,7 +190,7 @@ def test_a_capture_that_is_too_coarse_says_so(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--nodes", "64"], "longer than its period"),
+        (["--frame-period-ms", "9"], "longer than its period"),
         (["--order", "92"], "nearest feasible orders are 88 and 96"),
         (["--bits", "99"], "bits is 99"),
         (["--timing", "line"], "use --timing gap"),

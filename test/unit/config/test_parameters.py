@@ -118,7 +118,7 @@ def test_bad_values_are_refused_with_value_and_limit(values: dict, message: str)
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"nodes": 64}, "longer than its period"),
+        ({"nodes": 64, "frame_period_ms": 12.9}, "longer than its period"),
         ({"timing": "gap", "samples_per_chip": 1}, "samples_per_chip is 1, it must be 3 or more"),
         ({"timing": "gap", "frame_period_ms": 11.0}, "silence between frames"),
         ({"rows": 3, "columns": 3}, "9 places for 16 nodes"),

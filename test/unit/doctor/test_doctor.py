@@ -121,7 +121,7 @@ def test_a_busy_port(doctor: Doctor) -> None:
         (['digitizer_id: "0000000000000001"'], "sim://?speed=9", "digitizer", "wrong digitizer"),
         (["digitizer_id: 1234567890123456"], "sim://", "parameters", "must be a text"),
         (["nodes: 16", "nodez: 4"], "sim://", "parameters", "did you mean 'nodes'"),
-        (["nodes: 900"], "sim://", "parameters", "longer than its period"),
+        (["nodes: 900", "frame_period_ms: 20.0"], "sim://", "parameters", "longer than its period"),
         (
             ["amplitude_mv: 900.0"],
             "sim://?scene=all&speed=4",

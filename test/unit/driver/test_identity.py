@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.line_packets import introduction, packets
-from tactile_cdma.base.errors import ParameterError
+from tactile_cdma.base.errors import ParameterError, SpecError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import Origin, SourceWatch
@@ -22,7 +22,8 @@ from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire.identity import parse_id, shown_id
+from tactile_cdma.wire.identity import is_simulated, parse_id, shown_id
+from tactile_cdma.wire.introduction import described_info
 from tactile_cdma.wire.messages import Configure, GetInfo, Info, Start, Stop
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.boards import board, board_id, plugged
@@ -104,6 +105,24 @@ def test_simulated_is_who_says_so_whatever_the_port(number: bytes, port: str) ->
     assert watch.source.measured_by is Origin.SIMULATED
     assert watch.source.origin is (Origin.REPLAYED if replayed else Origin.SIMULATED)
     assert warnings == ([] if replayed else [watch.unasked])
+
+
+@pytest.mark.parametrize("end", ["01DE", "02DE"])
+def test_a_demonstrator_is_neither_a_board_nor_a_simulator(end: str) -> None:
+    """Nor is it for hosts that do not know demonstrators: to them it is simulated."""
+    number = bytes.fromhex("73696D00" + "ABCD" + end)
+    watch = SourceWatch("/dev/ttyACM0")
+    [warning] = watch.hear(introduced(number)) or []
+    assert "made up" in warning and "demonstrator" in warning
+    assert watch.source.origin is watch.source.measured_by is Origin.DEMONSTRATOR
+    assert is_simulated(number), "as hosts before this one find out"
+    assert {"01DE": "wired", "02DE": "nothing wired"}[end] in described_info(introduced(number))
+    replay = SourceWatch("replay://touch.skin")
+    assert replay.hear(introduced(number)) == []
+    assert replay.source.origin is Origin.REPLAYED
+    assert replay.source.measured_by is Origin.DEMONSTRATOR
+    with pytest.raises(SpecError):
+        SimOptions(seed=int.from_bytes(number[4:], "little"))
 
 
 @pytest.mark.parametrize("port", ["sim://", "SIM://?scene=hand"])

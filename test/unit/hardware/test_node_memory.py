@@ -18,12 +18,11 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import NodeMemoryError, SpecError
 from tactile_cdma.code.codes import scrambler_state, smallest_order
-from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.frame import MEASURING_S, FrameSpec
 from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import (
     FAST,
     MCUS,
-    MEASURING_S,
     describe_memory,
     node_memory,
     read_node_memory,

@@ -335,13 +335,13 @@ def test_a_calibration_with_the_same_curves_keeps_the_tare(
     run.keeper.tare()
     _, calibration = run.keeper.save()
     run.set(calibration_file=str(calibration))
-    assert run.changes == 3 and run.log.infos[-1].endswith("tare and drift stay")
+    assert run.changes == 3 and run.log.infos[-1].endswith("tare and drift stay, by its curves")
     assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
     run.set(threshold=0.6)
     assert run.changes == 3
 
 
-def test_other_curves_forget_the_tare_and_keep_its_file(
+def test_other_curves_keep_the_rest_that_a_tare_was_taken_at(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:
     preload(PRELOAD_PA)
@@ -350,13 +350,13 @@ def test_other_curves_forget_the_tare_and_keep_its_file(
     run = Run(tmp_path).activate().stream(TARE_S)
     run.keeper.tare()
     run.set(calibration_file=str(tmp_path / "steep.yaml"))
-    assert "were dropped with the old curves" in run.log.infos[-1]
-    assert run.keeper.tared == "" and run.changes == 3
-    assert np.allclose(run.stream(TARE_S).pressure_pa, PRELOAD_PA / 2, atol=15)
-    assert not (tmp_path / f"{NAME}.old").exists()
-    run.keeper.tare()
-    kept = yaml.safe_load((tmp_path / f"{NAME}.old").read_text())
-    assert np.allclose(kept["rest_v"], REST_V)  # for when the curves before come back
+    assert run.keeper.tared and run.changes == 3
+    assert np.allclose(run.stream(0.3).pressure_pa, 0, atol=15)
+    baseline = run.keeper.baseline
+    assert baseline is not None and np.allclose(baseline.tare_pa, PRELOAD_PA / 2, atol=15)
+    run.keeper.deactivate()  # and the file goes with the curves in force
+    run = Run(tmp_path, calibration_file=str(tmp_path / "steep.yaml"))
+    assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
 
 
 def test_without_a_folder_to_write_to_the_skin_goes_on(

@@ -177,9 +177,13 @@ def test_programs_that_end_during_the_look_are_passed_over(
 def test_the_udev_rule_knows_the_firmwares_names() -> None:
     root = Path(__file__).resolve().parents[3]
     rule = (root / "config" / "60-tactile-cdma.rules").read_text()
-    firmware = (root / "firmware" / "digitizer" / "rp2040" / "usb.c").read_text()
+    firmware = root / "firmware" / "digitizer" / "rp2040"
     matches = [line for line in rule.splitlines() if line and not line.startswith(("#", "LABEL"))]
-    for what, index in (("manufacturer", "USB_MANUFACTURER"), ("product", "USB_PRODUCT")):
-        name = firmware.split(f"[{index}] = ")[1].split(",")[0]
-        for line in matches[1:]:
-            assert f"{{{what}}}=={name}" in line
+    maker = (firmware / "usb.c").read_text().split('[USB_MANUFACTURER] = "')[1].split('"')[0]
+    products = [
+        (firmware / source).read_text().split('nodes_product[] = "')[1].split('"')[0]
+        for source in ("nodes_elsewhere.c", "demo/nodes_here.c")
+    ]
+    for line in matches[1:]:
+        assert f'{{manufacturer}}=="{maker}"' in line
+        assert f'{{product}}=="{"|".join(products)}"' in line

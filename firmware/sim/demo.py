@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Run the demonstrator's image and compare every word: `make demo-test`.
+
+The board with its pins joined by resistors at its converter, and with nothing wired, runs in an
+emulated RP2040 with a USB host, whose bytes go through the driver's pipeline. What should be heard
+follows from the scenes' definition and the nodes' rules of speaking, written down here once more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rp2040 import EmulatorError, Line, Network, Rp2040
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.wire._protocol import Scene
+from tactile_cdma.wire.messages import Command, Stretch
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from trial import Marks
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGE = ROOT / "firmware" / "build" / "rp2040" / "demo.bin"
+PARAMS = ROOT / "config" / "demo_skin.yaml"
+NODES = 16
+RESISTORS = Network((100e3,) * NODES)
+SECONDS = 10.0
+"""Of the demonstrator's time: more than one round of its scenes."""
+READY_S = 0.05
+"""By this time the host has configured the device."""
+STEP_S = 0.02
+REST, HEARTBEAT, THRESHOLD = 1015, 78, 1
+"""In the nodes' memories: LSB, frames, LSB."""
+X, Y = np.arange(NODES) % 4, np.arange(NODES) // 4
+Codes = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """A touch of the demonstrator's table. x, y: taxels; x_speed: taxels per frame; depth: LSB."""
+
+    x: float
+    y: float
+    x_speed: float
+    depth: int
+    frames: int
+
+    def codes(self, frame: int) -> Codes:
+        """(16,) what the nodes measure; the depth rises in 32 frames, and falls in as many."""
+        deepest = self.depth * min(frame, self.frames - frame, 32) // 32
+        squares = (X - self.x - self.x_speed * frame) ** 2 + (Y - self.y) ** 2
+        fallen: Codes = np.floor(deepest * np.maximum(1 - squares / 2, 0)).astype(np.int64)
+        return REST - fallen
+
+
+TABLE = {
+    Scene.REST: Press(0, 0, 0, 0, 234),
+    Scene.PRESS: Press(1.5, 1.5, 0, 300, 234),
+    Scene.SLIDE: Press(-0.5, 500 / 256, 4 / 256, 400, 256),
+}
+
+
+def all_scenes(frame: int) -> Codes:
+    """The codes of frame `frame` of the table's scenes, one after another."""
+    frame %= sum(press.frames for press in TABLE.values())
+    for press in TABLE.values():
+        if frame < press.frames:
+            return press.codes(frame)
+        frame -= press.frames
+    raise AssertionError
+
+
+class Nodes:
+    """When nodes speak: while their code is off its rest or off what was sent last, and in turn."""
+
+    def __init__(self) -> None:
+        self.last = np.full(NODES, REST)
+        self._turn = np.arange(NODES) * HEARTBEAT // NODES
+
+    def speak(self, frame: int, codes: Codes, called: int | None = None) -> NDArray[np.bool_]:
+        """(16,) who speaks. called: the only one who may, in a roll call."""
+        speaks: NDArray[np.bool_] = (np.abs(codes - REST) > THRESHOLD) | (
+            np.abs(codes - self.last) > THRESHOLD
+        )
+        speaks |= self._turn == frame % HEARTBEAT
+        if called is not None:
+            speaks = np.arange(NODES) == called
+        self.last[speaks] = codes[speaks]
+        return speaks
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What the driver made of the stream.
+
+    codes, active: (16,) by the frame's number since START. called: numbers of a roll call's frames.
+    """
+
+    codes: dict[int, NDArray[np.int32]]
+    active: dict[int, NDArray[np.bool_]]
+    called: list[int]
+    lost_samples: int
+    digitizer_id: bytes
+
+
+def listen(
+    line: Line | Network,
+    seconds: float = SECONDS,
+    script: dict[float, list[Command]] | None = None,
+    **watched: Any,
+) -> Heard:
+    """Run the image and decode as the driver does.
+
+    script: commands, by the time at which they are sent, s. watched: on_sync, on_pin of Rp2040.
+    """
+    config = SkinConfig.of(read_file(PARAMS))
+    pipeline, parser, marks = Pipeline(config, background=False), PacketParser(), Marks(config)
+    writer, left = PacketWriter(), dict(script or {})
+    frames: list[TactileFrame] = []
+    called: list[bool] = []
+    with Rp2040(IMAGE, line, **watched) as chip:
+        chip.plug_usb()
+        chip.run(READY_S)
+        chip.write_usb(Session(config).open())
+        while chip.now < seconds:
+            for due_s in [due_s for due_s in left if due_s <= chip.now]:
+                chip.write_usb(b"".join(map(writer.encode, left.pop(due_s))))
+            chip.run(chip.now + STEP_S)
+            data = chip.read_usb()
+            for packet in parser.feed(data):
+                marks.take(packet)
+                if isinstance(packet, Stretch) and packet.sync:
+                    called.append(packet.called)
+            frames += pipeline.feed(data, chip.now)
+    period_ns = config.spec.frame_period_s * 1e9
+    numbers = [round((marks.nearest(frame) - marks.marks_ns[0]) / period_ns) for frame in frames]
+    assert pipeline.digitizer.info is not None
+    return Heard(
+        {number: frame.words.codes for number, frame in zip(numbers, frames, strict=True)},
+        {number: frame.words.active for number, frame in zip(numbers, frames, strict=True)},
+        [number for number, is_called in enumerate(called) if is_called],
+        pipeline.counters.lost_samples,
+        pipeline.digitizer.info.digitizer_id,
+    )
+
+
+def count_words(heard: Heard, truth: Callable[[int], Codes]) -> tuple[int, int]:
+    """Numbers of words that were right; and that were wrong, missing or made up."""
+    nodes, right, wrong = Nodes(), 0, 0
+    for number in range(max(heard.codes) + 1):
+        codes = truth(number)
+        if number in heard.called:  # the driver takes no words from a roll call
+            nodes.speak(number, codes, heard.called.index(number))
+            continue
+        speaks = nodes.speak(number, codes)
+        active = heard.active.get(number, np.zeros(NODES, bool))
+        good = (active == speaks) & (~speaks | (heard.codes.get(number) == codes))
+        right, wrong = right + int(np.sum(good & speaks)), wrong + int(np.sum(~good))
+    return right, wrong
+
+
+def floating(times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """The counts of a pin that nothing is connected to: hum."""
+    return (600 + 400 * np.sin(times_ns * 1e-9 * 2 * np.pi * 50)).astype(np.uint16)
+
+
+def main() -> int:
+    """Print a line per mode and the sums last; exit code 1 on any error."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    seconds = parser.parse_args().seconds
+    frames = wrong = lost = 0
+    modes: dict[str, Line | Network] = {
+        "summed pins": RESISTORS,
+        "a skin without a wire": floating,
+    }
+    for name, line in modes.items():
+        begin = time.monotonic()
+        try:
+            heard = listen(line, seconds)
+        except EmulatorError as error:
+            print(f"demo-test: {name}: {error}", file=sys.stderr)
+            return 1
+        right, false = count_words(heard, all_scenes)
+        frames, wrong = frames + len(heard.codes), wrong + false
+        lost += heard.lost_samples
+        print(
+            f"{name}: frames={len(heard.codes)} words={right} wrong={false} "
+            f"lost_samples={heard.lost_samples} ({time.monotonic() - begin:.0f} s)",
+            flush=True,
+        )
+    print(f"nodes={NODES} frames={frames} wrong={wrong} lost_samples={lost}")
+    return int(wrong + lost > 0 or frames < 2 * 70 * (seconds - 1))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
