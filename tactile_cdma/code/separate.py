@@ -3,7 +3,6 @@
 """Picks the nodes' levels out of one frame's correlations, and measures their noise."""
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats32
+from ..base.stage import stage
 from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .frame import UNIPOLAR, FrameSpec
 from .transform import rows_of
@@ -20,7 +20,7 @@ SPOKEN_OVER = 2.2
 noise, folded, has 1.3."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class NodeLevels:
     """The nodes' levels in one frame.
 

@@ -109,7 +109,7 @@ class FrameTimes:
         self.clock, self.origin = clocks(), 0
         self.last: AcceptedPacket | None = None
         self._clocks, self._counters = clocks, counters
-        self._anchors: deque[tuple[int, float]] = deque(maxlen=MAX_ANCHORS)  # index, device time
+        self._anchors: deque[PassedPacket] = deque(maxlen=MAX_ANCHORS)
         self._sequence = -1
         self._last_start_s: float | None = None  # of the last frame, if on the present clock
         self._last_t_host = -math.inf
@@ -131,24 +131,31 @@ class FrameTimes:
 
     def passed(self, packets: list[PassedPacket], rate_hz: float) -> None:
         """Enter packets that the stream has accepted, one at least."""
-        for index, device_time_us, count, _, t_host, backlog in packets:
-            t_device = device_time_us * 1e-6
-            self._anchors.append((index, t_device))
-            self._counters.samples += count
-            arrival = t_device + count / rate_hz, t_host
-            self.clock.observe(*arrival, backlog)
-        self._arrival = arrival
+        clock, samples = self.clock, 0
+        for _, device_time_us, count, _, t_host, backlog in packets:
+            samples += count
+            t_device = device_time_us * 1e-6 + count / rate_hz
+            if not (clock.from_s <= t_device < clock.to_s and t_host - t_device >= clock.lead_s):
+                clock.observe(t_device, t_host, backlog)
+        self._counters.samples += samples
+        self._anchors.extend(packets)
+        self._arrival = t_device, t_host
         index, device_time_us, count, sequence, *_ = packets[-1]
         self.last = AcceptedPacket(self.origin + index, device_time_us, count, sequence)
 
     def stamp(self, heard: FrameLevels, rate_hz: float, spec: FrameSpec) -> Stamp:
         """Number and times of the next frame."""
-        counters = self._counters
+        clock, counters = self.clock, self._counters
         chip_s = heard.chip_samples / rate_hz
-        t_start = self._device_time(heard.start, rate_hz)
+        start = heard.start
+        for packet in reversed(self._anchors):  # the last one that begins before the frame
+            if packet[0] <= start:
+                break
+        t_start = packet[1] * 1e-6 + (start - packet[0]) / rate_hz
         t_middle = t_start + chip_s * spec.span_chips / 2
-        t_host = self.clock.to_host(t_middle)
-        late_s = self.clock.lateness_s(*self._arrival)
+        t_host = clock.to_host(t_middle)
+        left_s, arrived_s = self._arrival
+        late_s = arrived_s - clock.to_host(left_s)
         passed_s = 0.0
         if self._last_start_s is not None:
             passed_s = t_start - self._last_start_s
@@ -160,18 +167,12 @@ class FrameTimes:
         # A better estimate of the clock may move time back: stamps still rise.
         self._last_t_host = max(t_host, self._last_t_host + TICK_S)
         # The frame was over when the packet came: that is the latest that it can have been.
-        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, self.clock.error_s)
+        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s)
         counters.frames += 1
         counters.lost_frames += periods - 1
-        counters.clock_steps += self.clock.take_steps()
+        if clock.steps:
+            counters.clock_steps += clock.take_steps()
         return Stamp(self._sequence, t_start, t_middle, self._last_t_host, error_s, chip_s)
-
-    def _device_time(self, index: float, rate_hz: float) -> float:
-        """Device time, s, of a place in the stream of samples, by the last packet before it."""
-        for anchor in reversed(self._anchors):
-            if anchor[0] <= index:
-                break
-        return anchor[1] + (index - anchor[0]) / rate_hz
 
 
 class DeviceClock:
@@ -186,20 +187,24 @@ class DeviceClock:
     same amount; that is a step, after which the line is that of the arrivals since. A device slower
     than real time, such as a replay at half speed, or one whose clock is no crystal, is followed at
     its own pace. Otherwise its frames would be stamped ever farther in the past.
+
+    from_s, to_s, lead_s: an arrival of a packet that left the device between these, s, says nothing
+    new if host time is ahead of device time by lead_s, s, or more: it need not be observed.
+    steps: how often the clock was found to have stepped since the last `take_steps`.
     """
 
     def __init__(self) -> None:
-        self._interval = -1
+        self.from_s = self.to_s = 0.0
+        self.lead_s = 0.0  # of the newest observation
         # A ring: the newest observation takes the place of the oldest.
         self._device, self._host = np.zeros((2, KEPT_INTERVALS))
         self._is_backlog = np.zeros(KEPT_INTERVALS, dtype=bool)
         self._count = 0
-        self._lead_s = 0.0  # host minus device time of the newest
         self._rate = 1.0
         self._origin = (0.0, 0.0)
         self._fitted = True
         self._is_slow = False
-        self._steps = 0
+        self.steps = 0
         self._scatter_s = 0.0  # of the newest observations about the line
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
@@ -207,19 +212,19 @@ class DeviceClock:
 
         backlog: it had been waiting to be read, so it may have come long before.
         """
-        interval = int(t_device // INTERVAL_S)
-        is_first = not self._count or interval != self._interval
+        is_first = not self.from_s <= t_device < self.to_s
         if is_first:
-            self._interval = interval
+            self.from_s = t_device // INTERVAL_S * INTERVAL_S
+            self.to_s = self.from_s + INTERVAL_S
             self._count += 1
-        elif t_host - t_device >= self._lead_s:
+        elif t_host - t_device >= self.lead_s:
             return
         newest = (self._count - 1) % self._device.size
         self._device[newest], self._host[newest] = t_device, t_host
         self._is_backlog[newest] = backlog
-        self._lead_s = t_host - t_device
-        if is_first or (self._fitted and t_host < self._on_line_s(t_device)):
-            self._fitted = False  # others move the line little, and at the next interval's fit
+        self.lead_s = t_host - t_device
+        # Others move the line little, and at the next interval's fit.
+        self._fitted = self._fitted and not is_first and t_host >= self.to_host(t_device)
 
     @property
     def error_s(self) -> float:
@@ -236,22 +241,19 @@ class DeviceClock:
 
     def take_steps(self) -> int:
         """How often the clock was found to have stepped since the last call."""
-        steps, self._steps = self._steps, 0
+        steps, self.steps = self.steps, 0
         return steps
 
     def to_host(self, t_device: float) -> float:
         """Host time of a device time by the packets observed so far, s."""
         if not self._fitted:
             self._fit()
-        return self._on_line_s(t_device)
+        t_s, host_s = self._origin
+        return host_s + (t_device - t_s) * self._rate
 
     def lateness_s(self, t_device: float, t_host: float) -> float:
         """How much later than expected by earlier packets one came that left at t_device, s."""
         return t_host - self.to_host(t_device)
-
-    def _on_line_s(self, t_device: float) -> float:
-        """The same by the last fit."""
-        return self._origin[1] + (t_device - self._origin[0]) * self._rate
 
     def _fit(self) -> None:
         self._fitted = True
@@ -261,7 +263,7 @@ class DeviceClock:
         if self._is_behind():
             _log.debug("the device's clock stood still, or is slow")
             self._keep(SURE)
-            self._steps += 1
+            self.steps += 1
             self._is_slow = True  # unless its pace is that of a clock
             self._lay()
 

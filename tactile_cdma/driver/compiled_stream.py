@@ -45,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 _NEEDS_BYTES, _FULL, _HEARD, _SILENT, _PACKET, _FOREIGN, _MARK, _DOUBT, _BLOCK = range(9)
 """Kinds of the kernel's events: enum stream_event in kernel/frame_stream.h."""
+_DECIDED = _HEARD, _SILENT
 CLOCKS_OF_NODES = "roll call or clocks of nodes"
 DOUBTS = (
     CLOCKS_OF_NODES,
@@ -89,6 +90,7 @@ class CompiledStream:
         self._read = 0.0, False  # t_host and backlog of the last event
         self._rows = self._values = np.empty((0, 0), np.float32)  # of the last frame; the nodes'
         self._line: MarkedLine | None = None  # where frames are marked
+        self._chip_noise = 1.0  # noise of a chip, in that of a correlation
         self._fit: Fit | None = None
         self._timing = kernel.settings(
             "stream_timing", due=1, over=0, uses=0, asks=True, has_frame=False,
@@ -102,6 +104,7 @@ class CompiledStream:
         self._rows = np.empty((spec.line_bits, spec.order), np.float32)
         self._values = self._rows[:, spec.node_slice]
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
+        self._chip_noise = math.sqrt(spec.order)
         transform = compiled_transform(spec.book.plan, spreading=False)
         flips = np.empty(0, np.float32) if spec.flips is None else np.ascontiguousarray(spec.flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
@@ -122,12 +125,12 @@ class CompiledStream:
         if self._frames:
             return Event([], self._frames.popleft(), None, False, *self._read)
         kind, about, passed, t_host, backlog = self._kernel.next(file, timeout_ms)
+        if kind in _DECIDED:
+            return Event(passed, self._found(kind, *about), None, False, t_host, backlog)
         self._read = t_host, backlog
         frame: FrameLevels | None = None
         packet: Received | None = None
-        if kind in (_HEARD, _SILENT):
-            frame = self._found(kind, *about)
-        elif kind == _PACKET:
+        if kind == _PACKET:
             packet = self.parser.interpret(*about)
         elif kind == _FOREIGN:
             packet = self._ask(self.parser.interpret(*about))
@@ -178,7 +181,7 @@ class CompiledStream:
             unknown = line.integrated and not known and may_be_offset(rows, line.spec)
             levels = NodeLevels(self._values, noise_v, rows=rows, level_unknown=unknown)
             fit = self._fit or fit
-            noise_v *= math.sqrt(line.spec.order)
+            noise_v *= self._chip_noise
         begin = float(start) if line.integrated else start + fit.start
         return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)
 

@@ -26,7 +26,7 @@ from .backlog import Backlog
 from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
-from .vitals import HandedOn, Vitals
+from .vitals import Vitals
 
 CONNECT_S = 0.5
 """s that stopping waits for a port that is just being opened. Chosen: a sound port takes less."""
@@ -246,8 +246,8 @@ class Driver:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
         t_decoded = time.monotonic()
         self._on_frame(frame)
-        times = frame.t_host, t_host, t_decoded, time.monotonic()
-        self.vitals.handed_on.append(HandedOn(*times, frame.clipped, frame.words.noise_rms_v))
+        done = t_host, t_decoded, time.monotonic(), frame.clipped, frame.words.noise_rms_v
+        self.vitals.handed_on.append((frame.t_host, *done))
         if not 0 <= frame.t_middle - self.stuck.looked_s < STUCK_LOOK_S:
             contact_pa = self.pipeline.config.rest.contact_pa
             self.stuck.look(frame.readings, frame.t_middle, contact_pa)

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from ..base import kernel
 from ..base.errors import SpecError
+from ..base.stage import stage
 from ..clocks.clock_keeper import ClockReport
 from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
@@ -33,7 +33,7 @@ from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class TactileFrame:
     """One decoded frame.
 

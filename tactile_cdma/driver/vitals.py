@@ -8,7 +8,7 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -24,19 +24,9 @@ _NO_COUNTS = ("text_bytes", "sequence", "streaming")
 """Fields that count nothing that happens."""
 
 
-class HandedOn(NamedTuple):
-    """A frame that was handed on.
-
-    t_frame, t_read, t_decoded, t_done: host's monotonic clock, s: its middle, when its last byte
-    was read, when it was decoded and handed on. clipped, noise_rms_v: see TactileFrame and Words.
-    """
-
-    t_frame: float
-    t_read: float
-    t_decoded: float
-    t_done: float
-    clipped: float
-    noise_rms_v: float
+HandedOn: TypeAlias = tuple[float, float, float, float, float, float]
+"""A frame that was handed on: host's monotonic clock, s, of its middle, when its last byte was
+read, when it was decoded, and handed on; clipped, noise_rms_v: see TactileFrame and Words."""
 
 
 @dataclass(frozen=True, slots=True)

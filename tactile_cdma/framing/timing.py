@@ -17,6 +17,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
+from ..base.stage import stage
 from ..base.sums import copy_samples, outside
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
@@ -71,7 +72,7 @@ class QuietBlock:
         return SampleBlock(self.first_index, volts, self.sync, self.called)
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class FrameLevels:
     """One frame, or one silent slot.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
+from ..base.stage import stage
 from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
@@ -76,7 +77,7 @@ class Coverage:
         return 2 * self.valid >= self.in_service > 0
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Readings:
     """The readings of one frame, taxel by taxel in the order of the layout.
 
@@ -250,14 +251,12 @@ class Taxels:
         chain = self.chain
         if health.any_suspect or health.frames_to_verdict == 1:
             return None
-        conditions = Conditions(
-            health.swing_v, health.state, chain.calibration, chain.bounds, threshold
-        )
+        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, threshold
         readout = self._readout
         if readout is None or any(map(is_not, conditions, readout.conditions)):
             readout = self._readout = Readout(
-                spec, conditions, health, self._kept, self._trusted(health), self._voltage_of,
-                self._masked, self._source,
+                spec, Conditions(*conditions), health, self._kept, self._trusted(health),
+                self._voltage_of, self._masked, self._source,
             )  # fmt: skip
         nodes, taxels, noise_v = spec.nodes, readout.taxels, levels.noise_v
         active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Floats32
+from ..base.stage import stage
 from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
@@ -53,7 +54,7 @@ HIT_LEVEL of an amplitude: a slow discharge turns some nodes' levels and shows i
 disturbed lines (make torture)."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Words:
     """The words of n nodes in one frame.
 
