@@ -90,6 +90,7 @@ def outputs() -> Iterator[tuple[str, str]]:
     examples = {
         "books": make_vectors.book_table(),
         "signs": make_vectors.sign_table(),
+        "sparse": make_vectors.sparse_table(),
         "example": make_vectors.example(),
     }
     yield DOCUMENT, document(definition, examples)

@@ -18,6 +18,7 @@ import numpy as np
 
 from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
+from tactile_cdma.code.sparse import code_digits, code_numbers, code_places
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
@@ -249,6 +250,25 @@ def sign_table() -> str:
     for seed in (0, 1, 0xFFFFFFFF):
         signs = plus_minus(row_signs(np.array(rows), seed)).replace("-", "−")
         table.append(f"| {seed} | {' | '.join(signs)} |")
+    return "\n".join([*table, ""])
+
+
+def sparse_table() -> str:
+    """The sparse codes of docs/protocol.md: first octets, CRC-32 of a frame's."""
+    table = [
+        "| nodes | order | bits | node | code number | octets | CRC-32 |",
+        "|--:" * 5 + "|---|---|",
+    ]
+    for nodes, order, bits in ((64, 32, 8), (256, 48, 10), (4000, 912, 10), (65_535, 4096, 16)):
+        digits, size = code_digits(nodes, order), -(-order // 8) * 8
+        for node in (1, nodes):
+            code = int(code_numbers(digits)[node])
+            ones = np.bitwise_count(code_places(nodes, bits, size) & code).astype(np.uint8) & 1
+            octets = np.packbits(ones, bitorder="little").tobytes()
+            table.append(
+                f"| {nodes} | {order} | {bits} | {node} | {code} | `{octets[:12].hex()}` "
+                f"| 0x{zlib.crc32(octets):08x} |"
+            )
     return "\n".join([*table, ""])
 
 

@@ -179,8 +179,8 @@ PyObject *file_error(int failure);
 bool are_of(const struct call *call, const struct words_frame *frame);
 
 /* The types of the module, each in a file of its own or in module.c. */
-extern PyType_Spec stream_spec, readout_spec, code_spec;
+extern PyType_Spec stream_spec, readout_spec, code_spec, sparse_spec;
 #define STREAM_LAYOUTS 2
-extern const struct layout stream_layouts[STREAM_LAYOUTS];
+extern const struct layout stream_layouts[STREAM_LAYOUTS], sparse_layout;
 
 #endif

@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 19 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 20 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -31,50 +31,28 @@ static const struct field frame_fields[] = {
 #define OF_READOUT(member) FIELD(readout_settings, member)
 
 static const struct field readout_fields[] = {
-    OF_READOUT(frame.bits),
-    OF_READOUT(frame.order),
-    OF_READOUT(frame.first),
-    OF_READOUT(frame.nodes),
-    OF_READOUT(frame.unipolar),
-    OF_READOUT(frame.swing),
-    OF_READOUT(frame.loudest_share),
-    OF_READOUT(frame.active_share),
-    OF_READOUT(frame.spoken_over),
-    OF_READOUT(reading.threshold),
-    OF_READOUT(reading.faint_share),
-    OF_READOUT(reading.sound_share),
-    OF_READOUT(reading.most_square),
-    OF_READOUT(reading.a_chip),
-    OF_READOUT(reading.few_share),
-    OF_READOUT(reading.tone_share),
-    OF_READOUT(reading.moved_share),
-    OF_READOUT(reading.least_squares),
-    OF_READOUT(reading.loud_squares),
-    OF_READOUT(reading.hiding_rho),
-    OF_READOUT(reading.few),
-    OF_READOUT(reading.parity),
-    OF_READOUT(reading.limits.low_rho),
-    OF_READOUT(reading.limits.low_margin),
-    OF_READOUT(reading.limits.shared),
-    OF_READOUT(reading.limits.two),
-    OF_READOUT(reading.limits.clear_rho),
-    OF_READOUT(reading.limits.lower),
-    OF_READOUT(lateness.late_share),
-    OF_READOUT(lateness.leaked),
-    OF_READOUT(lateness.by_chance),
-    OF_READOUT(bits.silent),
-    OF_READOUT(bits.low_snr),
-    OF_READOUT(bits.stale),
-    OF_READOUT(bits.saturated),
-    OF_READOUT(bits.uncalibrated),
-    OF_READOUT(bits.masked),
-    OF_READOUT(bits.faulty),
-    OF_READOUT(scrambled),
-    OF_READOUT(spare),
-    OF_READOUT(spare_count),
-    OF_READOUT(codes),
-    OF_READOUT(pieces),
-    OF_READOUT(taxels),
+    OF_READOUT(frame.bits),                   OF_READOUT(frame.order),
+    OF_READOUT(frame.first),                  OF_READOUT(frame.nodes),
+    OF_READOUT(frame.unipolar),               OF_READOUT(frame.swing),
+    OF_READOUT(frame.loudest_share),          OF_READOUT(frame.active_share),
+    OF_READOUT(frame.spoken_over),            OF_READOUT(reading.threshold),
+    OF_READOUT(reading.faint_share),          OF_READOUT(reading.sound_share),
+    OF_READOUT(reading.most_square),          OF_READOUT(reading.a_chip),
+    OF_READOUT(reading.few_share),            OF_READOUT(reading.tone_share),
+    OF_READOUT(reading.moved_share),          OF_READOUT(reading.least_squares),
+    OF_READOUT(reading.loud_squares),         OF_READOUT(reading.hiding_rho),
+    OF_READOUT(reading.few),                  OF_READOUT(reading.parity),
+    OF_READOUT(reading.limits.low_rho),       OF_READOUT(reading.limits.low_margin),
+    OF_READOUT(reading.limits.shared),        OF_READOUT(reading.limits.two),
+    OF_READOUT(reading.limits.clear_rho),     OF_READOUT(reading.limits.lower),
+    OF_READOUT(lateness.late_share),          OF_READOUT(lateness.leaked),
+    OF_READOUT(lateness.by_chance),           OF_READOUT(bits.silent),
+    OF_READOUT(bits.low_snr),                 OF_READOUT(bits.stale),
+    OF_READOUT(bits.saturated),               OF_READOUT(bits.uncalibrated),
+    OF_READOUT(bits.masked),                  OF_READOUT(bits.faulty),
+    OF_READOUT(scrambled),                    OF_READOUT(spare),
+    OF_READOUT(spare_count),                  OF_READOUT(codes),
+    OF_READOUT(pieces),                       OF_READOUT(taxels),
 };
 
 static const struct field votes_fields[] = {
@@ -381,11 +359,12 @@ static int fill(PyObject *module)
 {
     if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
         add_type(module, &readout_spec) || add_type(module, &stream_spec) ||
-        add_type(module, &code_spec))
+        add_type(module, &code_spec) || add_type(module, &sparse_spec))
         return -1;
     PyObject *structs = PyDict_New();
     int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||
                  !add_layouts(structs, stream_layouts, STREAM_LAYOUTS) ||
+                 !add_layouts(structs, &sparse_layout, 1) ||
                  PyModule_AddObjectRef(module, "STRUCTS", structs);
     Py_XDECREF(structs);
     if (failed || PyModule_AddIntConstant(module, "VERSION", VERSION))

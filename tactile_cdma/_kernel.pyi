@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from .base.arrays import Counts, Floats, Floats32, Int32s
+from .base.arrays import Bools, Counts, Floats, Floats32, Int32s
 from .driver.clock import PassedPacket
 from .wire.packets import Found
 
@@ -132,6 +132,40 @@ class Stream:
     def open(self, due: int, /) -> None: ...
     def decide(self, due: int, over: int, level_v: float, /) -> None: ...
     def look(self, due: int, /) -> None: ...
+
+@final
+class Sparse:
+    """Multiuser detection with one book; see kernel/sparse.h. For one thread at a time."""
+
+    def __new__(
+        cls,
+        rules: Settings,
+        walsh: Transform,
+        flips: Floats32,
+        places: Int32s,
+        codes: Int32s,
+        nodes: int,
+        /,
+    ) -> Sparse:
+        """places: (k, N) of chips in 2^m. codes: (2^m) of rows; those of nodes are 1 … nodes.
+
+        flips: (k, N). walsh: of order 2^m, unscaled.
+        """
+
+    def detect(
+        self,
+        chips: Floats32,
+        damping: float,
+        rows: Floats32,
+        heard: Bools,
+        left: Floats32,
+        power: Floats,
+        /,
+    ) -> tuple[float, bool]:
+        """As numpy_detect in code/detect.py, into those after damping; level, V, and settled."""
+
+    def loudness(self, chips: Floats32, lateness: int, late: bool, loudness: Floats32, /) -> None:
+        """As numpy_loudness there, of chips that are read so many earlier, or later."""
 
 @final
 class Code:

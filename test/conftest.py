@@ -2,8 +2,6 @@
 
 """Environment of every test: its own ROS domain and home, no deadlines, default signals."""
 
-from __future__ import annotations
-
 import os
 import signal
 import zlib

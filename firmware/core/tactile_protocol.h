@@ -74,6 +74,7 @@ enum tp_signs {
     TP_SIGNS_SEEDED = 0, /* every row has a sign of its own, by sign_seed */
     TP_SIGNS_NATURAL = 1, /* all rows have sign +1, the seed is ignored */
     TP_SIGNS_SCRAMBLED = 2, /* as SEEDED, and all nodes flip their chips alike, by sign_seed */
+    TP_SIGNS_SPARSE = 3, /* as SCRAMBLED, with sparse codes: there may be more nodes than chips per bit */
 };
 
 /* Levels of a chip on the line. */
@@ -342,7 +343,7 @@ static inline bool tp_configure_in_range(const struct tp_configure *m)
            m->frame.chip_ns >= 10u &&
            m->frame.chip_ns <= 1000000000u &&
            m->frame.frame_period_us >= 1u &&
-           (m->frame.signs == 0 || m->frame.signs == 1 || m->frame.signs == 2) &&
+           (m->frame.signs == 0 || m->frame.signs == 1 || m->frame.signs == 2 || m->frame.signs == 3) &&
            (m->frame.drive == 0 || m->frame.drive == 1) &&
            (m->frame.polarity == 1 || m->frame.polarity == -1) &&
            m->frame.samples_per_chip >= 1u &&

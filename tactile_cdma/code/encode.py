@@ -47,7 +47,7 @@ def line_chips(
     bits = word_bits(codes, spec.bits)
     if spec.parity:
         bits = with_parity(bits)
-    symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
+    symbols = np.zeros((spec.line_bits, spec.row_count), dtype=np.float32)
     symbols[:, spec.rows] = (2.0 * bits.T - 1.0) * (spec.signs * level_v)
     chips = chips_of(symbols, spec)
     if spec.drive == UNIPOLAR:

@@ -19,8 +19,10 @@ from .codes import (
     row_signs,
     smallest_order,
 )
+from .sparse import MOST_NODES, ORDERS, code_digits, code_numbers, code_places
 
 BIPOLAR, UNIPOLAR = "bipolar", "unipolar"
+ORTHOGONAL, SPARSE = "orthogonal", "sparse"
 LEAST_SCRAMBLED = 4
 """Least order of which chips are flipped."""
 DEFAULT_AMPLITUDE_V = 0.3
@@ -64,6 +66,8 @@ class FrameSpec:
     guard_chips: pause before each such restart, chips, in which slow nodes finish.
     scramble: all nodes flip their chips alike, by a pseudo-random sequence as long as the frame, so
         that no row looks like another one that is late, and a frame like none that is shifted.
+    codes: "orthogonal", or "sparse" (sparse.py): then order is free, there may be more nodes than
+        chips, as long as few of them speak in a frame, and chips are always flipped.
 
     Raises SpecError for a field out of range or a combination that cannot work.
     """
@@ -82,6 +86,7 @@ class FrameSpec:
     resync_chips: int = 0
     guard_chips: int = 0
     scramble: bool = False
+    codes: str = ORTHOGONAL
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
@@ -91,16 +96,10 @@ class FrameSpec:
             raise SpecError(f"drive is {self.drive!r}; it must be {BIPOLAR!r} or {UNIPOLAR!r}")
         if self.polarity not in (1, -1):
             raise SpecError(f"polarity is {self.polarity}; it must be 1 or -1")
-        needed = self.nodes + self.first_row
-        if self.order == 0:
-            object.__setattr__(self, "order", default_order(needed))
+        if self.codes == SPARSE:
+            self._check_sparse()
         else:
-            code_book(self.order)  # raises where there is none, naming the nearest ones
-        if self.order < needed:
-            raise SpecError(
-                f"{self.nodes} nodes from row {self.first_row} on need {needed} code rows, but "
-                f"order {self.order} has {self.order}; use order {smallest_order(needed)}"
-            )
+            self._check_orthogonal()
         if self.drive == UNIPOLAR and self.first_row == 0:
             raise SpecError(
                 "unipolar drive cannot use code row 0: a 0 bit on the all-ones row looks like "
@@ -132,6 +131,59 @@ class FrameSpec:
                 f"{self.frame_period_s * 1e3:g} ms: set frame_period_ms to "
                 f"{math.ceil(self.frame_s * 1e4) / 10:g} or more, or use shorter chips"
             )
+
+    def _check_orthogonal(self) -> None:
+        if self.codes != ORTHOGONAL:
+            raise SpecError(f"codes is {self.codes!r}; it must be {ORTHOGONAL!r} or {SPARSE!r}")
+        needed = self.nodes + self.first_row
+        if self.order == 0:
+            object.__setattr__(self, "order", default_order(needed))
+        else:
+            code_book(self.order)  # raises where there is none, naming the nearest ones
+        if self.order < needed:
+            raise SpecError(
+                f"{self.nodes} nodes from row {self.first_row} on need {needed} code rows, but "
+                f"order {self.order} has {self.order}; use order {smallest_order(needed)}, or "
+                "sparse codes"
+            )
+
+    def _check_sparse(self) -> None:
+        least, most = ORDERS
+        if not least <= self.order <= most:
+            raise SpecError(
+                f"order is {self.order}: sparse codes have {least} to {most} chips per bit, "
+                "twice as many as nodes that speak in one frame, or more"
+            )
+        if self.nodes > MOST_NODES:
+            raise SpecError(f"nodes is {self.nodes}: sparse codes have {MOST_NODES} at most")
+        if self.first_row != 1:
+            raise SpecError(
+                f"first_row is {self.first_row}: the sparse code of a node is that of its number; "
+                "set first_row to 1"
+            )
+        object.__setattr__(self, "scramble", True)
+
+    @cached_property
+    def sparse(self) -> bool:
+        """Whether codes are sparse."""
+        return self.codes == SPARSE
+
+    @cached_property
+    def row_count(self) -> int:
+        """Rows of which a frame's chips have a level: N, or of sparse codes 2^m ≥ n + 1."""
+        return 1 << code_digits(self.nodes, self.order) if self.sparse else self.order
+
+    @cached_property
+    def code_places(self) -> Indices:
+        """Where the chips of sparse codes are in a frame's 2^m places, (k·N,) into (k, 2^m)."""
+        bit = np.arange(self.line_bits)[:, None] * self.row_count
+        own: Indices = (bit + code_places(self.nodes, self.line_bits, self.order)).ravel()
+        return own
+
+    @cached_property
+    def code_numbers(self) -> Indices:
+        """Of sparse codes, that of every row, (2^m,)."""
+        return code_numbers(code_digits(self.nodes, self.order))
 
     @cached_property
     def line_bits(self) -> int:
@@ -180,8 +232,8 @@ class FrameSpec:
 
     @cached_property
     def book(self) -> CodeBook:
-        """The code book of this order."""
-        return code_book(self.order)
+        """The code book whose transform takes the rows apart: of this order, or of 2^m."""
+        return code_book(self.row_count)
 
     @cached_property
     def rows(self) -> Indices:
@@ -212,6 +264,6 @@ class FrameSpec:
     @cached_property
     def spare_rows(self) -> slice:
         """Rows that no node uses and that carry no DC level; they show the noise floor."""
-        after = slice(self.first_row + self.nodes, self.order)
+        after = slice(self.first_row + self.nodes, self.row_count)
         before = slice(1, max(1, self.first_row))
         return max(after, before, key=lambda rows: rows.stop - rows.start)

@@ -32,6 +32,7 @@ class NodeLevels:
     rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
         correlation.
     Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
+    late: nodes, counted from 0, whose words were found in chips that are read early or late.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     """
 
@@ -39,6 +40,7 @@ class NodeLevels:
     noise_v: float
     unresolved: tuple[int, ...] = ()
     rows: Floats32 | None = None
+    late: tuple[int, ...] = ()
     level_unknown: bool = False
 
 
@@ -97,7 +99,7 @@ def frame_fields(spec: FrameSpec) -> dict[str, float]:
     """What the kernel knows of a frame: the members of its struct words_frame."""
     return {
         "bits": spec.line_bits,
-        "order": spec.order,
+        "order": spec.row_count,
         "first": spec.first_row,
         "nodes": spec.nodes,
         "unipolar": spec.drive == UNIPOLAR,

@@ -53,15 +53,30 @@ def spread(symbols: Floats32, book: CodeBook) -> Floats32:
 
 
 def rows_of(chips: Floats32, spec: FrameSpec) -> Floats32:
-    """Correlation of every row with every bit's chips: (…, k, N) float32, V, of such chips."""
+    """Correlation of every row with every bit's chips: (…, k, N) float32, V, of such chips.
+
+    Of sparse codes (…, k, 2^m); what other rows hold is in each of them, as noise.
+    """
     if spec.flips is not None:
         chips = np.multiply(chips, spec.flips, dtype=np.float32)
-    return correlate(chips, spec.book)
+    if not spec.sparse:
+        return correlate(chips, spec.book)
+    scattered = np.zeros((*chips.shape[:-1], spec.row_count), np.float32)
+    flat = scattered.reshape(-1, spec.line_bits * spec.row_count)
+    flat[:, spec.code_places] = chips.reshape(-1, spec.chips)
+    flat *= np.float32(spec.row_count / spec.order)
+    return np.ascontiguousarray(correlate(scattered, spec.book)[..., spec.code_numbers])
 
 
 def chips_of(rows: Floats32, spec: FrameSpec) -> Floats32:
-    """The inverse: the chips in which every row has this level."""
-    chips = spread(rows, spec.book)
+    """The chips in which every row has this level: the inverse, but for sparse codes."""
+    if not spec.sparse:
+        chips = spread(rows, spec.book)
+    else:
+        codes = np.empty_like(rows)
+        codes[..., spec.code_numbers] = rows
+        chips = spread(codes, spec.book).reshape(-1, spec.line_bits * spec.row_count)
+        chips = chips[:, spec.code_places].reshape(*rows.shape[:-1], spec.order)
     return chips if spec.flips is None else chips * spec.flips
 
 

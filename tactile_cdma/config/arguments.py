@@ -15,6 +15,7 @@ from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, read_sections,
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
     *("polarity", "amplitude_mv", "timing", "samples_per_chip", "vref_v", "parity", "scramble"),
+    "codes",
 )
 """Parameters that are options: --nodes, …, --vref-v, --parity and --no-parity, …"""
 _SHORT = {"vref_v": ("--vref",)}

@@ -19,7 +19,7 @@ from typing import Any
 from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
 from ..base.suggest import suggestion
-from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, UNIPOLAR
+from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, ORTHOGONAL, SPARSE, UNIPOLAR
 from ..readings.calibration import MOST_PA
 
 _log = logging.getLogger(__name__)
@@ -126,6 +126,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("frame_period_ms", 12.8,
         "time from frame start to frame start; 0, and where the default is too short: as short as "
         "the frame and the nodes' measuring allow", "ms", (0.0, 1e5)),
+    Parameter("codes", ORTHOGONAL,
+        "code book: orthogonal, with as many chips per bit as nodes; or sparse, with fewer, for "
+        "nodes of which few speak in a frame: up to half as many as chips",
+        choices=(ORTHOGONAL, SPARSE)),
     Parameter("order", 0,
         "code order (chips per bit); 0: the smallest possible, or one slightly larger if it is "
         "faster to decode", "", (0, 65_536)),

@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 FRAME_PARAMETERS = (
     *("nodes", "bits", "parity", "order", "first_row", "resync_chips", "guard_chips"),
-    *("drive", "polarity", "scramble"),
+    *("drive", "polarity", "scramble", "codes"),
 )
 """Parameters that are fields of FrameSpec as they are."""
 CURVE_PARAMETERS = {
@@ -66,6 +66,8 @@ class SkinConfig:
         """
         get: Values = {**DEFAULTS, **check_values(values)}
         spec = _spec(get)
+        if spec.sparse:
+            _check_sparse(spec, get["timing"], get["samples_per_chip"])
         if get["timing"] == GAP:
             _check_gap(spec, get["samples_per_chip"])
         if get["roll_call"]:
@@ -204,6 +206,18 @@ def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> Non
         raise SpecError(
             f"{reason}: resync_chips is {spec.resync_chips}, it must be 0 (restarts already "
             "correct the clocks)"
+        )
+
+
+def _check_sparse(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
+    reason = "sparse codes are told apart by whole chips of marked frames"
+    if timing == GAP:
+        raise SpecError(f"{reason}: timing is 'gap', it must be 'line'")
+    if samples_per_chip != 1:
+        raise SpecError(f"{reason}: samples_per_chip is {samples_per_chip}, it must be 1")
+    if spec.amplitude_v is None:
+        raise SpecError(
+            "sparse codes are told apart by how loud a node is: set amplitude_mv to what nodes have"
         )
 
 

@@ -101,12 +101,14 @@ class CompiledStream:
         """See Stream."""
         spec, timing = description.spec, description.timing
         self._description, self._fit = description, None
-        self._rows = np.empty((spec.line_bits, spec.order), np.float32)
+        self._rows = np.empty((spec.line_bits, spec.row_count), np.float32)
         self._values = self._rows[:, spec.node_slice]
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
         self._chip_noise = math.sqrt(spec.order)
         transform = compiled_transform(spec.book.plan, spreading=False)
-        flips = np.empty(0, np.float32) if spec.flips is None else np.ascontiguousarray(spec.flips)
+        # Frames of sparse codes are asked about before their chips are looked at.
+        flips = None if spec.sparse else spec.flips
+        flips = np.empty(0, np.float32) if flips is None else np.ascontiguousarray(flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
         if isinstance(timing, MarkedTiming):
             self._carry(timing)

@@ -10,6 +10,7 @@ from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.gap_timing import GapTiming
 from ..framing.line_timing import LineTiming
+from ..framing.sparse_timing import SparseTiming
 from ..framing.timing import QuietBlock, SampleBlock
 from ..wire.messages import Info, Quiet, Samples
 from .timeline import Pace
@@ -28,9 +29,11 @@ class Description:
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         rails_v = float(low_v), float(high_v)
         self.pace = Pace(info, spec)
-        self.timing: LineTiming | NodeTiming | GapTiming
+        self.timing: LineTiming | SparseTiming | NodeTiming | GapTiming
         if config.timing == GAP:
             self.timing = GapTiming(spec, rate_hz, rails_v)
+        elif spec.sparse:
+            self.timing = SparseTiming(spec, rate_hz, rails_v)
         elif info.integrated or spec.resync_chips:
             self.timing = LineTiming(spec, rate_hz, rails_v)
         else:

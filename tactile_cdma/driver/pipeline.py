@@ -236,6 +236,7 @@ class Pipeline:
         is_odd = (
             levels.rows is None
             or levels.unresolved
+            or levels.late
             or levels.level_unknown
             or heard.doubtful is not None
         )

@@ -7,8 +7,6 @@ than samples. Every bit of a frame carries the same energy (the code rows are or
 window of one frame's length with the most energy holds the frame.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -2,8 +2,6 @@
 
 """Tells by what follows a frame whether it has the length that was fitted."""
 
-from __future__ import annotations
-
 import math
 from enum import IntEnum
 

@@ -7,8 +7,6 @@ more than noise explains, and a sine of 45…65 Hz explains most of that, it is 
 tells what it adds to the frames between.
 """
 
-from __future__ import annotations
-
 import operator
 from collections import deque
 from typing import NamedTuple

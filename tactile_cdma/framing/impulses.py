@@ -2,8 +2,6 @@
 
 """Removes impulses of a single sample, which switching loads couple into the line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..base.arrays import Floats

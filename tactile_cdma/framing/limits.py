@@ -2,8 +2,6 @@
 
 """The limits by which frames are accepted, in one place, each with its derivation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ..code.frame import MAX_STRETCH

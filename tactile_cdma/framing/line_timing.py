@@ -2,8 +2,6 @@
 
 """Decodes marked frames of nodes that share one clock."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ What a marked frame says is left to a Recogniser: `line_timing` has the one for 
 `clocks.node_timing` the one for nodes with clocks of their own.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, Protocol
 

@@ -2,8 +2,6 @@
 
 """Where frames are to be expected: on a raster whose period and width are learnt."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -2,8 +2,6 @@
 
 """Tells whether a marked frame, or a part of it, is some whole chips beside its place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

@@ -8,8 +8,6 @@ publishers take as well, and bags: plain CDR, little-endian (OMG DDS-XTypes 1.3,
 rclpy's.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from struct import Struct
 from typing import Any, NamedTuple

@@ -128,7 +128,7 @@ def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
         "late_share": lateness.LATE_SHARE,
         "leaked": lateness.LEAKED,
         "by_chance": lateness.BY_CHANCE,
-        "scrambled": spec.scramble,
+        "scrambled": spec.scramble and not spec.sparse,
         "spare": spare.start,
         "spare_count": spare.stop - spare.start,
     }

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from ..base.errors import SpecError
 from ..clocks.roll_call import LARGEST_DELAY, LARGEST_RATE_ERROR
 from ..code.codes import default_order
-from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, FrameSpec
+from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, SPARSE, FrameSpec
 from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
 from ..config.skin_config import FRAME_PARAMETERS, user_path
 from ..config.url_options import check_option, parse_options
@@ -93,6 +93,7 @@ class SimOptions:
     first_row: int | None = None
     sign_seed: int | None = None
     scramble: bool | None = None
+    codes: str | None = None
     resync_chips: int | None = None
     guard_chips: int | None = None
     drive: str | None = None
@@ -293,8 +294,8 @@ class SimOptions:
             return pins.get(name, getattr(spec, name))
 
         rows = wanted("nodes") + wanted("first_row")
-        order = wanted("order") or default_order(rows)
-        if "order" not in pins and order < rows:
+        order = wanted("order")
+        if wanted("codes") != SPARSE and (not order or ("order" not in pins and order < rows)):
             order = default_order(rows)
         free = replace(spec, **{**pins, "order": order, "frame_period_s": math.inf})
         period_s = spec.frame_period_s

@@ -62,6 +62,7 @@ class Signs(IntEnum):
     SEEDED = 0
     NATURAL = 1
     SCRAMBLED = 2
+    SPARSE = 3
 
 
 class Drive(IntEnum):

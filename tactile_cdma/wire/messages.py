@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
 from ..base.sums import to_volts
-from ..code.frame import FrameSpec
+from ..code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from ._protocol import (
     FIELDS,
     FLAG_CALLED,
@@ -123,7 +123,8 @@ class FrameLayout(Message):
             chip_s=self.chip_ns / 10**9,  # rounds once, as the literal 50e-6 does
             frame_period_s=self.frame_period_us / 10**6,
             sign_seed=None if self.signs == Signs.NATURAL else self.sign_seed,
-            scramble=self.signs == Signs.SCRAMBLED,
+            scramble=self.signs in (Signs.SCRAMBLED, Signs.SPARSE),
+            codes=SPARSE if self.signs == Signs.SPARSE else ORTHOGONAL,
             drive=self.drive.name.lower(),
             polarity=int(self.polarity),
             amplitude_v=amplitude_v,
@@ -521,6 +522,8 @@ def _checked(wire: Field, value: Any) -> Any:
 
 
 def _signs(spec: FrameSpec) -> Signs:
+    if spec.sparse:
+        return Signs.SPARSE
     if spec.scramble:
         return Signs.SCRAMBLED
     return Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED

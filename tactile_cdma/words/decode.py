@@ -156,7 +156,7 @@ def decode(
     measures = measure(levels.values)
     expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
     active, faint, any_faint = find_active(measures, expected, threshold, noise, bits)
-    astray = hidden = np.zeros_like(active)
+    astray, hidden = np.zeros((2, len(active)), np.bool_)
     if any_faint:
         loud = active & ~faint
         rest, rest_noise = unexplained(levels, loud, faint, spec)
@@ -173,6 +173,7 @@ def decode(
         doubtful |= _disturbed(np.abs(levels.values), amplitude, active) & active
     for node in levels.unresolved:
         doubtful[node] = active[node]
+    astray[list(levels.late)] = True
     doubtful |= astray | hidden
     if active.any():
         others = out_of_place(levels, amplitude, active, float(expected.min()), spec)

@@ -2,8 +2,6 @@
 
 """Judges each node by its words of many frames: sound, weak, doubled, faulty, or not heard yet."""
 
-from __future__ import annotations
-
 import math
 from enum import IntEnum
 

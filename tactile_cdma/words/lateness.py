@@ -53,7 +53,7 @@ def out_of_place(
     amplitude: (n,) V, of every node's word. active: (n,) bool, at least one. expected: amplitude of
     a node, V. They are looked for where the words leave over as much as a chip of one of them.
     """
-    if levels.rows is None:
+    if levels.rows is None or spec.sparse:  # there, detection has looked for all that
         return None
     rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
     spoken = amplitude[active]
@@ -97,14 +97,14 @@ def common_energy(rows: Floats32, amplitude: Floats32, active: Bools, spec: Fram
 @lru_cache(maxsize=8)
 def offset_rows(spec: FrameSpec) -> Floats32:
     """Rows of an offset of 1 V, (k N,); none where chips are not scrambled."""
-    if not spec.scramble:
+    if not spec.scramble or spec.sparse:
         return np.empty(0, np.float32)
     return rows_of(np.ones((spec.line_bits, spec.order), np.float32), spec).ravel()
 
 
 def least_left(spec: FrameSpec) -> float:
     """Energy that is left over for a closer look, in chips of the weakest word."""
-    if spec.order <= 2 * EDGE:  # a bit of so few chips is all edges
+    if spec.sparse or spec.order <= 2 * EDGE:  # a bit of so few chips is all edges
         return math.inf
     # Scrambled: half of what a word has that late_scrambled finds.
     return 0.5 * LATE_SHARE**2 * spec.order if spec.scramble else A_CHIP

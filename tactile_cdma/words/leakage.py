@@ -37,7 +37,7 @@ def unexplained(
     """
     values = levels.values
     signs = np.sign(values) * loud
-    symbols = np.zeros((spec.line_bits, spec.order), np.float32)
+    symbols = np.zeros((spec.line_bits, spec.row_count), np.float32)
     symbols[:, spec.node_slice] = values - _uneven(values, signs)
     symbols[:, spec.node_slice] *= loud
     chips = chips_of(symbols, spec).ravel()
@@ -47,7 +47,7 @@ def unexplained(
             shifted[tap:] = chips[:-tap]
         else:
             shifted[:tap] = chips[-tap:]
-    rows = rows_of(beside.reshape(len(TAPS), *symbols.shape), spec)
+    rows = rows_of(beside.reshape(len(TAPS), spec.line_bits, spec.order), spec)
     leaked = rows[..., spec.node_slice]
     cause, effect = _uneven(leaked, signs) * ~faint, _uneven(values, signs) * ~faint
     if levels.rows is not None:

@@ -7,8 +7,6 @@ is a sine and a row is not: silent and spare rows, and row 0, hold the rest of i
 says what the tone is, and so what it is on the rows of those who spoke.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias

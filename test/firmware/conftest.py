@@ -2,8 +2,6 @@
 
 """The firmware, built for the tests: its portable core as a library, its images by make."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 from collections.abc import Callable

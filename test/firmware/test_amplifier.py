@@ -2,8 +2,6 @@
 
 """The analog front end: resistors checked by Kirchhoff's laws, estimates by the code book."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -2,8 +2,6 @@
 
 """The schematics: pins are the firmware's, values the calculator's, parts fast enough."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shutil

@@ -2,8 +2,6 @@
 
 """The digitizer's C core: commands, reports, pulses, a slow host, overruns."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 from collections.abc import Iterator

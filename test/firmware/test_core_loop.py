@@ -2,8 +2,6 @@
 
 """The digitizer's main loop (core/loop.c) on a board in memory: links, samples, missed pulses."""
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import POINTER, byref, c_size_t, c_uint8, c_uint64
 from itertools import pairwise

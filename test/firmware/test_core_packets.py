@@ -2,8 +2,6 @@
 
 """CRC-32, COBS and packets in C, against shared vectors, the host's parser and arbitrary bytes."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import zlib

@@ -2,8 +2,6 @@
 
 """From the converter's counts to words: the real decoder reads the C core's packets."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

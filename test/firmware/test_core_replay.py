@@ -2,8 +2,6 @@
 
 """The core built for other machines: identical bytes, and its cost in instructions."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 import struct

@@ -2,8 +2,6 @@
 
 """Samples → packets in C, compared with the virtual digitizer and the rules in exact fractions."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import math

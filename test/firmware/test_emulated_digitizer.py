@@ -5,8 +5,6 @@
 The nodes here copy the sync line to the analog one, 201 of their cycles of 125 ns later.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@
 An ATmega328P and an ATtiny85 run at 8 MHz, 125 ns a cycle, unless a test says otherwise.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

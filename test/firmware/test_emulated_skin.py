@@ -2,8 +2,6 @@
 
 """Sixteen nodes' real images, the analog line, the digitizer's core, and the host's own decoder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

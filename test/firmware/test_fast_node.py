@@ -2,8 +2,6 @@
 
 """The image that sends chips by a shift register: its pin, to the cycle, against the encoder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace

@@ -2,8 +2,6 @@
 
 """Firmware to topic: images of 16 nodes, a digitizer and the driver node, pressed and read."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 """The fuse bytes in firmware/README.md match the fuses named there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -5,8 +5,6 @@
 Past finds stay fixed, and the harnesses detect planted faults.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

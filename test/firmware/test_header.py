@@ -2,8 +2,6 @@
 
 """The generated C header: it compiles, its sizes hold, and its structs give the shared vectors."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

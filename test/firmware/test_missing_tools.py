@@ -2,8 +2,6 @@
 
 """A machine without the firmware's toolchains: tests are skipped and name what is missing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 
 """A sensing node's C core compared with the host: memory, chips, rules, clock, sync pulses."""
 
-from __future__ import annotations
-
 import ctypes
 import zlib
 from dataclasses import asdict, replace

@@ -2,8 +2,6 @@
 
 """The nodes' images, emulated: pin edges compared with the host's encoder."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 """The RP2040's firmware under faults of its links, its samples and its CPU."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

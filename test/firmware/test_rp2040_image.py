@@ -2,8 +2,6 @@
 
 """The RP2040's image as the boot ROM and a bootloader read it."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 
 """The core's tests again, under the compiler's sanitizers."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

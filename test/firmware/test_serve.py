@@ -2,8 +2,6 @@
 
 """The emulated skin in real time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path

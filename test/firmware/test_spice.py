@@ -2,8 +2,6 @@
 
 """The analog chain in SPICE: lumping is exact, and what was computed is what the circuit does."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

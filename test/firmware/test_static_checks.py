@@ -2,8 +2,6 @@
 
 """Checks that run no firmware: core/ depends on no board, and cppcheck finds nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

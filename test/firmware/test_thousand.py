@@ -2,8 +2,6 @@
 
 """`make firmware-thousand`: fast nodes on one wire; it must be able to fail. 900 on a topic."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """`make firmware-test`: sixteen different nodes, pressed and decoded; it must be able to fail."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

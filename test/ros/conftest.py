@@ -2,8 +2,6 @@
 
 """Tests with ROS: each module has rclpy initialised."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -7,8 +7,6 @@ The patches stand upright in a circle, looking outwards; each feels the fingerti
 the drivers share the test's process.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import re

@@ -5,8 +5,6 @@
 The patches are publishers of the test, which can do what no driver does.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

@@ -2,8 +2,6 @@
 
 """The names of a body's patches as markers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from std_msgs.msg import Header

@@ -2,8 +2,6 @@
 
 """The package builds as users build it: with colcon in a workspace, and with pip."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

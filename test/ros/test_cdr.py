@@ -6,8 +6,6 @@ rclpy leaves the bytes between fields as they happen to be in memory, so message
 by field, and by their lengths.
 """
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

@@ -2,8 +2,6 @@
 
 """The ROS programs of examples/ and docs/programs.md, run beside a real driver."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import os

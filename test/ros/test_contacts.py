@@ -2,8 +2,6 @@
 
 """Contacts and wrench over real DDS: consistent with the array of their frame, only on demand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from itertools import pairwise

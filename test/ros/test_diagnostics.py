@@ -2,8 +2,6 @@
 
 """/diagnostics of a driver with faults, over real DDS."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

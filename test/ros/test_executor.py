@@ -2,8 +2,6 @@
 
 """The executor that keeps its wait set: everything that is ready is called, and only that."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

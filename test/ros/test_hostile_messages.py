@@ -2,8 +2,6 @@
 
 """Messages that lie in their fields: they end nobody who reads them, and are not believed."""
 
-from __future__ import annotations
-
 import os
 import re
 from array import array

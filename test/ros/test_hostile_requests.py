@@ -2,8 +2,6 @@
 
 """Requests and messages that are well-formed and impossible: refused, counted, and survived."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 """skin.launch.py: what each argument changes, and a real start with the simulated skin."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import os

@@ -2,8 +2,6 @@
 
 """The layouts for PlotJuggler and Foxglove name topics and fields that a driver publishes."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 
 """A layout file reaches subscribers: info, arrays, pictures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

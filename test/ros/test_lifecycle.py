@@ -2,8 +2,6 @@
 
 """Transitions in any order, with ports that come and go: nothing is left over."""
 
-from __future__ import annotations
-
 import gc
 import os
 import tempfile

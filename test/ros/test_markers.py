@@ -2,8 +2,6 @@
 
 """Markers of a skin and of its contacts, from frame to frame."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

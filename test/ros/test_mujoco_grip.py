@@ -2,8 +2,6 @@
 
 """examples/mujoco_grip.py: grips by touch, drops without its cue, stops when it goes blind."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -2,8 +2,6 @@
 
 """Pictures of one skin over real DDS: all show the same pressures, places and colours."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

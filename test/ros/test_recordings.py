@@ -2,8 +2,6 @@
 
 """Recordings replayed by a real node, and bags of them, read by another library."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

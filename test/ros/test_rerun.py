@@ -2,8 +2,6 @@
 
 """The bridge to the Rerun viewer, against a real driver: what it saves is what was published."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 """The core's log reaches ROS's, once, and only what is to be known unless all is asked for."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 

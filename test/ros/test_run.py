@@ -2,8 +2,6 @@
 
 """The driver and the viewer as a user starts them, in separate processes."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

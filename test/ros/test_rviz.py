@@ -6,8 +6,6 @@ rviz itself passes silently over what it does not know. Names are those of rviz_
 rviz_common in ROS 2 Jazzy: plugins_description.xml, and the properties of each display's source.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

@@ -2,8 +2,6 @@
 
 """The driver as an ordinary user: what it opens, and the permissions that SROS 2 must give it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

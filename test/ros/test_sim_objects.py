@@ -2,8 +2,6 @@
 
 """~/sim/objects: a ROS program presses on a simulated skin, at its own pace or frame by frame."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """The QoS of a node's topics, and the transform that it publishes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

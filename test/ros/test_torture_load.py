@@ -2,8 +2,6 @@
 
 """The driver withstands load, and the campaign's judges find planted defects."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator

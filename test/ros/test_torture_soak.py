@@ -2,8 +2,6 @@
 
 """Some cycles of the soak in real time; its judge must find planted defects."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

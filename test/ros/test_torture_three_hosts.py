@@ -2,8 +2,6 @@
 
 """A body on three computers, which are network namespaces here."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -2,8 +2,6 @@
 
 """docs/architecture.md's tour of a frame is the way that a frame takes."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

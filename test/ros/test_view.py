@@ -2,8 +2,6 @@
 
 """Viewers: names of patches, error messages of the driver, a terminal without colours."""
 
-from __future__ import annotations
-
 import fcntl
 import math
 import os

@@ -2,8 +2,6 @@
 
 """A driver node and the wrong board, over real DDS: it is refused, reported, and replaced."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

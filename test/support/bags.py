@@ -5,8 +5,6 @@
 They share no code with the reader: messages are written by rosbags from their definitions.
 """
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """Digitizers behind real ttys, and the USB descriptions that a computer would report for them."""
 
-from __future__ import annotations
-
 import os
 import threading
 import tty

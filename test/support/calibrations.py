@@ -2,8 +2,6 @@
 
 """Calibration files of any curves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tactile_cdma.readings.calibration import AdcScale, Calibration

@@ -8,8 +8,6 @@ The true time of every frame is that of the model, in s of the host's clock; not
 takes part in it. Each frame is one packet, which a driver can decode at next to no cost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -2,8 +2,6 @@
 
 """Correlations of frames as hypothesis draws them: sound, weak, doubled, broken and noisy words."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 

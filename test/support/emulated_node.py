@@ -2,8 +2,6 @@
 
 """Node images under test: a scripted sync line, and the expected pin levels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """How many examples of a law are tried: all of them by `make test`, a share by `make check`."""
 
-from __future__ import annotations
-
 from hypothesis import settings
 
 USUAL = 100

@@ -2,8 +2,6 @@
 
 """Where the firmware is, and the programs that build it."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Callable

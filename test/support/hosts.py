@@ -2,8 +2,6 @@
 
 """The host's end of a port: a driver that is watched, and a session in virtual time."""
 
-from __future__ import annotations
-
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import WAITING, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame

@@ -12,8 +12,6 @@ Truth and samples come out together:
 Time is counted in nominal chips from the beginning of the recording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache

@@ -2,8 +2,6 @@
 
 """A host that does not answer, on this machine."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

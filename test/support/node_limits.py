@@ -2,8 +2,6 @@
 
 """A node's limits, and its memory as the firmware's core reads it."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import re

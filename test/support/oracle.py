@@ -2,8 +2,6 @@
 
 """The truth: what the nodes of simulated skins really sent. Compares published frames with it."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -2,8 +2,6 @@
 
 """Whether two ways of decoding give the same, to the bit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields
 

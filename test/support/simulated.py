@@ -2,8 +2,6 @@
 
 """What simulated skins send: raw captures, an oscilloscope's view of the line, streams of bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice

@@ -2,8 +2,6 @@
 
 """A driver node and a client of it, in one process, over real DDS."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

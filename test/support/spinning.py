@@ -2,8 +2,6 @@
 
 """ROS nodes that are served in the background."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 """Stamps that the driver gives the frames of a clock model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import NamedTuple

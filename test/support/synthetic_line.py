@@ -2,8 +2,6 @@
 
 """A synthetic line for tests of timing: frames at known times, and checks of what is decoded."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -7,8 +7,6 @@ with --coverage and the two functions of COVERAGE, and a subscriber. The functio
 those that most frames call; those in C are left in KERNEL's .gcda files.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

@@ -2,8 +2,6 @@
 
 """Waiting for what happens in another thread or process, on a machine of any speed."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -6,8 +6,6 @@ Run as a program: watched_life.py PORT CALIBRATION. The hook sees what Python do
 DDS above all, is seen in /proc while everything is open.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

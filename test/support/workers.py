@@ -2,8 +2,6 @@
 
 """What pytest-xdist makes of a worker that dies: the test that it was at has failed, no more."""
 
-from __future__ import annotations
-
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadGroupScheduling, Scheduling

@@ -2,8 +2,6 @@
 
 """The report of a benchmark: where quick and full runs write."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from dataclasses import replace

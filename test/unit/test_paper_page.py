@@ -2,8 +2,6 @@
 
 """docs/paper.md: its tables are those of the last run, and what is quick to redo is the same."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

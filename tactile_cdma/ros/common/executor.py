@@ -11,8 +11,6 @@ nobody while it waits without a time limit, fails where a callback wants what th
 of a message, and waits for what is only Polled, too.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import ExitStack

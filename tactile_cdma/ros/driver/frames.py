@@ -2,8 +2,6 @@
 
 """Publishes every frame for machines: array, contacts and wrench, and the info they go with."""
 
-from __future__ import annotations
-
 import math
 
 from geometry_msgs.msg import WrenchStamped

@@ -2,8 +2,6 @@
 
 """Files: only regular ones of bounded size are read, and files are replaced as a whole."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -2,8 +2,6 @@
 
 """Signals that come while another one's handler runs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

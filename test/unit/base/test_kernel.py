@@ -2,8 +2,6 @@
 
 """The compiled kernel: chosen or not, the same bits on every processor, and no harm by misuse."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

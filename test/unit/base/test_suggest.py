@@ -2,8 +2,6 @@
 
 """Suggestions for misspelt names."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactile_cdma.base.suggest import closest, suggestion

@@ -2,8 +2,6 @@
 
 """The kernel sums up samples as numpy does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

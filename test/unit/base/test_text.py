@@ -2,8 +2,6 @@
 
 """Text for people: lists that stay short, and untrusted text made harmless."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

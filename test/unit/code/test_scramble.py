@@ -2,8 +2,6 @@
 
 """Frames whose chips all nodes flip alike: the sequence, by the document, and what it serves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -5,8 +5,6 @@
 All by the compiled kernel and by numpy.
 """
 
-from __future__ import annotations
-
 import threading
 import tracemalloc
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 
 """Options of `export` and `info` that an output or an input does not have: refused, not ignored."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -2,8 +2,6 @@
 
 """Body files: what they contain, and errors with their line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

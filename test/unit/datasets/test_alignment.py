@@ -2,8 +2,6 @@
 
 """Streams on one clock: a row holds what was known at its tick, whatever order messages came in."""
 
-from __future__ import annotations
-
 import weakref
 from bisect import bisect_right
 from collections import deque

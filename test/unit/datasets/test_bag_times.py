@@ -2,8 +2,6 @@
 
 """Times of recording that cannot be: their messages are left out, and nothing else changes."""
 
-from __future__ import annotations
-
 import random
 import sqlite3
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 
 """`tactile-cdma info` of whatever holds a skin's frames: the same facts about the same frames."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 

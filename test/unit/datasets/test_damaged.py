@@ -2,8 +2,6 @@
 
 """Damaged bags: one clear error, whatever the library makes of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 
 """Camera messages as files: the same pixels, whatever their encoding."""
 
-from __future__ import annotations
-
 import io
 from types import SimpleNamespace
 from typing import Any

@@ -2,8 +2,6 @@
 
 """A bag as a LeRobotDataset v3: what pandas and pyarrow read is what was recorded, at its time."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -2,8 +2,6 @@
 
 """Several files as one dataset or table: what they do not have in common is told."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 
 """A Parquet table that ends early: nothing is left, and only the reason is told."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from pathlib import Path

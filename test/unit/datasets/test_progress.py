@@ -2,8 +2,6 @@
 
 """Long work says how far it has come, short work nothing."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -2,8 +2,6 @@
 
 """Statistics kept row by row are those of the whole, wherever the values lie."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

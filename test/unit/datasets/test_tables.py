@@ -2,8 +2,6 @@
 
 """Tables of bags: the skin's own frames as they were recorded, whatever stores and splits them."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

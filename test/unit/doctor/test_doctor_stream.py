@@ -2,8 +2,6 @@
 
 """The doctor's findings in a stream; each fault is produced by changing the bytes on the line."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from itertools import zip_longest

@@ -2,8 +2,6 @@
 
 """When a driver that is too slow discards buffered input."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactile_cdma.driver.backlog import LATE_PERIODS, LATE_S, PATIENCE_S, Backlog

@@ -353,7 +353,7 @@ def test_calls_between_frames_cost_none() -> None:
     with watch.driver("sim://?scene=all&seed=2&speed=0") as driver:
         while len(watch.frames) < 2000:
             with driver.between_frames() as pipeline:
-                assert pipeline.adjust(CONFIG)
+                pipeline.adjust(CONFIG)
                 if pipeline.taxels.baseline.seen:
                     pipeline.taxels.tare(1000.0, force=True)
             calls += 1

@@ -2,8 +2,6 @@
 
 """Findings stay long enough to be read, and one odd second does not change a level."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 

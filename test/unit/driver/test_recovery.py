@@ -6,8 +6,6 @@ A session and a pipeline talk to a virtual digitizer over a line of bytes, in vi
 both ends and all between them misbehave in any order.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, replace
 

@@ -2,8 +2,6 @@
 
 """The conversation with a digitizer: when commands are repeated, what is reported on failure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

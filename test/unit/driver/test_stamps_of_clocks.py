@@ -2,8 +2,6 @@
 
 """Stamps beside the true times of a clock model: none is off by more than it says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

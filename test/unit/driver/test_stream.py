@@ -91,6 +91,7 @@ TIGHT = {"frame_period_ms": 10.1}  # the next mark comes before it is seen how a
 GAP = {"timing": "gap"}
 PAUSES = {"resync_chips": 20, "guard_chips": 1, "frame_period_ms": 15.0}
 SCRAMBLED = {"scramble": True}
+SPARSE = {"codes": "sparse", "nodes": 120, "order": 32, "frame_period_ms": 20.0, **CHIPS}
 CASES = [
     (SMALL, "scene=moving"),
     (SMALL, "scene=all&threshold=0"),
@@ -104,6 +105,9 @@ CASES = [
     (SMALL, "scene=all&threshold=0&rail=1.0"),
     (SMALL, "scene=moving&offset=0.7&clock_spread=1e-4"),
     (SMALL, "scene=presses&dead=3,5&sensor=paper"),
+    (SPARSE, "scene=moving"),
+    (SPARSE, "scene=hand&noise=0.05&offset=0.3"),
+    (SPARSE, "scene=all&threshold=0"),
     ({"samples_per_chip": 8}, "scene=moving"),
     ({"parity": True}, "scene=all&threshold=0&noise=0.2"),
     ({"drive": "unipolar"}, "scene=moving"),
@@ -134,7 +138,8 @@ CASES = [
 
 @pytest.mark.parametrize("parameters, options", CASES, ids=lambda case: str(case))
 def test_frames_are_those_of_numpy(parameters: dict[str, object], options: str) -> None:
-    data = sent(tuple(parameters.items()), f"sim://?seed=1&{options}")
+    frames = FRAMES // 2 if parameters.keys() >= LARGE.keys() else FRAMES
+    data = sent(tuple(parameters.items()), f"sim://?seed=1&{options}", frames)
     compare(SkinConfig.of(parameters), data)
 
 
@@ -145,8 +150,8 @@ def test_frames_are_those_of_numpy(parameters: dict[str, object], options: str) 
 def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     parameters: dict[str, object], options: str
 ) -> None:
-    config = SkinConfig.of(parameters)
-    pipeline = compare(config, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200))
+    pipeline = Pipeline(SkinConfig.of(parameters), background=False)
+    outcome(pipeline, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200), 997)
     assert pipeline.decisions.compiled > 195 - (200 // CARRIED_FRAMES + 1)
     assert pipeline.decisions.python_share < 0.05
 
@@ -178,9 +183,8 @@ def test_words_of_a_sound_skin_are_read_in_one_call(
 def test_why_frames_are_decided_in_python_is_told(
     parameters: dict[str, object], options: str, reason: str
 ) -> None:
-    pipeline = compare(
-        SkinConfig.of(parameters), sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 60)
-    )
+    pipeline = Pipeline(SkinConfig.of(parameters), background=False)
+    outcome(pipeline, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 60), 997)
     assert pipeline.decisions.in_python.most_common(1)[0][0] == reason
     assert pipeline.decisions.python_share > 0.9
 

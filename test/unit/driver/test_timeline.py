@@ -2,8 +2,6 @@
 
 """How the timeline classifies packets of samples: continuation, loss, restart, reset, invalid."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

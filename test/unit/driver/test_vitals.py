@@ -2,8 +2,6 @@
 
 """A driver's measurements of itself, and the findings drawn from them."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace

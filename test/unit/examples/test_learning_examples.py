@@ -2,8 +2,6 @@
 
 """The examples of recording and learning run, and what they print is true."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -2,8 +2,6 @@
 
 """Contacts of MuJoCo on the simulated skin: what lies on a skin weighs what it weighs."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 
 """Hum and impulses cost timing by gaps few frames, and their removal takes no word away."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """Gap timing on a synthetic line: right words, right times, nothing invented."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

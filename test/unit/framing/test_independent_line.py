@@ -2,8 +2,6 @@
 
 """The decoder against an independent line, and the code books against a second implementation."""
 
-from __future__ import annotations
-
 import re
 import zlib
 from dataclasses import replace

@@ -2,8 +2,6 @@
 
 """What is likely before looking, and which of some frames the samples decide for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

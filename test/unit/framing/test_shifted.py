@@ -2,8 +2,6 @@
 
 """Marks, bits and samples some whole chips beside their places, where few nodes speak."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

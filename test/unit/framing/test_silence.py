@@ -2,8 +2,6 @@
 
 """The digitizer leaves out only frames that the decoder would have found silent."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

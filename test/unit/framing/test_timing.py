@@ -2,8 +2,6 @@
 
 """Line timing on a synthetic line: right words and times, or the frame is rejected."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

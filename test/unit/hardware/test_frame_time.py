@@ -2,8 +2,6 @@
 
 """How many nodes each pair of boards reads in 20 ms, beside the table of docs/results.md."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

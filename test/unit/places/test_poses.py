@@ -2,8 +2,6 @@
 
 """Rotation and translation between frames."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

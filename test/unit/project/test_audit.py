@@ -2,8 +2,6 @@
 
 """`make audit`: its verdict on this repository, and on requirements that it must refuse."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 
 """Documents: every link has a target, every picture a reader, every figure a source; sizes."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

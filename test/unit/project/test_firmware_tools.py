@@ -2,8 +2,6 @@
 
 """The message of `make firmware-tools` if the RP2040's emulator cannot be installed."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

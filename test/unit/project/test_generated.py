@@ -2,8 +2,6 @@
 
 """The files that firmware/generate.py writes are up to date, and its --check detects stale ones."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

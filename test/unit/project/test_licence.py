@@ -2,8 +2,6 @@
 
 """Every source file begins with an SPDX line that names the licence."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """The Makefile refuses variables that it does not know; make itself would ignore them."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

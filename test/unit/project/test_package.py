@@ -2,8 +2,6 @@
 
 """What is declared in several places agrees, and the core stays free of ROS and of hardware."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

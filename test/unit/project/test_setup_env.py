@@ -2,8 +2,6 @@
 
 """tools/setup_env.py: its stamps must not depend on the working directory."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -2,8 +2,6 @@
 
 """Tests stand alone: what several need is in test/support, which nothing that is installed uses."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

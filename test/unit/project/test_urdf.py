@@ -2,8 +2,6 @@
 
 """The macro that mounts a patch on a robot, expanded by xacro as docs/driver.md shows it."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """A worker of pytest that dies, or hangs, fails the test that it was at; nothing waits for it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """Contacts: forces against integrals, taxels against a graph search, ids over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -2,8 +2,6 @@
 
 """The taxels of each contact and their sums, compared with a plain search from taxel to taxel."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """The kernel reads plain frames as numpy does, and leaves the odd ones to it untouched."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

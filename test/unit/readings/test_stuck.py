@@ -2,8 +2,6 @@
 
 """Nodes whose value does not change while their neighbours' values do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """Exported recordings: other programs load the values that the decoder found."""
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

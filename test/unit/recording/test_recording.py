@@ -2,8 +2,6 @@
 
 """The recording container: from a damaged file, intact data is read and losses are counted."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -2,8 +2,6 @@
 
 """Recordings replayed as ports give the same frames at every speed."""
 
-from __future__ import annotations
-
 import threading
 import time
 from pathlib import Path

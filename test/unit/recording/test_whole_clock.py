@@ -2,8 +2,6 @@
 
 """Stamps of recorded frames: by the whole recording, right from the first frame on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache

@@ -2,8 +2,6 @@
 
 """Messages of many senders, published in step."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from hypothesis import given

@@ -2,8 +2,6 @@
 
 """The tree of tf frames: poses along every path."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

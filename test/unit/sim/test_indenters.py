@@ -6,8 +6,6 @@ On a flat Winkler foundation the force is stiffness × the volume below the surf
 of shapes only whether a point is inside.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -2,8 +2,6 @@
 
 """sim://?scene=external: what a program presses, through sensors, ADC, line and decoder."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

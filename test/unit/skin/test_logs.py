@@ -2,8 +2,6 @@
 
 """What is logged: files, ports and whatever changes how frames are made, but no single frame."""
 
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys

@@ -2,8 +2,6 @@
 
 """The public interface: live frames, bytes to frames, errors, the examples of its documents."""
 
-from __future__ import annotations
-
 import doctest
 import gc
 import math

@@ -2,8 +2,6 @@
 
 """The oracle and the sums of `make torture` detect planted defects."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -2,8 +2,6 @@
 
 """A short run of the campaign of unplugging, resets and stalls; the defects it must find."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -2,8 +2,6 @@
 
 """A short run of the accelerated day, and the defects that it must find."""
 
-from __future__ import annotations
-
 import gc
 import mmap
 import os

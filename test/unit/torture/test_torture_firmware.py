@@ -2,8 +2,6 @@
 
 """The campaign on the firmware passes sound firmware and finds planted defects."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """A short run of the campaign with hostile bytes, and the defects that it must find."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """The network between simulated hosts does what it is told, and the judges find planted defects."""
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

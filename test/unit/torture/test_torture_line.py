@@ -2,8 +2,6 @@
 
 """The campaign "line": its corruption, its account of the damage, and the defects it must find."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 
 """The campaign on broken nodes and lines must find wrong results of the driver."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

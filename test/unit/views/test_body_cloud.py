@@ -2,8 +2,6 @@
 
 """A patch's points in the body's frame."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

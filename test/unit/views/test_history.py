@@ -2,8 +2,6 @@
 
 """Values over time: curves of the last seconds."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_cdma.views.history import History

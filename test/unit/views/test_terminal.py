@@ -2,8 +2,6 @@
 
 """The skin in characters: essentials stay visible, and no line exceeds the terminal."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """Ports: every byte arrives in order, and a lost or unusable port is a clear error."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading

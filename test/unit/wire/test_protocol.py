@@ -5,8 +5,6 @@
 All by the compiled kernel and without it.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib

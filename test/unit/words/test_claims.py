@@ -2,8 +2,6 @@
 
 """Silence and words are claims: none is made of faint words, tones, offsets or broken-off words."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,8 +2,6 @@
 
 """A late node speaks on another one's row: nobody's word or silence is taken for certain then."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,8 +2,6 @@
 
 """What chips leave in their neighbours is not taken for a node, and a weak node is still found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Multiuser detection: which nodes of a sparse book spoke in a frame, and what.
+
+Codes are not orthogonal, so that every row holds a part of what every other one has, as noise. It
+is taken off in turns (approximate message passing: Donoho, Maleki, Montanari 2009): the levels of
+all rows give the likeliest words, these the chips, and what is left of the frame's chips better
+levels. A node's k bits decide together whether it spoke, which they do with more noise than any
+bit could be read in. While much is left, words are soft, and what is left is corrected for having
+been made of these levels (Onsager's term); then they are hard, with the amplitude that they show.
+
+The level of the line is one unknown more. The result is a claim that whoever asked has to check:
+what is left says how good it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base import kernel
+from ..base.arrays import Bools, Floats, Floats32
+from .amplitude import LEAST_SHARE
+from .frame import FrameSpec
+from .sparse import code_places
+from .transform import chips_of, compiled_transform, rows_of
+
+SOFT_NOISE = 0.2
+"""Noise of a level, of a node's amplitude, up to which words are hard. Chosen: five deviations."""
+SLOPE, LOG_ODDS = 0.75, 8.0
+"""Soft bits rise by SLOPE of what tanh does, to ±1; the share of a word that is believed rises from
+0 to 1 over so much of the logarithm of its odds. Chosen: straight lines for the optimal curves,
+with which as many nodes are found."""
+HARD_SHARE = 2.2
+"""Mean |r| of a hard word, in deviations of noise. Chosen: noise has 0.8 ± 0.6/√k, and exceeds it
+at k = 10 once in a million."""
+SETTLED = 0.01
+"""Power by which the amplitudes of words may change in the turn after, of what is left. Chosen: a
+percent of noise. Of m words they change by m/kN of what they do in this turn."""
+STALLED = 0.97
+"""Ratio of noise to that of the turn before beyond which soft words get no better. Chosen."""
+MOST_TURNS = 24
+"""Turns after which a frame is given up. Chosen: those that are found take up to 12."""
+
+
+class Detected(NamedTuple):
+    """What is found in the chips of a frame.
+
+    rows: (k, 2^m) float32, V, of every row: what is left on it, and its word, if it has one.
+    heard: (n,) bool, nodes of which words were taken off. level_v: level of the line.
+    chips: (k, N) float32, V, what is left over of the chips. left: (k,) mean squares of that, V².
+    settled: whether the words stayed the same in the end.
+    """
+
+    rows: Floats32
+    heard: Bools
+    level_v: float
+    chips: Floats32
+    left: Floats
+    settled: bool
+
+
+class Detector:
+    """Takes the words of frames of one specification apart: in the kernel, where there is one."""
+
+    def __init__(self, spec: FrameSpec) -> None:
+        assert spec.flips is not None, "sparse codes are scrambled"
+        self._spec = spec
+        self._kernel = None
+        if kernel.compiled is not None:
+            swing = spec.node_swing_v or 0.0
+            self._kernel = kernel.compiled.Sparse(
+                kernel.settings(
+                    "sparse_rules",
+                    swing=swing,
+                    least=LEAST_SHARE * swing,
+                    soft_noise=SOFT_NOISE,
+                    slope=SLOPE,
+                    log_odds=LOG_ODDS,
+                    hard_share=HARD_SHARE,
+                    settled=SETTLED,
+                    stalled=STALLED,
+                    turns=MOST_TURNS,
+                ),
+                compiled_transform(spec.book.plan, spreading=True),
+                np.ascontiguousarray(spec.flips),
+                code_places(spec.nodes, spec.line_bits, spec.order).astype(np.int32),
+                spec.code_numbers.astype(np.int32),
+                spec.nodes,
+            )
+
+    def detect(self, chips: Floats32, damping: float = 0.0) -> Detected:
+        """The words in chips (k, N) float32, V.
+
+        damping: share of the words before that soft ones keep: slower, and more often right.
+        """
+        spec = self._spec
+        if self._kernel is None:
+            return numpy_detect(chips, spec, damping)
+        rows = np.empty((spec.line_bits, spec.row_count), np.float32)
+        heard, left = np.empty(spec.nodes, np.bool_), np.empty_like(chips)
+        power = np.empty(spec.line_bits)
+        level, settled = self._kernel.detect(chips, damping, rows, heard, left, power)
+        return Detected(rows, heard, level, left, power, settled)
+
+    def loudness(self, chips: Floats32, lateness: int) -> Floats32:
+        """Mean |r| of every node, (n,) V, in chips (k, N) that are read so much later in bits."""
+        if self._kernel is None:
+            return numpy_loudness(chips, lateness, self._spec)
+        loudness = np.empty(self._spec.nodes, np.float32)
+        self._kernel.loudness(chips, abs(lateness), lateness > 0, loudness)
+        return loudness
+
+
+def numpy_loudness(chips: Floats32, lateness: int, spec: FrameSpec) -> Floats32:
+    """As Detector.loudness."""
+    read = np.zeros_like(chips)
+    if lateness > 0:
+        read[:, :-lateness] = chips[:, lateness:]
+    else:
+        read[:, -lateness:] = chips[:, :lateness]
+    own = np.abs(rows_of(read, spec)[:, spec.node_slice])
+    loudness: Floats32 = own.mean(axis=0, dtype=np.float32)
+    return loudness
+
+
+def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Detected:
+    """As Detector.detect."""
+    swing, bits = np.float32(spec.node_swing_v or 0.0), spec.line_bits
+    level = float(chips.mean(dtype=np.float64))
+    left = chips - np.float32(level)
+    words = np.zeros((bits, spec.row_count), np.float32)
+    nodes, before, soft, were_hard = spec.node_slice, np.inf, True, True
+    rows, power, settled = words, np.zeros(bits), False
+    heard = np.zeros(spec.nodes, np.bool_)
+    odds = _prior(float(np.square(left).mean()), spec)
+    for turn in range(MOST_TURNS):
+        rows = words + rows_of(left, spec)
+        power = np.square(left, dtype=np.float64).mean(axis=1)
+        noise = max(float(power.mean()) / spec.order, 1e-12 * float(swing) ** 2)
+        if soft and (noise < (SOFT_NOISE * swing) ** 2 or noise > STALLED**2 * before):
+            soft = False
+        before, own = noise, rows[:, nodes]
+        amplitude = np.abs(own).mean(axis=0, dtype=np.float32)
+        newer, onsager = np.zeros_like(words), 0.0
+        if soft:
+            newer[:, nodes], onsager = _soft_words(own, amplitude, float(swing), noise, odds)
+            newer += np.float32(damping) * (words - newer)
+        else:
+            least = max(LEAST_SHARE * float(swing), HARD_SHARE * noise**0.5)
+            heard = amplitude > np.float32(least)
+            newer[:, nodes] = np.copysign(amplitude * heard, own)
+            change = float(np.square(newer - words).sum()) / bits
+            if were_hard and np.array_equal(np.sign(newer), np.sign(words)):
+                after = change * np.count_nonzero(heard) / spec.chips
+                settled = bool(after < SETTLED * float(power.mean()))
+                power -= min(change, float(power.min())) if settled else 0.0
+        were_hard = not soft
+        if settled or turn + 1 == MOST_TURNS:
+            break
+        words = newer
+        told = chips - chips_of(words, spec)
+        if not soft:
+            level = float(told.mean(dtype=np.float64))
+        left = told - np.float32(level) + np.float32(onsager / spec.order) * left
+    return Detected(rows, heard, level, left, power, settled)
+
+
+def _prior(power: float, spec: FrameSpec) -> float:
+    """Logarithm of the odds that a node speaks, from the power of the chips, V²."""
+    swing = spec.node_swing_v or 0.0
+    share = min(max(power / swing**2 / spec.nodes, 1 / spec.nodes), 0.5) if swing else 0.5
+    return float(np.log(share / (1 - share)))
+
+
+def _soft_words(
+    rows: Floats32, amplitude: Floats32, swing: float, noise: float, odds: float
+) -> tuple[Floats32, float]:
+    """What the nodes said, as far as it is believed, (k, n) V; and how it follows from the rows.
+
+    amplitude: (n,) V, mean |r|. noise: variance of a level, V². The latter is the mean sum of the
+    derivatives of a bit's words by their levels.
+    """
+    bits, per = len(rows), swing / noise
+    u = np.float32(per) * amplitude
+    # log cosh u is u²/2 for small ones and u − log 2 for large ones: a parabola up to the line.
+    turn = 2 * np.float32(np.log(2))
+    log_cosh = np.where(u < turn, u * u / (2 * turn), u - turn / 2)
+    ratio = bits * (log_cosh - np.float32(swing * per / 2)) + np.float32(odds)
+    belief = np.clip(np.float32(0.5) + ratio / np.float32(LOG_ODDS), 0, 1)
+    rising = (belief > 0) & (belief < 1)
+    bit = np.clip(np.float32(SLOPE * per) * rows, -1, 1)
+    slopes = np.count_nonzero(np.abs(bit) < 1, axis=0) @ belief * SLOPE
+    slopes += np.square(bit).sum(axis=0) @ rising / LOG_ODDS
+    words: Floats32 = np.float32(swing) * belief * bit
+    return words, float(slopes) * swing * per / bits

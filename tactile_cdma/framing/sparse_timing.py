@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Decodes marked frames of sparse codes, and certifies them.
+
+Detection always finds words; what it leaves over says whether these are all that was sent. So a
+frame is certain only if it settled, no more nodes spoke than the book tells apart, and what is left
+is less than a node that is late, or flips its chips otherwise, would leave. Else all of it is in
+doubt: it is never guessed which part.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..base.arrays import Bools, Floats
+from ..code.detect import Detected, Detector
+from ..code.frame import FrameSpec
+from ..code.separate import NodeLevels
+from ..code.transform import rows_of
+from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from .timing import Rails
+
+DAMPINGS = (0.0, 0.6, 0.8)
+"""How a frame is tried, one after the other, until it is certain; see detect. Chosen: of frames in
+which half as many nodes as 64 chips speak, one in 300 fails without damping, none of 2,500 with
+0.6."""
+CAPACITY, LOST = 0.65, 2.0
+"""Nodes that may speak in a frame, of the chips per bit but LOST times their square root: beyond,
+some frames do not settle. Found with `make bench-sparse`."""
+TOLERANCE = 0.03
+"""Share of a word that may be left over, RMS: chips have edges. Chosen: of 300 words a quarter of
+what a node leaves that is not understood."""
+MORE, BY_CHANCE = 0.1, 4.0
+"""Power by which what is left may exceed the noise of the frames before, in amplitudes of a node
+squared; and deviations of that noise that are chance. Chosen: a node leaves 1, a wrong bit 0.4."""
+HIDING = 0.3
+"""Chance deviation of the noise, in the same unit, from which on a node may hide in it. Chosen."""
+ALIKE_BELOW = 128
+"""Chips per bit below which codes of those who speak may add up to nothing. Derived: of four whose
+numbers XOR to 0 they do in a bit once in 0.75^-N times, in 10¹⁶ at 128 chips."""
+LEARNT, RELEARNT = 4, 64
+"""Frames of which the least noise is that of the line: the first ones, and as many in a row that
+are in doubt for their noise alone. Chosen: a node that is late does not speak in all."""
+WEIGHT = 0.25
+"""Weight of the newest frame in the noise. Chosen: averages about seven frames."""
+MOST_LATE, LATE_SHARE = 8, 0.5
+"""Chips by which a node that is late or early is found; its share of an amplitude there. Chosen."""
+LATENESSES = (*range(1, MOST_LATE + 1), *range(-MOST_LATE, 0))
+
+
+class SparseTiming(MarkedTiming):
+    """Line timing of nodes with sparse codes."""
+
+    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
+        """See MarkedLine."""
+        line = MarkedLine(spec, rate_hz, rails_v)
+        super().__init__(line, SparseRecogniser(line))
+
+
+def capacity(spec: FrameSpec) -> int:
+    """Nodes that may speak in one frame."""
+    if not spec.sparse:
+        return spec.nodes
+    return min(spec.nodes, max(1, int(CAPACITY * (spec.order - LOST * math.sqrt(spec.order)))))
+
+
+class SparseRecogniser:
+    """A Recogniser for frames of means of chips."""
+
+    def __init__(self, line: MarkedLine) -> None:
+        self._line, self._spec = line, line.spec
+        self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
+        self._capacity, self._noise = capacity(line.spec), _Noise()
+        self._turn, self._detector = 0, Detector(line.spec)
+        # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
+        assert line.spec.flips is not None, "sparse codes are scrambled"
+        self._products = np.empty((line.spec.line_bits, line.spec.row_count), np.float32)
+        self._products[:, line.spec.code_numbers] = rows_of(line.spec.flips, line.spec)
+
+    def open(self, start: int, called: bool, since: int | None) -> int:
+        """See Recogniser."""
+        return self._line.size
+
+    def forget(self) -> None:
+        """See Recogniser."""
+
+    @property
+    def carried(self) -> CarriedTiming | None:
+        """See Recogniser: each frame is asked about."""
+        return None
+
+    def recognise(self, frame: MarkedFrame) -> Verdict:
+        """See Recogniser.
+
+        A frame that is not certain is tried harder, a bounded number of times. Then nodes that are
+        late are looked for; in others with one lateness each, by turns.
+        """
+        if verdict := self._line.gate(frame):
+            return verdict
+        spec = self._spec
+        chips = frame.volts[: spec.chips].astype(np.float32).reshape(spec.line_bits, spec.order)
+        found = self._detector.detect(chips)
+        for damping in DAMPINGS[1:]:
+            if self._words_explain(found):
+                break
+            other = self._detector.detect(chips, damping)
+            found = min(found, other, key=lambda one: float(one.left.mean()))
+        explained, noise = self._words_explain(found), float(self._noise_of(found).mean())
+        self._turn = (self._turn + 1) % len(LATENESSES)
+        own_turn = LATENESSES[self._turn : self._turn + 1]
+        late = self._late(found, own_turn if explained else LATENESSES)
+        doubtful: Bools | None = None
+        if late or not explained:
+            doubtful = np.ones(spec.nodes, np.bool_)
+        elif self._hides_nodes:
+            doubtful = ~found.heard
+        if self._is_understood(found) and not late:
+            self._noise.learn(noise, explained)
+        self._line.level_v, noise_v = found.level_v, math.sqrt(noise / spec.order)
+        levels = NodeLevels(found.rows[:, spec.node_slice], noise_v, rows=found.rows, late=late)
+        return self._line.heard(frame, self._line.nominal, levels, doubtful)
+
+    def _is_understood(self, found: Detected) -> bool:
+        """Whether words were found that stay, of no more nodes than the book tells apart."""
+        return found.settled and int(np.count_nonzero(found.heard)) <= self._capacity
+
+    def _words_explain(self, found: Detected) -> bool:
+        """Whether words were found that leave no more than the line's noise, in any bit."""
+        noise, more = self._noise.power, MORE + TOLERANCE**2 * np.count_nonzero(found.heard)
+        left = self._noise_of(found)
+        for power, chips in ((left.mean(), self._spec.chips), (left.max(), self._spec.order)):
+            if not power < noise * (1 + _by_chance(chips)) + more * self._swing2:
+                return False
+        return noise > 0 and self._is_understood(found) and self._are_told_apart(found)
+
+    def _are_told_apart(self, found: Detected) -> bool:
+        """Whether no other bits of those who spoke would give nearly the same chips.
+
+        To turn two bits or more changes the power of a bit's chips by 8 λ amplitudes squared, or
+        more, where λ is the least eigenvalue of the codes' products.
+        """
+        if self._spec.order >= ALIKE_BELOW:
+            return True
+        codes = self._spec.code_numbers[self._spec.rows[found.heard]]
+        products = self._products[:, codes[:, None] ^ codes].astype(np.float64)
+        least = (MORE + _by_chance(self._spec.order) * self._noise.power / self._swing2) / 8
+        diagonal = np.arange(codes.size)
+        products[:, diagonal, diagonal] -= least
+        try:
+            np.linalg.cholesky(products)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    @property
+    def _hides_nodes(self) -> bool:
+        """Whether the noise may hold the word of a node that does not show."""
+        return _by_chance(self._spec.chips) * self._noise.power > HIDING * self._swing2
+
+    def _noise_of(self, found: Detected) -> Floats:
+        """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
+        free = self._spec.chips - int(np.count_nonzero(found.heard)) - 1
+        noise: Floats = found.left * (self._spec.chips / max(free, 1))
+        return noise
+
+    def _late(self, found: Detected, latenesses: tuple[int, ...]) -> tuple[int, ...]:
+        """Nodes, counted from 0, whose words show in chips that are read that much later."""
+        spec, late = self._spec, np.zeros(self._spec.nodes, np.bool_)
+        # Of noise |r| has a mean of 0.8, and that of a word scatters by 0.6/√k.
+        by_chance = math.sqrt(float(found.left.mean()) / spec.order)
+        by_chance *= 0.8 + 0.6 * BY_CHANCE / math.sqrt(spec.line_bits)
+        least = np.float32(max(LATE_SHARE * (spec.node_swing_v or 0.0), by_chance))
+        for lateness in latenesses:
+            late |= self._detector.loudness(found.chips, lateness) > least
+        return tuple(np.flatnonzero(late).tolist())
+
+
+def _by_chance(chips: int) -> float:
+    """Share by which the mean square of so many chips' noise may be off."""
+    return BY_CHANCE * math.sqrt(2 / chips)
+
+
+class _Noise:
+    """Follows the noise of the line, where no gap shows it. power: mean square, V²; 0: unknown."""
+
+    def __init__(self) -> None:
+        self.power = 0.0
+        self._seen: list[float] = []
+
+    def learn(self, power: float, explained: bool) -> None:
+        """Take in what a frame left over; explained: it was no more than expected."""
+        if self.power and explained:
+            self.power += WEIGHT * (power - self.power)
+            self._seen.clear()
+            return
+        self._seen.append(power)
+        if len(self._seen) == (RELEARNT if self.power else LEARNT):
+            self.power = min(self._seen)
+            self._seen.clear()

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frames of sparse codes: what is certified, and that nothing false is.
+
+The chips are those of the document (test/support/sparse_codes.py), added up here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tactile_cdma.base import kernel
+from tactile_cdma.base.arrays import Bools, Floats
+from tactile_cdma.code import transform
+from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.framing import sparse_timing
+from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
+from tactile_cdma.framing.sparse_timing import LEARNT, SparseRecogniser, capacity
+from tactile_cdma.words.decode import Words, decode
+from test.support.sparse_codes import node_chips
+
+SPEC = FrameSpec(
+    nodes=300, order=96, codes="sparse", amplitude_v=1.0, chip_s=1e-6, frame_period_s=1.0
+)
+SMALL = FrameSpec(
+    nodes=60, order=16, codes="sparse", amplitude_v=1.0, chip_s=1e-6, frame_period_s=1.0
+)
+RHO = 60.0
+Change = Callable[[Floats], Floats]
+
+
+@cache
+def chips_of_node(node: int, spec: FrameSpec = SPEC) -> NDArray[np.float32]:
+    return node_chips(node, spec.nodes, spec.order, spec.bits)
+
+
+class Rig:
+    """A line of nodes, and its recogniser, which knows the noise already."""
+
+    def __init__(self, spec: FrameSpec = SPEC, rho: float = RHO, known: bool = True) -> None:
+        self.spec, self.rho = spec, rho
+        self.rng = np.random.default_rng(5)
+        self.recogniser = SparseRecogniser(MarkedLine(spec, 1 / spec.chip_s))
+        if known:
+            for _ in range(2 * LEARNT):
+                self.read(self.sent({1: 5, 2: 9}))
+
+    def sent(self, words: dict[int, int]) -> Floats:
+        """The chips of these words, in the order of the line."""
+        weights = 1 << np.arange(self.spec.bits - 1, -1, -1)
+        line = np.zeros((self.spec.bits, self.spec.order))
+        for node, word in words.items():
+            bits = np.where(word & weights, 1.0, -1.0)
+            line += self.rng.uniform(0.97, 1.03) * bits[:, None] * chips_of_node(node, self.spec)
+        return line.ravel()
+
+    def words(self, nodes: Iterable[int]) -> dict[int, int]:
+        return {int(node): int(self.rng.integers(1 << self.spec.bits)) for node in nodes}
+
+    def some(self, count: int) -> dict[int, int]:
+        return self.words(self.rng.choice(self.spec.nodes, count, replace=False) + 1)
+
+    def read(self, line: Floats) -> Words:
+        noise = self.rng.normal(0, np.sqrt(self.spec.order) / self.rho, line.size)
+        verdict = self.recogniser.recognise(MarkedFrame(0, 0.2 + line + noise, True))
+        assert verdict.frame is not None
+        self.late = verdict.frame.levels.late if verdict.frame.levels else ()
+        assert verdict.frame.levels is not None
+        words = decode(verdict.frame.levels, self.spec)
+        doubtful = verdict.frame.doubtful
+        return words if doubtful is None else words.doubted(doubtful)
+
+
+def told(words: Words) -> dict[int, int]:
+    """What is claimed, by number of the node."""
+    return {int(i) + 1: int(words.codes[i]) for i in np.flatnonzero(words.active)}
+
+
+def certain(words: Words) -> Bools:
+    return ~words.doubtful
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
+def test_frames_are_certain_and_right_up_to_their_capacity(share: float) -> None:
+    rig, speakers = Rig(), round(share * capacity(SPEC))
+    for _ in range(30):
+        words = rig.some(speakers)
+        read = rig.read(rig.sent(words))
+        assert certain(read).all()
+        assert told(read) == words
+
+
+def test_equal_words_and_neighbours_are_told_apart() -> None:
+    """As when everybody at rest speaks, or a hand is laid on."""
+    rig = Rig()
+    for first in range(1, 250, 12):
+        words = dict.fromkeys(range(first, first + 40), 1023)
+        read = rig.read(rig.sent(words))
+        assert certain(read).all()
+        assert told(read) == words
+
+
+@pytest.mark.parametrize("count", [capacity(SPEC) + 1, 100, 200, 300])
+def test_more_than_its_capacity_is_flagged_as_a_whole(count: int) -> None:
+    rig = Rig()
+    for _ in range(5):
+        assert not certain(rig.read(rig.sent(rig.some(count)))).any()
+
+
+@pytest.mark.parametrize("speakers", [1, 5, 40])
+@pytest.mark.parametrize("late", [*range(-8, 0), *range(1, 9)])
+def test_a_frame_that_is_chips_off_is_flagged(late: int, speakers: int) -> None:
+    rig = Rig()
+    line = np.roll(rig.sent(rig.some(speakers)), late)
+    assert not certain(rig.read(line)).any()
+
+
+@pytest.mark.parametrize("others", [0, 4, 40])
+@pytest.mark.parametrize("late", [*range(-8, 0), *range(1, 9)])
+def test_a_node_that_is_late_is_named_and_its_frame_is_flagged(late: int, others: int) -> None:
+    rig = Rig()
+    line = rig.sent(rig.words(range(2, 2 + others))) + np.roll(rig.sent({1: 77}), late)
+    assert not certain(rig.read(line)).any()
+    assert rig.late == (0,)
+
+
+def _lost(line: Floats) -> Floats:
+    return np.delete(line, line.size // 3)
+
+
+def _doubled(line: Floats) -> Floats:
+    return np.insert(line, line.size // 3, line[line.size // 3])
+
+
+@pytest.mark.parametrize("change", [_lost, _doubled])
+@pytest.mark.parametrize("speakers", [1, 3, 40])
+def test_a_sample_lost_or_doubled_anywhere_leaves_nothing_false(
+    change: Change, speakers: int
+) -> None:
+    """Near the end it leaves the words as they are; there they may be certain, and right."""
+    rig = Rig()
+    for end in range(3, SPEC.chips + 3, 3 * 37):
+        words = rig.some(speakers)
+        line = rig.sent(words)
+        line[-end:] = np.resize(change(line[-end:]), end)
+        read = rig.read(line)
+        sure = set((np.flatnonzero(certain(read)) + 1).tolist())
+        assert {n: w for n, w in told(read).items() if n in sure} == {
+            n: w for n, w in words.items() if n in sure
+        }
+        if end > SPEC.order:
+            assert not sure
+
+
+def test_silence_is_not_claimed_of_a_node_that_cannot_be_understood() -> None:
+    """It spoke, and flips its chips by another seed: there is nothing to see but noise."""
+    rig = Rig()
+    strange = node_chips(9, SPEC.nodes, SPEC.order, SPEC.bits, seed=4).ravel()
+    for others in (0, 20):
+        assert not certain(rig.read(rig.sent(rig.some(others)) + strange)).any()
+
+
+def test_silence_is_not_claimed_where_noise_may_hide_a_node() -> None:
+    rig = Rig(rho=4.0)
+    words = {3: 700, 8: 12}
+    read = rig.read(rig.sent(words))
+    assert not (certain(read) & ~read.active).any()
+
+
+def test_nothing_is_claimed_before_the_noise_is_known() -> None:
+    rig = Rig(known=False)
+    flagged = [not certain(rig.read(rig.sent({5: 3}))).any() for _ in range(LEARNT + 1)]
+    assert flagged == [True] * LEARNT + [False]
+
+
+def test_noise_that_rises_is_believed_after_a_while_only() -> None:
+    rig = Rig()
+    rig.rho = RHO / 4
+    flagged = [not certain(rig.read(rig.sent({5: 3}))).any() for _ in range(70)]
+    assert flagged == [True] * sparse_timing.RELEARNT + [False] * (70 - sparse_timing.RELEARNT)
+
+
+def test_words_whose_chips_add_up_to_nothing_are_flagged() -> None:
+    """Four codes of a small book cancel in a bit; all their bits turned give the same chips."""
+    rig = Rig(SMALL, rho=100.0)
+    book = {node: chips_of_node(node, SMALL) for node in range(1, SMALL.nodes + 1)}
+    rng, found = np.random.default_rng(2), 0
+    while found < 3:
+        nodes = [int(node) + 1 for node in rng.choice(SMALL.nodes, 4, replace=False)]
+        for bit in range(SMALL.bits):
+            for signs in ((1, 1, 1, 1), (1, 1, -1, -1), (1, -1, 1, -1), (1, -1, -1, 1)):
+                own = [sign * book[node][bit] for sign, node in zip(signs, nodes, strict=True)]
+                if not np.any(np.sum(own, axis=0)):
+                    words = rig.words(nodes)
+                    weight = 1 << SMALL.bits - 1 - bit
+                    for sign, node in zip(signs, nodes, strict=True):
+                        words[node] = words[node] & ~weight | (weight if sign > 0 else 0)
+                    assert not certain(rig.read(rig.sent(words))).any()
+                    found += 1
+
+
+def test_a_frame_is_given_up_after_a_bounded_number_of_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(kernel, "compiled", None)
+    rig, turns = Rig(), 0
+
+    def counted(chips: NDArray[np.float32], spec: FrameSpec) -> NDArray[np.float32]:
+        nonlocal turns
+        turns += 1
+        return transform.rows_of(chips, spec)
+
+    monkeypatch.setattr("tactile_cdma.code.detect.rows_of", counted)
+    rig.read(rig.sent(rig.some(SPEC.nodes)))
+    assert 0 < turns <= 3 * 24
