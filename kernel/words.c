@@ -3,6 +3,7 @@
 #include "words.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "vectors.h"
 
@@ -557,6 +558,23 @@ INLINE void find_late(const struct words_frame *frame, const float *rows, const 
     }
 }
 
+/* Whether no chip that is left is as high as a late word makes it: what find_late finds of a node, a mean
+ * of such chips, is no higher than the highest, but for rounding. */
+INLINE bool are_low(const struct words_frame *frame, const float *meant, float (*chips)[CHIPS], float share)
+{
+    float least = INFINITY;
+    int high = 0;
+
+    for (size_t i = 0; i < frame->nodes; i++) {
+        float level = meant[frame->first + i];
+        least = level > 0 && level < least ? level : least;
+    }
+    for (size_t bit = 0; bit < frame->bits; bit++)
+        for (size_t chip = 0; chip < MEANT_LAST; chip++)
+            high |= !(fabsf(chips[bit][chip]) * 1.001f <= share * least);
+    return !high;
+}
+
 VECTORS void words_late(const struct words_frame *frame, const float *rows, const float *meant,
                         const float *edges, const struct words_lateness *limits, uint8_t *late)
 {
@@ -567,5 +585,9 @@ VECTORS void words_late(const struct words_frame *frame, const float *rows, cons
         for (size_t edge = 0; edge < 4; edge++)
             within -= (double)chips[bit][edge] * (double)chips[bit][edge];
     double variance = (within > 0 ? within : 0) / (double)(frame->bits * (frame->order - 4));
+    if (are_low(frame, meant, chips, limits->late_share)) {
+        memset(late, 0, frame->nodes);
+        return;
+    }
     find_late(frame, rows, meant, chips, (float)variance, limits, late);
 }

@@ -23,8 +23,8 @@
 //
 // and gets
 //
-//     'D' time, f64, u8    it has run until then; cycles awake of the CPU since power-up; 1: it has restarted as
-//                          the boot ROM's USB drive, and runs no more
+//     'D' time, f64, u8, f64  it has run until then; cycles awake of the CPU since power-up; 1: it has restarted
+//                          as the boot ROM's USB drive, and runs no more; packets offered too late in a USB frame
 //     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0), high (1) or released (2)
 //     'U' time, bytes      UART0 has sent them, the last one at that time
 //     'S' time, bytes      USB likewise
@@ -131,7 +131,7 @@ try {
       case 'R':
         chip.run(payload.readDoubleLE());
         flushUart();
-        send('D', chip.now, chip.cycles, [Number(chip.isDrive)]);
+        send('D', chip.now, chip.cycles, [Number(chip.isDrive)], host.latePackets);
         break;
       case 'U':
         chip.uartReceive(payload);

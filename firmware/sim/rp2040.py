@@ -106,7 +106,9 @@ class Rp2040:
         self._until_ns = 0.0
         self.cycles = 0.0
         """Cycles that the CPU was awake since power-up."""
-        self.led = False
+        self._is_sync_high = self.led = False
+        self.late_packets = 0.0
+        """Packets offered to USB in the last fifth of a frame, which RP2040-E15 forbids."""
         self.is_drive = False
         """It has restarted as the boot ROM's USB drive, and runs no more."""
         self.usb_device: UsbDevice | None = None
@@ -210,12 +212,14 @@ class Rp2040:
             if pin == PIN_LED:
                 self.led = level == 1
             elif pin == PIN_SYNC:
-                if self._on_sync is not None and level < 2:
-                    self._on_sync(now_ns, level == 1)
+                was_high, self._is_sync_high = self._is_sync_high, level == 1
+                if self._on_sync is not None and was_high != self._is_sync_high:
+                    self._on_sync(now_ns, self._is_sync_high)
             elif self._on_pin is not None:
                 self._on_pin(now_ns, pin, level)
         elif kind == "D":
-            self._now_ns, self.cycles, self.is_drive = struct.unpack("<dd?", payload)
+            told = struct.unpack("<dd?d", payload)
+            self._now_ns, self.cycles, self.is_drive, self.late_packets = told
         elif kind == "I":
             self.usb_device = _device(json.loads(payload))
         elif kind == "X":

@@ -2,7 +2,8 @@
 // two bulk endpoints. It replaces the emulator's own transfers, which deliver at once whatever the host
 // does and ignore data toggles.
 //
-// One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows.
+// One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows. Frames begin every
+// 1 ms, and no transaction begins that would not end within its frame.
 
 const SIE_BUS_RESET = 1 << 19;
 const FULL = 1 << 15;
@@ -12,6 +13,10 @@ const AVAILABLE = 1 << 10;
 const LENGTH = 0x3ff;
 const PACKET = 64;
 const TRANSFER = 128; // bytes that Linux' CDC ACM driver reads at a time
+const FRAME_NS = 1e6;
+const LATE_NS = [810e3, 990e3]; // of a frame, in which RP2040-E15 forbids to offer a packet
+const DEV_SOF = 1 << 17;
+const SOF_RD = 0x48;
 const IN = 0;
 const OUT = 1;
 const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
@@ -43,9 +48,27 @@ export class UsbHost {
       if (this.plugged) this.#begin();
     };
     this.usb.onResetReceived = () => {};
-    this.usb.DPRAMUpdated = (offset) => {
+    this.usb.DPRAMUpdated = (offset, value) => {
+      const phase = chip.now - this.frameNs;
+      if (offset === 0x90 && value & AVAILABLE && phase > LATE_NS[0] && phase < LATE_NS[1])
+        this.latePackets++;
       if (offset >= 0x80 && offset < 0x100) this.#serve();
     };
+    this.frameNs = 0; // when the present frame began
+    this.latePackets = 0;
+    const read = this.usb.readUint32.bind(this.usb);
+    this.usb.readUint32 = (offset) => {
+      if (offset === SOF_RD) this.#signalFrame(false);
+      return read(offset);
+    };
+    this.frame = chip.clock.createAlarm(() => {
+      if (!this.plugged) return;
+      this.frameNs = chip.now;
+      this.usb.sofFrameNumber++;
+      this.#signalFrame(true);
+      this.frame.schedule(FRAME_NS);
+      this.#serve();
+    });
     this.step = chip.clock.createAlarm(() => this.#advance());
     this.done = chip.clock.createAlarm(() => {
       this.busy = false;
@@ -88,8 +111,15 @@ export class UsbHost {
     this.toggle[IN] = 0;
   }
 
+  #signalFrame(begins) {
+    if (begins) this.usb.intRaw |= DEV_SOF;
+    else this.usb.intRaw &= ~DEV_SOF;
+    this.usb.checkInterrupts();
+  }
+
   #begin() {
     this.configured = false;
+    this.frame.schedule(FRAME_NS);
     this.script = this.#enumerate();
     this.#advance();
   }
@@ -196,6 +226,7 @@ export class UsbHost {
   }
 
   #serveBulk() {
+    if (this.chip.now - this.frameNs + TRANSACTION_NS(PACKET) > FRAME_NS) return;
     for (const direction of this.toSend.length ? [OUT, IN] : [IN]) {
       const control = this.#control(2, direction);
       if (!(control & AVAILABLE) || (direction === IN && !this.reading)) continue;

@@ -2,8 +2,6 @@
 
 """The dataclasses that pass from stage to stage, of which several are made for every frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar, dataclass_transform
 

@@ -13,8 +13,6 @@ The level of the line is one unknown more. The result is a claim that whoever as
 what is left says how good it is.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

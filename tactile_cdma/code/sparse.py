@@ -15,8 +15,6 @@ A node that is late sends another one's code: the scrambler, which all share, ma
 docs/protocol.md defines every chip.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

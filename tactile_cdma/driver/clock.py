@@ -282,20 +282,25 @@ class DeviceClock:
 
     def _is_behind(self) -> bool:
         """Whether the newest arrivals are late as no bus or host makes them."""
-        newest = self._newest(KEPT_INTERVALS)
-        x, y = self._device[newest], self._host[newest]
-        late_s = y - self._origin[1] - (x - self._origin[0]) * self._rate
-        earlier_s, sure_s = late_s[:-SURE], late_s[-SURE:]
-        self._scatter_s = float(np.sort(sure_s)[:3].max())
-        had_waited = self._is_backlog[newest[-RECENT:]]
-        if not earlier_s.size or sure_s.min() <= STEP_S or had_waited[-SURE:].any():
+        sure = self._newest(SURE)
+        sure_s = sorted(self._late_s(sure).tolist())
+        self._scatter_s = sure_s[:3][-1]
+        if self._count <= SURE or sure_s[0] <= STEP_S or self._is_backlog[sure].any():
             return False
-        x, y = x[-SURE:] - x[-1], y[-SURE:] - y[-1]
+        late_s = self._late_s(self._newest(KEPT_INTERVALS))
+        had_waited = self._is_backlog[self._newest(RECENT)]
+        x, y = self._device[sure], self._host[sure]
+        x, y = x - x[-1], y - y[-1]
         rate, offset_s = _own_line(x, y)
-        usual_s = min(4 * float(np.quantile(earlier_s, 0.25)), 0.1 * sure_s.min())
+        usual_s = min(4 * float(np.quantile(late_s[:-SURE], 0.25)), 0.1 * sure_s[0])
         if (y - rate * x).max() - offset_s <= max(STEADY_S, usual_s):
             return True
         return not had_waited.any() and _falls_behind(late_s[-RECENT:])
+
+    def _late_s(self, places: NDArray[np.intp]) -> NDArray[np.float64]:
+        """How much later than by the last fit the observations at these places were, s."""
+        device, host = self._origin
+        return self._host[places] - host - (self._device[places] - device) * self._rate
 
     def _newest(self, count: int) -> NDArray[np.intp]:
         """Places of so many observations, or all, the newest last."""
@@ -318,7 +323,9 @@ def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> t
     """
     late_s = y - x
     timely = late_s - late_s.min() <= MAX_RATE_ERROR * np.ptp(x)
-    x, y, rate = x[timely], y[timely], 1.0
+    rate = 1.0
+    if not timely.all():
+        x, y = x[timely], y[timely]
     if x.size >= fewest:
         rate = min(max(_rate_below(x, y), 1 - MAX_RATE_ERROR), 1 + MAX_RATE_ERROR)
     return rate, float((y - rate * x).min())
@@ -344,11 +351,8 @@ def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     It is the edge of their lower convex hull that spans the mean x: starting with one point on
     either side, replace one by the lowest point until no point lies below the line through both.
     """
-    beyond = x > x.mean()
-    left, right = (
-        int(places[np.argmin((y - x)[places])])
-        for places in (np.flatnonzero(~beyond), np.flatnonzero(beyond))
-    )
+    beyond, late_s = x > x.mean(), y - x
+    left, right = (int(np.where(away, np.inf, late_s).argmin()) for away in (beyond, ~beyond))
     while True:
         rate = float((y[right] - y[left]) / (x[right] - x[left]))
         above = y - y[left] - rate * (x - x[left])

@@ -6,8 +6,6 @@ The kernel decides the frames that leave nothing to decide. Of others it says wh
 and goes on with the verdict that is reached here, by the same recognisers as with numpy.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import deque

@@ -20,8 +20,7 @@ from ..code.separate import NodeLevels, node_levels
 from .burst import Burst, Gap
 from .fit import Fit, Line, even_words, integrate, lowest_power, read_words
 from .gap import GapSearch, Look
-from .hum import Hum
-from .impulses import without_impulses
+from .hum import Hum, without_impulses
 from .judge import Judgement
 from .limits import LIMITS
 from .raster import Expected, Raster

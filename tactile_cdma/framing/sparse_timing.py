@@ -8,8 +8,6 @@ is less than a node that is late, or flips its chips otherwise, would leave. Els
 doubt: it is never guessed which part.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -41,6 +41,7 @@ SWINGS = 3
 node-hours of simulated touch no sound node was named."""
 _RIDGE = 1e-3
 """Regularisation of the plane for neighbours on one line, in squared pitches."""
+_LOW_SNR, _SATURATED = np.uint8(Status.LOW_SNR), np.uint8(Status.SATURATED)
 
 
 class StuckNodes:
@@ -95,7 +96,7 @@ class StuckNodes:
 
     def _move(self, readings: Readings, t_s: float) -> None:
         """Start over with taxels whose word has changed; uncertain words are ignored."""
-        certain = (readings.status & Status.LOW_SNR) == 0
+        certain = (readings.status & _LOW_SNR) == 0
         moved = certain & (readings.voltage_v != self._voltage_v)  # NaN differs always
         np.copyto(self._changed_s, t_s, where=moved & np.isfinite(self._voltage_v))
         np.copyto(self._voltage_v, readings.voltage_v, where=moved)
@@ -112,18 +113,18 @@ class StuckNodes:
         around_pa = np.where(sound, pressure_pa, np.float32(0))[self._beside]
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
-        plane_pa = np.einsum("mt,mt->t", self._weights, around_pa)
-        border_pa = np.minimum(plane_pa - BORDER_SPREADS * (most_pa - least_pa), least_pa)
-        pressed_pa = np.maximum(np.where(self._inner, least_pa, border_pa), 0)
-        # Beyond its range a sound node does not change either: expect no more than it reads.
-        np.copyto(pressed_pa, pressure_pa, where=(readings.status & Status.SATURATED) != 0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
-        pressed = self._enough & (least_pa > contact_pa)
-        if pressed.any():
-            unmoved = self._heard & (self._changed_s[self._beside] <= self._since_s)
-            pressed &= np.count_nonzero(unmoved, axis=0) <= self._may_rest
-        np.copyto(expected_pa, pressed_pa, where=pressed)
-        np.copyto(expected_pa, np.float32(0), where=self._enough & (most_pa < contact_pa))
+        expected_pa[self._enough & (most_pa < contact_pa)] = 0
+        at = np.flatnonzero(self._enough & (least_pa > contact_pa))
+        unmoved = self._heard[:, at] & (self._changed_s[self._beside[:, at]] <= self._since_s[at])
+        at = at[np.count_nonzero(unmoved, axis=0) <= self._may_rest[at]]
+        low_pa, high_pa = least_pa[at], most_pa[at]
+        plane_pa = np.einsum("mt,mt->t", self._weights[:, at], around_pa[:, at])
+        border_pa = np.minimum(plane_pa - BORDER_SPREADS * (high_pa - low_pa), low_pa)
+        pressed_pa = np.maximum(np.where(self._inner[at], low_pa, border_pa), 0)
+        # Beyond its range a sound node does not change either: expect no more than it reads.
+        saturated = (readings.status[at] & _SATURATED) != 0
+        expected_pa[at] = np.where(saturated, pressure_pa[at], pressed_pa)
         return expected_pa
 
     def _update_sound(self, sound: Bools) -> None:

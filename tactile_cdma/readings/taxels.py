@@ -249,7 +249,7 @@ class Taxels:
         anything about the frame is odd. threshold: see decode.
         """
         chain = self.chain
-        if health.any_suspect or health.frames_to_verdict == 1:
+        if health.any_suspect:
             return None
         conditions = health.swing_v, health.state, chain.calibration, chain.bounds, threshold
         readout = self._readout
@@ -287,7 +287,10 @@ class Taxels:
         words = Words(
             active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, no, sigma
         )
-        health.frames_to_verdict -= 1
+        if health.note_counted():  # the frame is read by the new verdict
+            if words.disturbed(health.invalid):
+                words = words.doubted(~words.active)
+            return words, self.update(words, t_device, health)
         self.now_s, self._began_s = t_device, min(self._began_s, t_device)
         if not 0 <= t_device - chain.looked_s < LOOK_S:
             rest_v, rest_pa = readout.rest

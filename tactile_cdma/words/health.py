@@ -51,8 +51,7 @@ class NodeHealth:
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
     any_suspect: whether there are suspect nodes.
-    frames_to_verdict: frames with words until the next verdict. One that is neither the last of
-        them, nor has suspect nodes, may be counted elsewhere: in `sums`, and here.
+    frames_to_verdict: frames with words until the next verdict.
     sums: (5, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
         doubled and odd ones.
     weak_v: least amplitude of a word that is too weak to count as spoken, V; NaN where unknown.
@@ -82,10 +81,16 @@ class NodeHealth:
         """Count one frame's words."""
         self.any_suspect = count(words, self.weak_v, self.sums, self._suspected)
         self._faint += words.faint
+        self.note_counted()
+
+    def note_counted(self) -> bool:
+        """Note that a frame's words were counted; whether a verdict on the nodes has changed."""
         self.frames_to_verdict -= 1
-        if self.frames_to_verdict == 0:
-            self.frames_to_verdict = JUDGE_FRAMES
-            self.judge()
+        if self.frames_to_verdict:
+            return False
+        before, self.frames_to_verdict = self.state, JUDGE_FRAMES
+        self.judge()
+        return self.state is not before
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""

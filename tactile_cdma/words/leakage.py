@@ -7,8 +7,6 @@ Rows are orthogonal, but not to each other's shifts, and in Paley's orders they 
 shifts: then a loud node shows in a silent one's row, in every bit with the same level.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """The demonstrator: its nodes' C core, and its image in the emulated RP2040, to the pin."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from dataclasses import replace

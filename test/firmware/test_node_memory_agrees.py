@@ -2,8 +2,6 @@
 
 """Host and firmware agree on a node's memory and its limits."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 """The RP2040's firmware, run instruction by instruction: conversation, samples and sync pulses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -268,3 +266,12 @@ def test_a_command_or_1200_baud_restarts_it_as_a_drive(rp2040_image: Path, image
             assert bench.of(Ack)[-1].result == Result.OK and not bench.board.is_drive
             bench.run(0.2)
             assert bench.board.is_drive
+
+
+def test_usb_offers_nothing_in_the_last_fifth_of_a_frame(rp2040_image: Path) -> None:
+    """RP2040-E15; what the host may not take then waits, and 680 kB/s get through."""
+    with Bench(rp2040_image, USB, ramp) as bench:
+        bench.stream(replace(PLAIN, samples_per_chip=17), 0.3)
+        assert bench.check(bench.line) > 0.27 * 340_000
+        assert bench.parser.counters.lost_packets == 0
+        assert bench.board.late_packets == 0

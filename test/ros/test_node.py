@@ -2,8 +2,6 @@
 
 """The driver node over real DDS: topics, parameters, lifecycle, faults."""
 
-from __future__ import annotations
-
 import threading
 import time
 from itertools import islice, pairwise

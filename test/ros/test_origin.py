@@ -2,8 +2,6 @@
 
 """What a driver node says of the origin of its readings: in ~/info, in /diagnostics, in its log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 
 """Tare, drift and calibration of a running driver: services, info, file, over real DDS."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

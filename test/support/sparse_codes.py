@@ -2,8 +2,6 @@
 
 """Sparse codes by docs/protocol.md, octet by octet as a node makes them: no line of the package."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -195,6 +195,7 @@ struct usb {
 #define USB_INT_BUFF_STATUS (1u << 4)
 #define USB_INT_BUS_RESET (1u << 12)
 #define USB_INT_SETUP_REQ (1u << 16)
+#define USB_INT_DEV_SOF (1u << 17) /* cleared by reading sof_rd */
 
 /* The USB controller's memory: index [0] is IN, [1] is OUT; ep_ctrl[n] belongs to endpoint n + 1. */
 struct usb_dpram {

@@ -36,6 +36,8 @@ static bool armed; /* a bulk packet waits for the host to take it */
 static const uint8_t *to_send;
 static size_t to_send_left;
 static bool sent_full; /* whether the last packet was full */
+static uint32_t frame_us; /* when the bus's present frame of 1 ms began */
+static bool held_back;    /* a bulk packet waits for the next frame */
 
 /* The control transfer in progress. */
 static const uint8_t *reply;
@@ -173,10 +175,23 @@ static void reply_descriptor(const struct setup_packet *setup)
     }
 }
 
+/* RP2040-E15: a bus error during an IN transaction can stop the controller until it is unplugged. Hubs of
+ * USB 2 make one where a packet meets a frame's end; so none is offered in its last fifth. pico-sdk's
+ * TinyUSB does the same (PICO_RP2040_USB_DEVICE_UFRAME_FIX), with the same times. */
+static bool late_in_frame(void)
+{
+    uint32_t since = TIMER->timerawl - frame_us;
+
+    return since >= 800 && since <= 998; /* later: the host sends no frames */
+}
+
 static void send_packet(void)
 {
     size_t size = to_send_left < USB_PACKET ? to_send_left : USB_PACKET;
 
+    held_back = late_in_frame();
+    if (held_back)
+        return;
     copy_in(IN_BUFFER, to_send, size);
     hand_over(EP_DATA, DIR_IN, USB_BUF_FULL | size);
     to_send += size;
@@ -212,7 +227,7 @@ static void set_configuration(uint8_t configuration)
             next_data1[endpoint][direction] = 0;
         }
     }
-    sending = sent_full = armed = false;
+    sending = sent_full = armed = held_back = false;
     to_send_left = 0;
     configured = configuration != 0;
     if (configured)
@@ -333,6 +348,12 @@ void usb_interrupt(void)
 {
     uint32_t status = USB->ints;
 
+    if (status & USB_INT_DEV_SOF) {
+        frame_us = TIMER->timerawl;
+        (void)USB->sof_rd;
+        if (held_back)
+            send_packet();
+    }
     if (status & USB_INT_BUS_RESET) {
         USB->sie_status = USB_SIE_STATUS_BUS_RESET;
         USB->addr_endp[0] = 0;
@@ -355,7 +376,8 @@ void usb_interrupt(void)
         reply = NULL;
         control_request();
     }
-    wake();
+    if (status & ~USB_INT_DEV_SOF)
+        wake();
 }
 
 void usb_init(const uint8_t id[8])
@@ -373,7 +395,7 @@ void usb_init(const uint8_t id[8])
     USB->muxing = USB_MUXING_TO_PHY | USB_MUXING_SOFTCON;
     USB->pwr = USB_PWR_VBUS_DETECT | USB_PWR_VBUS_DETECT_OVERRIDE;
     USB->main_ctrl = USB_MAIN_CTRL_EN;
-    USB->inte = USB_INT_BUFF_STATUS | USB_INT_BUS_RESET | USB_INT_SETUP_REQ;
+    USB->inte = USB_INT_BUFF_STATUS | USB_INT_BUS_RESET | USB_INT_SETUP_REQ | USB_INT_DEV_SOF;
     NVIC_ISER = 1u << IRQ_USBCTRL;
     USB->sie_ctrl = USB_SIE_CTRL_EP0_INT_1BUF | USB_SIE_CTRL_PULLUP_EN;
 }
@@ -412,7 +434,7 @@ size_t usb_cancel(void)
     interrupts_off();
     size_t left = to_send_left;
     to_send_left = 0;
-    sending = false;
+    sending = held_back = false;
     interrupts_on();
     return left;
 }

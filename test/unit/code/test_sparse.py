@@ -2,8 +2,6 @@
 
 """Sparse codes: the book by the document, what it is for, and who is found in a frame."""
 
-from __future__ import annotations
-
 import re
 import zlib
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """tactile-cdma doctor from the command line, on sound and on faulty ports."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

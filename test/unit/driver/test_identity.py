@@ -2,8 +2,6 @@
 
 """Which digitizer is accepted: spellings of an id, and what is sent to the wrong board."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 """A skin of more nodes than chips, from the digitizer's bytes to words, against what was sent."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

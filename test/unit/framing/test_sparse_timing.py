@@ -5,8 +5,6 @@
 The chips are those of the document (test/support/sparse_codes.py), added up here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import cache
 

@@ -2,8 +2,6 @@
 
 """A node's EEPROM: contents read back as written; settings that a node cannot use are refused."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import subprocess

@@ -5,8 +5,6 @@
 Boards are virtual digitizers on real ttys; only the list of USB devices is faked.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
