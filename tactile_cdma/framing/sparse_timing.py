@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats
+from ..base.arrays import Bools, Floats, Floats32
 from ..code.detect import Detected, Detector
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
@@ -38,9 +38,11 @@ HIDING = 0.3
 ALIKE_BELOW = 128
 """Chips per bit below which codes of those who speak may add up to nothing. Derived: of four whose
 numbers XOR to 0 they do in a bit once in 0.75^-N times, in 10¹⁶ at 128 chips."""
-LEARNT, RELEARNT = 4, 64
+HIDDEN = 0.36
+"""Power of chips below which no node is hidden in them, in amplitudes squared. Chosen: at 0.6 A."""
+LEARNT, RELEARNT = 8, 64
 """Frames of which the least noise is that of the line: the first ones, and as many in a row that
-are in doubt for their noise alone. Chosen: a node that is late does not speak in all."""
+are in doubt for their noise alone. Chosen: the kurtosis of so many tells it from a node."""
 WEIGHT = 0.25
 """Weight of the newest frame in the noise. Chosen: averages about seven frames."""
 MOST_LATE, LATE_SHARE = 8, 0.5
@@ -70,7 +72,10 @@ class SparseRecogniser:
     def __init__(self, line: MarkedLine) -> None:
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
-        self._capacity, self._noise = capacity(line.spec), _Noise()
+        self._capacity, self._noise = (
+            capacity(line.spec),
+            _Noise(line.spec.chips, HIDDEN * self._swing2),
+        )
         self._turn, self._detector = 0, Detector(line.spec)
         # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
         assert line.spec.flips is not None, "sparse codes are scrambled"
@@ -92,30 +97,30 @@ class SparseRecogniser:
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser.
 
-        A frame that is not certain is tried harder, a bounded number of times. Then nodes that are
-        late are looked for; in others with one lateness each, by turns.
+        A frame that is not certain is tried harder, a bounded number of times; then nodes that are
+        late are looked for.
         """
         if verdict := self._line.gate(frame):
             return verdict
         spec = self._spec
         chips = frame.volts[: spec.chips].astype(np.float32).reshape(spec.line_bits, spec.order)
         found = self._detector.detect(chips)
+        explained = self._words_explain(found)
         for damping in DAMPINGS[1:]:
-            if self._words_explain(found):
+            if explained or not self._noise.power:
                 break
             other = self._detector.detect(chips, damping)
-            found = min(found, other, key=lambda one: float(one.left.mean()))
-        explained, noise = self._words_explain(found), float(self._noise_of(found).mean())
-        self._turn = (self._turn + 1) % len(LATENESSES)
-        own_turn = LATENESSES[self._turn : self._turn + 1]
-        late = self._late(found, own_turn if explained else LATENESSES)
+            if other.left.mean() < found.left.mean():
+                found, explained = other, self._words_explain(other)
+        late = () if explained else self._late(found)
         doubtful: Bools | None = None
         if late or not explained:
             doubtful = np.ones(spec.nodes, np.bool_)
         elif self._hides_nodes:
             doubtful = ~found.heard
+        noise = float(self._noise_of(found).mean())
         if self._is_understood(found) and not late:
-            self._noise.learn(noise, explained)
+            self._noise.learn(noise, None if explained else _kurtosis(found.chips))
         self._line.level_v, noise_v = found.level_v, math.sqrt(noise / spec.order)
         levels = NodeLevels(found.rows[:, spec.node_slice], noise_v, rows=found.rows, late=late)
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
@@ -163,14 +168,14 @@ class SparseRecogniser:
         noise: Floats = found.left * (self._spec.chips / max(free, 1))
         return noise
 
-    def _late(self, found: Detected, latenesses: tuple[int, ...]) -> tuple[int, ...]:
+    def _late(self, found: Detected) -> tuple[int, ...]:
         """Nodes, counted from 0, whose words show in chips that are read that much later."""
         spec, late = self._spec, np.zeros(self._spec.nodes, np.bool_)
         # Of noise |r| has a mean of 0.8, and that of a word scatters by 0.6/√k.
         by_chance = math.sqrt(float(found.left.mean()) / spec.order)
         by_chance *= 0.8 + 0.6 * BY_CHANCE / math.sqrt(spec.line_bits)
         least = np.float32(max(LATE_SHARE * (spec.node_swing_v or 0.0), by_chance))
-        for lateness in latenesses:
+        for lateness in LATENESSES:
             late |= self._detector.loudness(found.chips, lateness) > least
         return tuple(np.flatnonzero(late).tolist())
 
@@ -180,20 +185,36 @@ def _by_chance(chips: int) -> float:
     return BY_CHANCE * math.sqrt(2 / chips)
 
 
+def _kurtosis(chips: Floats32) -> float:
+    """3 for noise; the chips of one node have 1, those of a tone 1.5."""
+    squares = np.square(chips, dtype=np.float64)
+    return float(np.square(squares).mean() / max(squares.mean() ** 2, 1e-300))
+
+
 class _Noise:
-    """Follows the noise of the line, where no gap shows it. power: mean square, V²; 0: unknown."""
+    """Follows the noise of the line, where no gap shows it. power: mean square, V²; 0: unknown.
 
-    def __init__(self) -> None:
-        self.power = 0.0
-        self._seen: list[float] = []
+    Frames that leave more are believed if there is nothing but those, and what they leave is less
+    than a node would, or as Gaussian as noise: the chips of few nodes, or a tone, are not.
+    """
 
-    def learn(self, power: float, explained: bool) -> None:
-        """Take in what a frame left over; explained: it was no more than expected."""
-        if self.power and explained:
+    def __init__(self, chips: int, least_hidden: float) -> None:
+        """chips: of a frame. least_hidden: mean square of what a node leaves, V²."""
+        self.power, self._chips, self._least_hidden = 0.0, chips, least_hidden
+        self._seen: list[tuple[float, float]] = []
+
+    def learn(self, power: float, kurtosis: float | None) -> None:
+        """Take in what a frame left over; kurtosis: None where that was no more than expected."""
+        if kurtosis is None:
             self.power += WEIGHT * (power - self.power)
             self._seen.clear()
             return
-        self._seen.append(power)
-        if len(self._seen) == (RELEARNT if self.power else LEARNT):
-            self.power = min(self._seen)
-            self._seen.clear()
+        self._seen.append((power, kurtosis))
+        if len(self._seen) < (RELEARNT if self.power else LEARNT):
+            return
+        powers, kurtoses = zip(*self._seen, strict=True)
+        by_chance = BY_CHANCE * math.sqrt(24 / (self._chips * len(self._seen)))
+        is_gaussian = sum(kurtoses) / len(kurtoses) > 3 - by_chance
+        if is_gaussian or min(powers) < self._least_hidden:
+            self.power = min(powers)
+        self._seen.clear()

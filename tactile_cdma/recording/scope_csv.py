@@ -78,22 +78,25 @@ def read_scope_csv(
     Raises CaptureError, naming the line, where this is not such a file; and where it does not say
     how far its samples are apart, or says it twice and differently.
     """
-    table = _table(path)
+    table = _Table(path)
     axis, unit_s = table.axis()
-    channels = table.channels(axis)
-    column = table.chosen(channels, channel)
+    channels = [c for c in table.columns if axis is None or (c > axis and not table.is_time(c))]
+    if not channels:
+        raise CaptureError(f"{path}: no column of voltages beside the times")
+    names = [table.name(column) for column in channels]
+    chosen = 0 if channel is None else _chosen(path, channel, names)
     told_hz = rate_hz or table.rate_hz()
     if unit_s is None and not told_hz:
         raise CaptureError(
             f"{path}: no column of rising times in s, and no rate in the header: tell it by --rate"
         )
-    values = table.values([column] if axis is None else [axis, column])
-    ticks = np.arange(len(values), dtype=float) if axis is None else values[:, 0]
+    values = table.values([channels[chosen]] if axis is None else [axis, channels[chosen]])
+    time_s = np.arange(len(values), dtype=float) if axis is None else values[:, 0]
     if unit_s:
-        time_s = ticks * unit_s
-    else:
-        time_s = (table.told(*_STARTS) or 0.0) + ticks / (told_hz or np.nan)
-    volt = table.units(column).get("v")
+        time_s = time_s * unit_s
+    elif told_hz:
+        time_s = (table.told(*_STARTS) or 0.0) + time_s / told_hz
+    volt = table.units(channels[chosen]).get("v")
     pieces, found_hz, notes = _pieces(path, time_s, values[:, -1] * (volt or 1.0), table.first)
     if told_hz and not rate_hz and abs(found_hz / told_hz - 1) > _RATES_AGREE:
         raise CaptureError(
@@ -103,40 +106,58 @@ def read_scope_csv(
     if rate_hz:
         first_s, stretch = pieces[0][0], found_hz / rate_hz
         pieces = [(first_s + (start_s - first_s) * stretch, volts) for start_s, volts in pieces]
-    unit = f"{_si(volt)}V".removeprefix("1 ") if volt else "V, as no unit is named"
-    taken = (
-        f"channel {channels.index(column) + 1} of {len(channels)} ({table.name(column)}), "
-        f"{_si(rate_hz or found_hz)}S/s, {unit}"
-    )
-    return ScopeCapture(tuple(pieces), rate_hz or found_hz, taken.replace(" ()", ""), tuple(notes))
+        found_hz = rate_hz
+    name = names[chosen] and f" ({names[chosen]})"
+    unit = f"{_si(volt).removeprefix('1 ')}V" if volt else "V, as no unit is named"
+    taken = f"channel {chosen + 1} of {len(channels)}{name}, {_si(found_hz)}S/s, {unit}"
+    return ScopeCapture(tuple(pieces), found_hz, taken, tuple(notes))
 
 
-@dataclass(frozen=True, slots=True)
 class _Table:
     """The lines of a file, and where its numbers are.
 
-    delimiter: None for white space. columns: those that hold numbers. first, end: of the lines of
-    numbers. sample: some lines of the numbers, split. header: lines that may tell something.
+    columns: those that hold numbers. first: number of lines before them.
     """
 
-    path: Path
-    lines: list[str]
-    delimiter: str | None
-    columns: list[int]
-    first: int
-    end: int
-    sample: list[list[str]]
-    header: list[str]
+    def __init__(self, path: Path) -> None:
+        """Raises CaptureError where there are no numbers."""
+        text = _text(path)
+        self._path, self._lines = path, text.splitlines()
+        self._stride = 1 + len(self._lines) // 96
+        some = slice(len(self._lines) // 3, None, self._stride)  # few, of any file
+        delimiters = (",", ";", "\t", None)  # None: white space
+        self._delimiter = max(delimiters, key=lambda mark: _fit(self._lines[some], mark))
+        if self._delimiter != ",":
+            self._lines = text.replace(",", ".").splitlines()
+        self._sample = [self._fields(line) for line in self._lines[some] if line.strip()]
+        self.columns = [
+            column
+            for column in range(max(map(len, self._sample), default=0))
+            if 2 * sum(_numeric(row, [column]) for row in self._sample) > len(self._sample)
+        ]
+        good = [self._is_good(line) for line in self._lines[:_HEADER_LINES]]
+        if not self.columns or True not in good:
+            raise CaptureError(
+                f"{path}: no lines of numbers (time in s, voltage in V) after at most "
+                f"{_HEADER_LINES} others"
+            )
+        self.first = good.index(True)
+        self._above = [self._fields(line) for line in self._lines[: self.first] if line.strip()]
+        last = [self._is_good(line) for line in self._lines[: -_HEADER_LINES - 1 : -1]]
+        self._end = len(self._lines) - last.index(True) if True in last else len(self._lines)
+
+    def _fields(self, line: str) -> list[str]:
+        return _fields(line, self._delimiter)
+
+    def _is_good(self, line: str) -> bool:
+        return _numeric(self._fields(line), self.columns)
 
     def heading(self, column: int, line: int = -1) -> str:
         """What stands above a column in the last line before the numbers, or the line before."""
-        above = [text for text in self.lines[: self.first] if text.strip()]
-        if len(above) < -line:
-            return ""
-        fields = _fields(above[line], self.delimiter)
-        field = _plain(fields[column]) if len(fields) > column else ""
-        by_words = self.delimiter is None and len(fields) != len(self.sample[0])
-        return "" if by_words or re.search("[:=]", field) else field
+        fields = self._above[line] if len(self._above) >= -line else []
+        by_words = self._delimiter is None and len(fields) != len(self._sample[0])
+        heading = "" if by_words or len(fields) <= column else fields[column]
+        return "" if re.search("[:=]", heading) else heading
 
     def units(self, column: int) -> dict[str, float]:
         """Units in a column's heading: of s and v, as far as they are named, in s and V."""
@@ -162,40 +183,20 @@ class _Table:
         named = [column for column in self.columns if self.is_time(column)]
         axis = named[0] if named else self.columns[0]
         unit_s = self.units(axis).get("s")
-        ticks = [float(row[axis]) for row in self.sample if _numeric(row, [axis])]
         with np.errstate(invalid="ignore"):
+            ticks = [float(row[axis]) for row in self._sample if _numeric(row, [axis])]
             steps = np.diff(ticks)
         rises = np.any(steps > 0) and np.mean(steps >= 0) > 0.9
         if not named and (not rises or "v" in self.units(axis) or len(self.columns) == 1):
             return None, None
-        counts = (steps == _stride(self.lines)).all() or _COUNTS & set(_words(self.heading(axis)))
+        counts = (steps == self._stride).all() or _COUNTS & set(_words(self.heading(axis)))
         return axis, None if unit_s is None and counts else unit_s or 1.0
-
-    def channels(self, axis: int | None) -> list[int]:
-        """The columns of voltages: right of the times, and no further times."""
-        right = [c for c in self.columns if axis is None or (c > axis and not self.is_time(c))]
-        if not right:
-            raise CaptureError(f"{self.path}: no column of voltages beside the times")
-        return right
-
-    def chosen(self, channels: list[int], channel: str | None) -> int:
-        """The column of a channel by words of its name, or its number from 1."""
-        if channel is None:
-            return channels[0]
-        words = re.compile(rf"(?<![^\W_]){re.escape(channel)}(?![^\W_])", re.IGNORECASE)
-        named = [column for column in channels if words.search(self.name(column))]
-        if len(named) == 1:
-            return named[0]
-        if not (channel.isdecimal() and 1 <= int(channel) <= len(channels)):
-            names = ", ".join(filter(None, map(self.name, channels)))
-            raise CaptureError(
-                f"{self.path}: no single channel {channel!r} among {len(channels)} ({names})"
-            )
-        return channels[int(channel) - 1]
 
     def told(self, *names: str) -> float | None:
         """The number beside, or beneath, the first of such names in the header, in s or Hz."""
-        rows = [[cell.strip("# ") for cell in re.split("[,;\t:=]", line)] for line in self.header]
+        lines = _beside(self._path) + self._lines[:_HEADER_LINES]
+        split = (re.split("[,;\t:=]", line[:_LINE_CHARACTERS]) for line in lines)
+        rows = [[cell.strip("# ") for cell in cells] for cells in split]
         for name, (cells, beneath) in product(names, pairwise([*rows, []])):
             for i, cell in enumerate(cells):
                 if re.search(name, cell, re.IGNORECASE):
@@ -211,57 +212,35 @@ class _Table:
 
     def values(self, columns: list[int]) -> Floats:
         """All numbers of some columns, (m, c) float64."""
-        body = self.lines[self.first : self.end]
+        body, mark = self._lines[self.first : self._end], self._delimiter
         try:
-            values = np.loadtxt(
-                body, delimiter=self.delimiter, usecols=columns, ndmin=2, comments=None
-            )
+            values = np.loadtxt(body, delimiter=mark, usecols=columns, ndmin=2, comments=None)
         except ValueError:
-            lines = ((i, line) for i, line in enumerate(body) if line.strip())
-            split = ((i, _fields(line, self.delimiter)) for i, line in lines)
-            bad = next((i for i, fields in split if not _numeric(fields, columns)), 0)
-            which = ", ".join(str(column + 1) for column in columns)
+            rows = (_numeric(self._fields(line), columns) or not line.strip() for line in body)
+            bad = next((i for i, is_row in enumerate(rows) if not is_row), 0)
             raise CaptureError(
-                f"{self.path}: line {self.first + bad + 1} has no numbers in its columns {which}: "
-                f"{body[bad][:60]!r}"
+                f"{self._path}: line {self.first + bad + 1} has no numbers in its columns "
+                f"{', '.join(str(column + 1) for column in columns)}: {body[bad][:60]!r}"
             ) from None
         if len(values) < _LEAST_SAMPLES:
-            raise CaptureError(f"{self.path}: only {len(values)} samples; is the file cut short?")
+            raise CaptureError(f"{self._path}: only {len(values)} samples; is the file cut short?")
         return values
 
 
-def _table(path: Path) -> _Table:
-    """Find the numbers of a file."""
-    text = _text(path)
-    lines = text.splitlines()
-    middle = slice(len(lines) // 3, None, _stride(lines))
-    delimiter = max((",", ";", "\t", None), key=lambda delimiter: _fit(lines[middle], delimiter))
-    if delimiter != ",":
-        lines = text.replace(",", ".").splitlines()
-    sample = [_fields(line, delimiter) for line in lines[middle] if line.strip()]
-    columns = [
-        column
-        for column in range(max(map(len, sample), default=0))
-        if 2 * sum(_numeric(row, [column]) for row in sample) > len(sample)
-    ]
-    good = (_numeric(_fields(line, delimiter), columns) for line in lines[:_HEADER_LINES])
-    first = next((number for number, numeric in enumerate(good) if numeric), None)
-    if not columns or first is None:
-        raise CaptureError(
-            f"{path}: no lines of numbers (time in s, voltage in V) after at most {_HEADER_LINES} "
-            "others"
-        )
-    end = len(lines)
-    while end > len(lines) - _HEADER_LINES and not _numeric(
-        _fields(lines[end - 1], delimiter), columns
-    ):
-        end -= 1
-    header = [_plain(line[:_LINE_CHARACTERS]) for line in _beside(path) + lines[:_HEADER_LINES]]
-    return _Table(path, lines, delimiter, columns, first, end, sample, header)
+def _chosen(path: Path, channel: str, names: list[str]) -> int:
+    """Index of a channel by words of its name, or its number from 1."""
+    words = re.compile(rf"(?<![^\W_]){re.escape(channel)}(?![^\W_])", re.IGNORECASE)
+    named = [i for i, name in enumerate(names) if words.search(name)]
+    if len(named) == 1:
+        return named[0]
+    if channel.isdecimal() and 1 <= int(channel) <= len(names):
+        return int(channel) - 1
+    listed = ", ".join(filter(None, names))
+    raise CaptureError(f"{path}: no single channel {channel!r} among {len(names)} ({listed})")
 
 
 def _text(path: Path) -> str:
-    """A file's text, infinities as numpy reads them, without zeros (some scopes append them)."""
+    """A file's text in numpy's letters, without the zeros that some scopes append."""
     with naming(path, CaptureError):
         data = read_named(path, MOST_CSV_BYTES)
     try:
@@ -269,7 +248,9 @@ def _text(path: Path) -> str:
         text = data.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    return text.replace("\0", "").replace('"', "").replace("\u221e", "inf")
+    for there, here in (("\0", ""), ('"', ""), ("\u221e", "inf"), ("\u00b5", "u"), ("\u03bc", "u")):
+        text = text.replace(there, here)
+    return text
 
 
 def _beside(path: Path) -> list[str]:
@@ -278,22 +259,12 @@ def _beside(path: Path) -> list[str]:
     return [] if beside == path or not beside.is_file() else _text(beside).splitlines()
 
 
-def _stride(lines: list[str]) -> int:
-    """Lines from one to the next of those that are looked at first: 64 or so of any file."""
-    return 1 + len(lines) // 96
-
-
-def _plain(text: str) -> str:
-    """Text in which micro is u."""
-    return re.sub("(?i)\u00b5|\u03bc|micro", "u", text)
-
-
 def _fields(line: str, delimiter: str | None) -> list[str]:
     return [field.strip() for field in line[:_LINE_CHARACTERS].split(delimiter)]
 
 
 def _words(heading: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+|#", heading.casefold())
+    return re.findall(r"[^\W\d_]+|#", heading.casefold().replace("micro", "u"))
 
 
 def _numeric(fields: list[str], columns: list[int]) -> bool:

@@ -43,8 +43,8 @@ HALF_LENGTH_N = 5.0
 Chosen: a firm press."""
 PIXELS = 32
 """Pixels per pitch in the picture, at most; chosen."""
-MARGIN = PIXELS
-"""Pixels beneath the picture for its scale; chosen."""
+MARGIN = 0.2
+"""Room beneath the picture for its scale, as a share of its height; chosen."""
 EYE = (0.55, -1.05, 0.85)
 """Position of the eye relative to the middle of the skins, in units of their extent; chosen."""
 BACKGROUND_RGB = (44, 50, 58)
@@ -194,16 +194,16 @@ class PatchScene:
         height, width = self.picture_px
         share = np.linspace(0.0, 1.0, 5)
         pressure_pa = (share ** (1 / GAMMA) * self._max_pa).astype(np.float32)
-        places = np.column_stack([width * (0.1 + 0.8 * share), np.full(5, height + MARGIN / 2)])
-        numbers = [f"{pressure / 1e3:.3g} kPa" for pressure in pressure_pa.tolist()]
-        paint = colours(pressure_pa, self._max_pa)
-        scale = rr.Points2D(places, colors=paint, radii=MARGIN / 6, labels=numbers)
-        self._recording.log(f"{self.path}/heatmap/scale", scale, static=True)
-        axes = rr.Arrows2D(
-            origins=[[0.0, height], [0.0, height]],
-            vectors=[[MARGIN, 0.0], [0.0, -MARGIN]],
-            labels=["x", "y"],
+        places = np.column_stack(
+            [width * (0.1 + 0.8 * share), np.full(5, (1 + MARGIN / 3) * height)]
         )
+        labels = [f"{pressure / 1e3:.3g}" for pressure in pressure_pa.tolist()]
+        labels[-1] += " kPa"
+        paint, radius = colours(pressure_pa, self._max_pa), MARGIN * height / 8
+        scale = rr.Points2D(places, colors=paint, radii=radius, labels=labels, show_labels=True)
+        self._recording.log(f"{self.path}/heatmap/scale", scale, static=True)
+        vectors = [[MARGIN * height, 0.0], [0.0, -MARGIN * height]]
+        axes = rr.Arrows2D(vectors=vectors, origins=[[0.0, height]] * 2, labels=["x", "y"])
         self._recording.log(f"{self.path}/heatmap/axes", axes, static=True)
 
     def _end(self, silent_s: float) -> None:
@@ -315,5 +315,5 @@ def _picture(scene: PatchScene) -> rrb.Spatial2DView:
         origin=f"/{scene.path}/heatmap",
         name=scene.path,
         background=BACKGROUND_RGB,
-        visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height + MARGIN]),
+        visual_bounds=rrb.VisualBounds2D(x_range=[0, width], y_range=[0, (1 + MARGIN) * height]),
     )

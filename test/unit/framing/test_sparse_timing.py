@@ -163,6 +163,16 @@ def test_silence_is_not_claimed_of_a_node_that_cannot_be_understood() -> None:
         assert not certain(rig.read(rig.sent(rig.some(others)) + strange)).any()
 
 
+@pytest.mark.parametrize("rho", [20.0, RHO])
+def test_a_node_that_is_never_understood_is_not_taken_for_noise(rho: float) -> None:
+    """It speaks in every frame, from the first one on."""
+    strange = node_chips(9, SPEC.nodes, SPEC.order, SPEC.bits, seed=4).ravel()
+    for known in (True, False):
+        rig = Rig(rho=rho, known=known)
+        for _ in range(2 * sparse_timing.RELEARNT):
+            assert not certain(rig.read(rig.sent(rig.some(3)) + strange)).any()
+
+
 def test_silence_is_not_claimed_where_noise_may_hide_a_node() -> None:
     rig = Rig(rho=4.0)
     words = {3: 700, 8: 12}

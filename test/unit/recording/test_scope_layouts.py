@@ -254,21 +254,32 @@ def test_the_words_in_every_makers_file_are_those_on_the_line(
     assert f"scope.csv: {taken}\n" in said
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-8-sig"])
-def test_encodings_padding_and_lines_at_the_end_do_not_matter(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line, encoding: str
+@pytest.mark.parametrize(
+    ("writer", "encoding", "zeros"),
+    [
+        (picoscope, "utf-16", ""),
+        (picoscope, "utf-8-sig", "\0"),
+        (picoscope_german, "latin-1", "\0"),
+    ],
+)
+def test_encodings_zeros_and_lines_at_the_end_do_not_matter(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    line: Line,
+    writer: Writer,
+    encoding: str,
+    zeros: str,
 ) -> None:
-    content = picoscope_german(line) + "\r\n;;\r\nEnde der Messung: 100 %\r\n"
-    path = write(tmp_path / "scope.csv", content, encoding)
-    if encoding != "utf-16":
-        path.write_bytes(path.read_bytes() + bytes(5000))
+    content = writer(line).replace("\n", f"{zeros}\n") + "\n;;\nEnde der Messung: 100 %\n"
+    path = write(tmp_path / "scope.csv", content + 5000 * zeros, encoding)
     check(decoded(path, capsys)[0])
 
 
+@pytest.mark.parametrize("form", ["{v:.6f}", "{v:.6f},{w:.6f}", "{i},{v:.6f}"])
 def test_a_file_of_values_needs_a_rate_from_the_user_or_the_file_beside_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line, form: str
 ) -> None:
-    path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows("{v:.6f}")))
+    path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows(form)))
     assert main(["decode", str(path)]) == 1
     out, err = capsys.readouterr()
     assert out == "" and "no rate in the header: tell it by --rate" in err
@@ -298,12 +309,14 @@ def test_times_of_whole_microseconds_are_refused_until_the_rate_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line
 ) -> None:
     rows = [f"{6 * i},{v:g}" for i, v in enumerate(line.v)]  # sigrok rounds 6.25 down
-    path = write(
-        tmp_path / "scope.csv", text("; Samplerate: 160 kHz", "microseconds,V DC", rows=rows)
-    )
+    del rows[3000:3020]
+    content = text("; Samplerate: 160 kHz", "microseconds,V DC", rows=rows)
+    path = write(tmp_path / "scope.csv", content)
     assert main(["decode", str(path)]) == 1
     assert "166.7 kS/s by its times, 160 kS/s by its header" in capsys.readouterr().err
-    check(decoded(path, capsys, "--rate", "160000")[0], 0)
+    frames, said = decoded(path, capsys, "--rate", "160000")
+    assert frames == [(CODES.tolist(), pytest.approx(t, abs=1e-5)) for t in (1e-3, 26.6e-3)]
+    assert "160 kS/s" in said and "samples are missing in 1 places" in said
 
 
 @pytest.mark.parametrize(
@@ -336,6 +349,16 @@ def test_a_wrong_guess_is_refused(
     out, err = capsys.readouterr()
     assert out == ""
     assert message in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("options", [[], ["--rate", "160e3"]])
+def test_commas_that_separate_and_are_decimal_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line, options: list[str]
+) -> None:
+    rows = Line(line.t * 1e3, line.v, line.w).rows("{t:.6f},{v:.5f}")
+    content = text("Time (ms),CH1 (V)", rows=[row.replace(".", ",") for row in rows])
+    assert main(["decode", str(write(tmp_path / "scope.csv", content)), *options]) == 1
+    assert capsys.readouterr().out == ""
 
 
 def test_options_for_scopes_are_refused_for_recordings(
