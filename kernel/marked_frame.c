@@ -220,6 +220,18 @@ static bool find_chips(const struct frame_rules *rules, const struct frame_code 
     return true;
 }
 
+/* Whether a bit's first or last chips are more than noise may be, as MarkedLine._sticks_out says. */
+static bool chip_stands_out(const struct frame_rules *rules, const double *volts, double level)
+{
+    const size_t order = rules->frame.order, edges[] = {0, 1, order - 2, order - 1};
+    double most = 0;
+
+    for (size_t bit = 0; order >= 2 && bit < rules->frame.bits; bit++, volts += order)
+        for (size_t i = 0; i < sizeof edges / sizeof *edges; i++)
+            most = fabs(volts[edges[i]] - level) > most ? fabs(volts[edges[i]] - level) : most;
+    return most > CLEARLY * rules->rest * (double)rules->frame.swing;
+}
+
 enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
                            const struct frame_timing *timing, const struct frame_edges *edges,
                            const struct frame_rest *rest, const double *volts, size_t count,
@@ -234,6 +246,8 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     if (isnan(power))
         return FRAME_ABSURD;
     if (power <= rules->silent_power) {
+        if (rules->integrated && chip_stands_out(rules, volts, found->level))
+            return FRAME_UNEXPLAINED;
         found->clipped = share_clipped(rules, volts, rules->size);
         return silent(rules, rest, power, found);
     }

@@ -457,7 +457,7 @@ static void look_for_frame(struct input *input)
     const double chip = (double)per_chip, length = (double)frame;
     const struct gap_rules rules = {length, 1.1 * length, 1.1 * (double)order * chip,
                                     1.6 * length, 2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, 0.02,
-                                    0.5, 0.02, 0.12, 3, 0.15, first + nodes, order - first - nodes};
+                                    1e-3, 0.5, 0.02, 0.12, 3, 0.15, first + nodes, order - first - nodes};
     size_t half = per_chip / 2, group = frame / half < 320 ? 1 : frame / half / 320, cell = half * group;
     const struct burst_search search = {
         half, 8, group, frame / cell, 11 * frame / 10 / cell + 1, order * per_chip / cell + 2,
@@ -488,8 +488,8 @@ static void look_for_frame(struct input *input)
     float *words = malloc((chips + 2 * nodes + 4) * sizeof *words), *four = words + chips + 2 * nodes;
     double *values = malloc(gap_values(&search, size) * sizeof *values);
     float *scratch = malloc(gap_scratch(&code, &search) * sizeof *scratch);
-    seen.words = (struct judge_found){words, words + chips, words + chips + nodes, four, four + 1, four + 2,
-                                      four + 3, NULL};
+    seen.words = (struct fit_words){words, words + chips, words + chips + nodes, four, four + 1, four + 2,
+                                    four + 3};
     bool has_gap = gap_look(&code, &search, &limits, &rules, reaches, 2, volts, size, 0, &known,
                             &expected, &seen, &look, values, scratch);
     for (size_t i = 0; has_gap && look == GAP_FRAME && !disturbed && i < chips; i++)
@@ -498,7 +498,7 @@ static void look_for_frame(struct input *input)
 
     enum { COUNT = 3 };
     double start[COUNT], chips_of[COUNT], cost[COUNT];
-    struct judge_candidates all = {COUNT, kind % 4, start, chips_of, 0, 0, 60, kind & 16 ? 30 : 60};
+    struct judge_candidates all = {COUNT, kind % 4, start, chips_of, 0, 0, 60, kind & 16 ? 30 : 60, NULL};
     for (size_t c = 0; c < COUNT; c++) {
         start[c] = (double)gap - 1 + (double)c * (kind & 128 ? chip : 0.7);
         chips_of[c] = kind & 128 ? chip : chip * (1 + 0.01 * (double)c);
@@ -508,8 +508,9 @@ static void look_for_frame(struct input *input)
     all.begin = start[0];
     float *rows = malloc(COUNT * (chips + 2 * nodes + 4) * sizeof *rows), *rest = rows + COUNT * chips;
     float *each = rest + 2 * COUNT * nodes;
-    struct judge_found found = {rows, rest, rest + COUNT * nodes, each, each + COUNT, each + 2 * COUNT,
-                                each + 3 * COUNT, cost};
+    struct judge_found found = {{rows, rest, rest + COUNT * nodes, each, each + COUNT, each + 2 * COUNT,
+                                 each + 3 * COUNT},
+                                cost};
     struct judge_votes votes = {0, 0};
     float *more = malloc(judge_scratch(&code, &all) * sizeof *more);
     sums[0] = 0;

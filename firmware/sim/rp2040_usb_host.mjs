@@ -10,6 +10,8 @@ const FULL = 1 << 15;
 const DATA1 = 1 << 13;
 const STALL = 1 << 11;
 const AVAILABLE = 1 << 10;
+const RESET = 1 << 12;
+const DOUBLE_BUFFERED = 1 << 30;
 const LENGTH = 0x3ff;
 const PACKET = 64;
 const TRANSFER = 128; // bytes that Linux' CDC ACM driver reads at a time
@@ -50,12 +52,20 @@ export class UsbHost {
     this.usb.onResetReceived = () => {};
     this.usb.DPRAMUpdated = (offset, value) => {
       const phase = chip.now - this.frameNs;
-      if (offset === 0x90 && value & AVAILABLE && phase > LATE_NS[0] && phase < LATE_NS[1])
-        this.latePackets++;
+      if (offset === 0x90) {
+        // buffer 0 is the next one from when it is handed over with RESET
+        const resets = (value & (RESET | AVAILABLE)) === (RESET | AVAILABLE);
+        if (resets && !this.resets) this.buffer[IN] = 0;
+        this.resets = resets;
+        const available = value & ((AVAILABLE << 16) | AVAILABLE);
+        if (available & ~this.available && phase > LATE_NS[0] && phase < LATE_NS[1]) this.latePackets++;
+        this.available = available;
+      }
       if (offset >= 0x80 && offset < 0x100) this.#serve();
     };
     this.frameNs = 0; // when the present frame began
-    this.latePackets = 0;
+    this.latePackets = this.available = 0;
+    this.buffer = [1, 0];
     const read = this.usb.readUint32.bind(this.usb);
     this.usb.readUint32 = (offset) => {
       if (offset === SOF_RD) this.#signalFrame(false);
@@ -119,6 +129,7 @@ export class UsbHost {
 
   #begin() {
     this.configured = false;
+    this.buffer = [1, 0]; // the next one; of IN unknown until it is reset
     this.frame.schedule(FRAME_NS);
     this.script = this.#enumerate();
     this.#advance();
@@ -228,17 +239,20 @@ export class UsbHost {
   #serveBulk() {
     if (this.chip.now - this.frameNs + TRANSACTION_NS(PACKET) > FRAME_NS) return;
     for (const direction of this.toSend.length ? [OUT, IN] : [IN]) {
-      const control = this.#control(2, direction);
+      const number = this.buffer[direction];
+      const control = this.#control(2, direction) >>> (16 * number);
       if (!(control & AVAILABLE) || (direction === IN && !this.reading)) continue;
       this.#check(control & DATA1, this.toggle[direction], `data toggle of ${direction}`);
       this.toggle[direction] ^= DATA1;
-      const buffer = this.view.getUint32(direction === IN ? 0x10 : 0x14, true) & 0xffc0;
+      const base = this.view.getUint32(direction === IN ? 0x10 : 0x14, true);
+      const buffer = (base & 0xffc0) + PACKET * number;
+      if (base & DOUBLE_BUFFERED) this.buffer[direction] ^= 1;
       const bytes =
         direction === IN
           ? this.#bytes(buffer, control & LENGTH)
           : this.toSend.splice(0, Math.min(PACKET, control & LENGTH));
       this.#start(bytes.length, () => {
-        this.#complete(2, direction, bytes, buffer);
+        this.#complete(2, direction, bytes, buffer, number);
         if (direction === IN) this.#collect(bytes);
       });
       return;
@@ -259,13 +273,15 @@ export class UsbHost {
   }
 
   // Does what the controller does when a buffer has been sent or filled.
-  #complete(endpoint, direction, bytes, buffer) {
-    let control = this.#control(endpoint, direction) & ~AVAILABLE;
+  #complete(endpoint, direction, bytes, buffer, number = 0) {
+    const shift = 16 * number;
+    let control = this.#control(endpoint, direction) & ~(AVAILABLE << shift);
     if (direction === OUT) {
       this.chip.rp2040.usbDPRAM.set(bytes, buffer);
       control = (control & ~LENGTH) | bytes.length | FULL;
     } else {
-      control &= ~FULL;
+      control &= ~(FULL << shift);
+      this.available &= ~(AVAILABLE << shift);
     }
     this.#control(endpoint, direction, control);
     this.usb.indicateBufferReady(endpoint, direction === OUT);

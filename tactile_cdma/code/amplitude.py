@@ -20,6 +20,9 @@ sound lines leave there (edges, hum of a third of an amplitude, droop) stays bel
 MOVED_SHARE = 0.3
 """Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
 may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
+HIDDEN = 0.65
+"""Share of a node's level that, as noise of a chip, may be a node that is out of its place. Chosen:
+such a node leaves 1, less what is taken for words of others."""
 BY_CHANCE = 3.3
 """Normal deviations that make more than noise of a row's power. Chosen: 5e-4 of all silent words
 exceed them; a word at 0.15 A and ρ = 20 stays below once in 10⁵."""
@@ -54,9 +57,9 @@ def rises(squares: Floats32, expected: Floats32 | np.float32, noise: float, bits
     return above & (squares * per_noise * per_noise > np.float32(loud))
 
 
-def hiding_rho(bits: int) -> float:
-    """ρ of a node below which noise hides a word of LEAST_SHARE."""
-    return math.sqrt(most_noise_power(bits)) / LEAST_SHARE
+def hiding_rho(bits: int, order: int) -> float:
+    """ρ of a node below which noise hides a word of LEAST_SHARE, or may be a node itself."""
+    return max(math.sqrt(most_noise_power(bits)) / LEAST_SHARE, math.sqrt(order) / HIDDEN)
 
 
 def pooled_noise(noise: float, silent: Floats32, bits: int) -> float:

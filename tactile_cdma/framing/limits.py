@@ -40,6 +40,7 @@ class Limits:
         frame. Chosen: broken nodes are few, while wrong timing makes all words uneven.
     stricter: factor by which the other words must then be cleaner than they would have to be with
         these. Chosen: frames of wrong timing do not get there.
+    lone_chip: median deviations beyond which a chip is none of noise. Chosen: 5 deviations.
     faint_power: power of the chips, relative to the gap's noise, below which no stretch is searched
         for: words would be hidden in noise. Chosen.
     rest: share of the weakest word's amplitude below which a line is at rest. Chosen: below half,
@@ -107,6 +108,7 @@ class Limits:
     carried_noise: float = 1.5
     odd_share: float = 0.25
     stricter: float = 3.0
+    lone_chip: float = 7.4
     faint_power: float = 1.6
     rest: float = 0.4
     tail_noise: float = 2.0

@@ -39,6 +39,8 @@ LEAST_REST = 16
 the variance of 16 samples is right to a third (√(2/15))."""
 GAP_WEIGHT = 0.25
 """Weight of the newest gap in the running noise estimate. Chosen: averages about seven gaps."""
+EDGES = [0, 1, -2, -1]
+"""Chips of a bit in which half a node's chips may meet those of another bit, of up to 1.5 chips."""
 
 _NOTHING = (0.0, 0.0, 0.0)
 
@@ -215,11 +217,24 @@ class MarkedLine:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
         doubtful = None
+        if self.integrated and frame.volts.size >= self.size and self._sticks_out(frame.volts):
+            doubtful = np.ones(self.spec.nodes, bool)
         if levels is not None and not self._holds_more(levels):
             levels = None
             if not self.integrated and power > self._most_explained * self.chip:
                 doubtful = np.ones(self.spec.nodes, bool)
         return self._decided(frame.start, self.nominal, levels, noise_v, clipped, doubtful)
+
+    def _sticks_out(self, volts: Floats) -> bool:
+        """Whether chips at the edges of bits stand out from the noise of the others.
+
+        All that half a chip's shift leaves of a lone node's row of the most level changes.
+        """
+        spec = self.spec
+        level = np.abs(volts[: spec.chips] - self.level_v).reshape(spec.line_bits, spec.order)
+        least = LIMITS.rest * (spec.node_swing_v or math.inf)
+        most = float(level[:, EDGES].max())
+        return most > least and most > LIMITS.lone_chip * float(np.median(level))
 
     def _holds_more(self, levels: NodeLevels) -> bool:
         """Whether a row holds more than noise, or the line moves."""

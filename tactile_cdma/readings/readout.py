@@ -111,7 +111,7 @@ def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
         "least_squares": spec.line_bits * LEAST_SHARE**2,
         "moved_share": MOVED_SHARE,
         "tone_share": tones.least_left(spec),
-        "hiding_rho": hiding_rho(spec.line_bits),
+        "hiding_rho": hiding_rho(spec.line_bits, spec.order),
         "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),
         "sound_share": limits.SOUND_SHARE,
         "most_square": most_square(spec.line_bits),

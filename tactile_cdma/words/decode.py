@@ -16,6 +16,7 @@ from ..base.stage import stage
 from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
+    HIDDEN,
     MOVED_SHARE,
     pooled_noise,
     rises,
@@ -155,8 +156,9 @@ def decode(
     noise, bits = levels.noise_v, spec.line_bits
     measures = measure(levels.values)
     expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
-    active, faint, any_faint = find_active(measures, expected, threshold, noise, bits)
+    active, faint, any_faint = find_active(measures, expected, threshold, noise, bits, spec.order)
     astray, hidden = np.zeros((2, len(active)), np.bool_)
+    noise_may_be_node = False
     if any_faint:
         loud = active & ~faint
         rest, rest_noise = unexplained(levels, loud, faint, spec)
@@ -164,6 +166,7 @@ def decode(
         spoke = measures.amplitude > np.float32(threshold) * expected
         astray = _out_of_step(measures.amplitude, active, spoke, expected)
         hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
+        noise_may_be_node = rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min())
         active = spoke & ~astray
     amplitude = measures.amplitude
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
@@ -175,14 +178,17 @@ def decode(
         doubtful[node] = active[node]
     astray[list(levels.late)] = True
     doubtful |= astray | hidden
+    if noise_may_be_node:
+        doubtful |= ~active
     if active.any():
         others = out_of_place(levels, amplitude, active, float(expected.min()), spec)
         if others is not None:  # any silent node may be the one that spoke
             astray |= others
             doubtful |= others | ~active
-        none = _no_words(levels, amplitude, active, spec)
+        none, is_tone = _no_words(levels, amplitude, active, spec)
         active &= ~none
-        doubtful |= none
+        # A tone that passes for a word may have given the frame its timing, too.
+        doubtful |= none | (~active & is_tone)
     if _moves(levels, float(expected.min()), spec):
         doubtful |= ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
@@ -235,14 +241,17 @@ def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bo
     return rises(squares, expected, pooled_noise(noise, squares[~spoke], bits), bits)
 
 
-def _no_words(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Bools:
-    """Words that tones explain, or an offset of the line, (n,)."""
+def _no_words(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
+) -> tuple[Bools, bool]:
+    """Words that tones explain, or an offset of the line, (n,); whether tones do."""
     explained = toned(levels, amplitude, active, spec)
+    is_tone = explained is not None
     if explained is None:
         explained = nobody(spec.nodes)
     if levels.level_unknown and active[0]:
         explained = explained | (np.arange(spec.nodes) == 0)
-    return explained
+    return explained, is_tone
 
 
 def _moves(levels: NodeLevels, expected: float, spec: FrameSpec) -> bool:

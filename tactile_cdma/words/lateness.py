@@ -15,11 +15,16 @@ from functools import lru_cache
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
+from ..code.amplitude import HIDDEN
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import chips_of, correlate, rows_of
 
+OFF_THE_MARK = 0.6
+"""Delay of FEW words of one value per chip, in chips of what is left of them, from which on others
+may be less than FAINT_SHARE, as with a mark half a chip off; raw samples are read as late as they
+are. Chosen: d chips are d/(1 - d), and a low-pass of 0.3 chip looks like 0.3."""
 EDGE = 2
 """Chips at either end of a bit that are looked at. Chosen: later nodes miss these, too."""
 LATE_SHARE = 0.35
@@ -37,9 +42,6 @@ Chosen: of a node that is a chip late one chip is inverted in half of its bits, 
 PART = 0.6
 """Share of a node's amplitude below which a word may be a part of one that is out of step. Chosen:
 one that is half a chip late has half of it on either row."""
-HIDDEN = 0.7
-"""Share of a node's level that, as noise of a scrambled chip, may be a node that is not understood.
-Chosen: such a node leaves 1."""
 OUT_OF_STEP, FEW = 0.25, 3
 """Difference of two words' delays, chips, beyond which either may be on another's row: half of the
 delay at which rows change places; most words of which their delays are told apart. Both chosen."""
@@ -68,11 +70,10 @@ def out_of_place(
         others, hidden = late_scrambled(levels, amplitude, active, expected, spec)
         return others if hidden or others.any() else None
     least = float(spoken.min())
-    if spoken.size <= FEW and (
-        least < PART * expected
-        or np.ptp(delays(levels, amplitude, active, spec)[active]) > OUT_OF_STEP
-    ):
-        return active
+    if spoken.size <= FEW:
+        by = delays(levels, amplitude, active, spec)[active]
+        if least < PART * expected or np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK:
+            return active
     are_late = late(levels, amplitude, active, spec)
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
     return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None

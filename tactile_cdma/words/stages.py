@@ -75,20 +75,26 @@ def measure(values: Floats32) -> Measures:
 
 
 def find_active(
-    measures: Measures, expected: Floats32, threshold: float, noise: float, bits: int
+    measures: Measures,
+    expected: Floats32,
+    threshold: float,
+    noise: float,
+    bits: int,
+    order: int,
 ) -> tuple[Bools, Bools, bool]:
     """Words that were spoken; those of a node that is too weak; whether any may be.
 
     Noise that would hide such a word may be what leaks from neighbours. expected: (n,) V.
     threshold: share of the expected amplitude of words that count. noise: RMS of a level, V. bits:
-    of a word.
+    of a word. order: chips per bit.
     """
     amplitude = measures.amplitude
     active = amplitude > np.float32(threshold) * expected
     sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
     faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
     faint |= ~active & rises(measures.squares, expected, noise, bits)
-    hiding = expected * np.float32(1 / max(noise, LEAST_NOISE)) < np.float32(hiding_rho(bits))
+    rho = expected * np.float32(1 / max(noise, LEAST_NOISE))
+    hiding = rho < np.float32(hiding_rho(bits, order))
     return active, faint, bool((faint | ~active & hiding).any())
 
 

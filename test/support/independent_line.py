@@ -534,8 +534,10 @@ def _frame_steps(
     longer = np.ones(skin.nodes)
     for node, share in line.slow:
         longer[node] += share
-    # Nodes that keep time together are one.
+    # Nodes that keep time together are one, unless each has ramps of its own.
     times, of = np.unique(np.stack((longer, delay))[:, nodes], axis=1, return_inverse=True)
+    if line.rise_chips or line.fall_chips:
+        times, of = np.stack((longer, delay))[:, nodes], np.arange(nodes.size)
     heights = np.zeros((times.shape[1], skin.chips + 1))
     np.add.at(heights, of.ravel(), np.diff(levels, axis=1, prepend=0.0, append=0.0))
     edges = start + chip * times[0][:, None] * (np.arange(skin.chips + 1) + jitter)

@@ -15,7 +15,8 @@ import numpy as np
 from tactile_cdma.config.parameters import Values
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
-from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.stream import Event
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
@@ -63,6 +64,7 @@ class Rig:
         self._first_index = stream.begin.first_index if stream.begin else 0
         self._judge: LineJudge | None = None
         self._started = 0
+        self._through = 0  # bytes of which the driver has taken in all that they held
         self._stop, self._ready = threading.Event(), threading.Event()
         self._path = Path()
         self._line = threading.Thread(target=self._carry, daemon=True)
@@ -73,6 +75,7 @@ class Rig:
         self.driver = Driver(
             self.config, str(self._path), BAUD, self.frames.append, self._on_problem
         )
+        self._follow(self.driver.pipeline)
         self.driver.start()
         return self
 
@@ -80,6 +83,18 @@ class Rig:
         self.driver.stop()
         self._stop.set()
         self._line.join()
+
+    def _follow(self, pipeline: Pipeline) -> None:
+        """Note how far the driver is. Bytes are counted before their frames are decoded."""
+        take = pipeline.take
+
+        def followed(event: Event) -> TactileFrame | None:
+            frame = take(event)
+            if event.needs_bytes:
+                self._through = pipeline.packet_counts.bytes
+            return frame
+
+        pipeline.take = followed  # type: ignore[method-assign]
 
     def run(self, schedule: Schedule) -> Tally:
         """Run a schedule; returns what was wrong."""
@@ -123,8 +138,8 @@ class Rig:
         """Whether the driver has processed all bytes handed to it."""
         if not self.man.over():
             return False
-        with self.driver.between_frames() as pipeline:
-            return pipeline.packet_counts.bytes >= self.man.ledger.counts.bytes
+        with self.driver.between_frames():
+            return self._through >= self.man.ledger.counts.bytes
 
     def _taken(self) -> list[TactileFrame]:
         """The frames published since the last call."""

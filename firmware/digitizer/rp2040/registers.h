@@ -203,10 +203,12 @@ struct usb_dpram {
 };
 #define USB_DPRAM BLOCK(usb_dpram, 0x50100000u)
 #define USB_EP_ENABLE (1u << 31)
+#define USB_EP_DOUBLE_BUFFERED (1u << 30)
 #define USB_EP_INT_PER_BUFFER (1u << 29)
 #define USB_EP_TYPE(type) ((uint32_t)(type) << 26)
 #define USB_BUF_FULL (1u << 15)
 #define USB_BUF_DATA1 (1u << 13)
+#define USB_BUF_RESET (1u << 12) /* buffer 0 is the next */
 #define USB_BUF_STALL (1u << 11)
 #define USB_BUF_AVAILABLE (1u << 10)
 #define USB_BUF_LENGTH 0x3ffu

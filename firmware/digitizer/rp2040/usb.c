@@ -15,6 +15,7 @@ enum { GET_STATUS = 0, CLEAR_FEATURE = 1, SET_ADDRESS = 5, GET_DESCRIPTOR = 6,
        SET_LINE_CODING = 0x20, GET_LINE_CODING = 0x21, SET_CONTROL_LINE_STATE = 0x22 };
 enum { TO_DEVICE = 0x00, TO_INTERFACE = 0x01, TO_ENDPOINT = 0x02, CLASS = 0x20, FROM_DEVICE = 0x80 };
 
+#define IN_BUFFERS 2u
 #define BAUD_OF_BOOTSEL 1200u
 
 struct setup_packet {
@@ -25,14 +26,15 @@ struct setup_packet {
 /* Buffers in the controller's memory, as offsets from its start. */
 #define EP0_BUFFER 0x100u
 #define NOTIFY_BUFFER 0x180u
-#define IN_BUFFER 0x1c0u
-#define OUT_BUFFER 0x200u
+#define IN_BUFFER 0x1c0u /* two of them */
+#define OUT_BUFFER 0x240u
 
 static struct byte_ring received;
 static uint8_t serial[8];
 static uint32_t next_data1[3][2]; /* data toggle of each endpoint's next packet */
 static volatile bool configured, receiving, sending;
-static bool armed; /* a bulk packet waits for the host to take it */
+/* Bulk packets that wait for the host to take them; while it takes one, the next is there already. */
+static struct { uint32_t count, oldest; bool first; } offered;
 static const uint8_t *to_send;
 static size_t to_send_left;
 static bool sent_full; /* whether the last packet was full */
@@ -72,18 +74,30 @@ static void copy_out(uint8_t *bytes, uint32_t offset, size_t size)
         bytes[i] = (uint8_t)(*memory(offset + (i & ~3u)) >> 8 * (i & 3u));
 }
 
-/* Gives the controller a buffer: a full one for IN, an empty one for OUT. */
-static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits)
+/* The control of a buffer: 0, or of the bulk endpoint's two for IN also 1. */
+static volatile uint16_t *control_of(uint32_t endpoint, enum direction direction, uint32_t buffer)
 {
-    volatile uint32_t *control = &USB_DPRAM->buf_ctrl[endpoint][direction];
+    return (volatile uint16_t *)&USB_DPRAM->buf_ctrl[endpoint][direction] + buffer;
+}
+
+/* Gives the controller a buffer: a full one for IN, an empty one for OUT. */
+static void hand_over_buffer(uint32_t endpoint, enum direction direction, uint32_t buffer,
+                             uint32_t bits)
+{
+    volatile uint16_t *control = control_of(endpoint, direction, buffer);
     uint32_t *data1 = &next_data1[endpoint][direction];
 
     bits |= *data1;
     *data1 ^= USB_BUF_DATA1;
-    *control = bits;
+    *control = (uint16_t)bits;
     /* AVAILABLE must reach clk_usb after the other bits: wait 5 of its cycles, 10 of clk_sys */
-    __asm__ volatile(".rept 10\n nop\n .endr" ::: "memory");
-    *control = bits | USB_BUF_AVAILABLE;
+    __asm__ volatile("nop\n nop\n nop\n nop\n nop\n nop\n nop\n nop\n nop\n nop" ::: "memory");
+    *control = (uint16_t)(bits | USB_BUF_AVAILABLE);
+}
+
+static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits)
+{
+    hand_over_buffer(endpoint, direction, 0, bits);
 }
 
 static void control_send(const uint8_t *bytes, size_t size)
@@ -192,22 +206,35 @@ static void send_packet(void)
     held_back = late_in_frame();
     if (held_back)
         return;
-    copy_in(IN_BUFFER, to_send, size);
-    hand_over(EP_DATA, DIR_IN, USB_BUF_FULL | size);
+    uint32_t buffer = (offered.oldest + offered.count) % IN_BUFFERS;
+    copy_in(IN_BUFFER + buffer * USB_PACKET, to_send, size);
+    hand_over_buffer(EP_DATA, DIR_IN, buffer,
+                     USB_BUF_FULL | (offered.first ? USB_BUF_RESET : 0) | size);
+    offered.count++;
+    offered.first = false;
     to_send += size;
     to_send_left -= size;
     sent_full = size == USB_PACKET;
-    armed = true;
 }
 
-/* The host has taken a bulk packet. */
-static void packet_taken(void)
+static void send_packets(void)
 {
-    armed = false;
-    if (to_send_left)
+    do
         send_packet();
-    else
-        sending = false;
+    while (to_send_left && offered.count < IN_BUFFERS && !held_back);
+    sending = to_send_left || held_back;
+}
+
+/* The host has taken bulk packets. */
+static void packets_taken(void)
+{
+    while (offered.count &&
+           !(*control_of(EP_DATA, DIR_IN, offered.oldest) & USB_BUF_AVAILABLE)) {
+        offered.oldest = (offered.oldest + 1) % IN_BUFFERS;
+        offered.count--;
+    }
+    if (to_send_left && offered.count < IN_BUFFERS)
+        send_packets();
 }
 
 /* Accepts a bulk packet from the host if there is room for it; otherwise the host has to wait. */
@@ -227,14 +254,16 @@ static void set_configuration(uint8_t configuration)
             next_data1[endpoint][direction] = 0;
         }
     }
-    sending = sent_full = armed = held_back = false;
+    sending = sent_full = held_back = false;
+    offered.count = offered.oldest = 0;
+    offered.first = true;
     to_send_left = 0;
     configured = configuration != 0;
     if (configured)
         receive_next();
 }
 
-/* Resets a halted endpoint's data toggle; keeps its packet, which the host has not taken. Some hosts do
+/* Resets a halted endpoint's data toggle; keeps its packets, which the host has not taken. Some hosts do
  * this whenever a program opens the port. */
 static void clear_halt(const struct setup_packet *setup)
 {
@@ -246,9 +275,12 @@ static void clear_halt(const struct setup_packet *setup)
     next_data1[endpoint][direction] = 0;
     if (direction == DIR_OUT)
         receive_next();
-    else if (armed)
-        hand_over(EP_DATA, DIR_IN, USB_BUF_FULL | (USB_DPRAM->buf_ctrl[EP_DATA][DIR_IN] &
-                                                   USB_BUF_LENGTH));
+    else
+        for (uint32_t i = 0; i < offered.count; i++) {
+            uint32_t buffer = (offered.oldest + i) % IN_BUFFERS;
+            uint32_t size = *control_of(EP_DATA, DIR_IN, buffer) & USB_BUF_LENGTH;
+            hand_over_buffer(EP_DATA, DIR_IN, buffer, USB_BUF_FULL | size);
+        }
 }
 
 /* Handles requests without data; false if the request is unknown. */
@@ -336,7 +368,7 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
             control_send(NULL, 0);
         }
     } else if (direction == DIR_IN) {
-        packet_taken();
+        packets_taken();
     } else {
         copy_out(bytes, OUT_BUFFER, size);
         byte_ring_put(&received, bytes, size);
@@ -352,7 +384,7 @@ void usb_interrupt(void)
         frame_us = TIMER->timerawl;
         (void)USB->sof_rd;
         if (held_back)
-            send_packet();
+            send_packets();
     }
     if (status & USB_INT_BUS_RESET) {
         USB->sie_status = USB_SIE_STATUS_BUS_RESET;
@@ -389,7 +421,8 @@ void usb_init(const uint8_t id[8])
         *memory(offset) = 0;
     const uint32_t on = USB_EP_ENABLE | USB_EP_INT_PER_BUFFER;
     USB_DPRAM->ep_ctrl[EP_NOTIFY - 1][DIR_IN] = on | USB_EP_TYPE(USB_INTERRUPT) | NOTIFY_BUFFER;
-    USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_IN] = on | USB_EP_TYPE(USB_BULK) | IN_BUFFER;
+    USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_IN] = on | USB_EP_DOUBLE_BUFFERED | USB_EP_TYPE(USB_BULK) |
+                                              IN_BUFFER;
     USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_OUT] = on | USB_EP_TYPE(USB_BULK) | OUT_BUFFER;
 
     USB->muxing = USB_MUXING_TO_PHY | USB_MUXING_SOFTCON;
@@ -419,12 +452,12 @@ size_t usb_read(uint8_t *bytes, size_t size)
 void usb_send(const uint8_t *bytes, size_t size)
 {
     interrupts_off(); /* a bus reset would end all sending */
-    if (configured && (size || (sent_full && !armed))) {
+    if (configured && (size || (sent_full && !offered.count))) {
         to_send = bytes;
         to_send_left = size;
         sending = true;
-        if (!armed) /* else it follows that packet */
-            send_packet();
+        if (offered.count < IN_BUFFERS) /* else it follows those packets */
+            send_packets();
     }
     interrupts_on();
 }

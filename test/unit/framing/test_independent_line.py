@@ -25,6 +25,7 @@ from test.support.independent_line import (
     code_book,
     default_order,
     factors,
+    flips,
     render,
     row_sign,
 )
@@ -80,6 +81,12 @@ def test_row_signs_as_printed_on_the_page(seed: int) -> None:
     assert [{"+": 1, "−": -1}[text.strip()] for text in printed] == [
         row_sign(row, seed) for row in rows
     ]
+
+
+def test_chips_are_flipped_as_the_page_says() -> None:
+    for order in (4, 12, 20, 64, 100):
+        for seed in (0, 1, 2**32 - 1):
+            assert np.array_equal(flips(17, order, seed), codes.chip_flips(17, order, seed)), order
 
 
 # The renderer

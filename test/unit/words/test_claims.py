@@ -53,6 +53,31 @@ def test_a_word_that_breaks_off_is_no_silence(timing: str) -> None:
     assert counts.wrong_flagged > 3
 
 
+@pytest.mark.parametrize(
+    ("skin", "late"),
+    [
+        (Skin(nodes=22, order=28, period_chips=526), ((7, -2.48),)),
+        (Skin(nodes=15, order=20, bits=13, period_chips=355), ((1, 2.1), (8, -1.77))),
+        (Skin(nodes=95, order=96, bits=9, period_chips=1300, amplitude_v=0.1), ((3, 2.0),)),
+    ],
+    ids=["28", "20", "96"],
+)
+def test_a_node_in_no_row_is_no_noise(skin: Skin, late: tuple[tuple[int, float], ...]) -> None:
+    """Late by chips it is what other rows hold alike: those who may be it are not silent."""
+    counts = tally(Line(late=late, noise_v=0.03), Talk(together=3), skin, "means", 60)
+    assert counts.right > 60
+
+
+def test_a_tone_that_gives_a_frame_its_timing_is_no_silence() -> None:
+    line = Line(hum_v=0.41, hum_hz=1115, rise_chips=0.44, noise_v=0.03)
+    skin = Skin(
+        nodes=59, order=64, bits=12, first_row=0, sign_seed=None, chip_s=53e-6, period_chips=937,
+        amplitude_v=0.156,
+    )  # fmt: skip
+    counts = tally(line, Talk(together=2, words="extreme"), skin, "marks", 30)
+    assert counts.wrong_flagged + counts.lost > 20, "it hides words"
+
+
 @pytest.mark.parametrize("share", [0.005, 0.01])
 def test_a_node_whose_clock_is_off_costs_its_own_words(share: float) -> None:
     """Once it is known that few nodes are late: its chips are on the line after every frame."""
