@@ -258,7 +258,7 @@ def cpu_ratio() -> float:
         values = {
             key: value for key, value in values.items() if key not in ("port", "amplitude_mv")
         }
-        recording = record(SkinConfig.of(values), share, False, 40)
+        recording = record(SkinConfig.of(values), share, False, 150)
         chunks = [(data, t_host) for t_host, data in recording.reads]
         recordings[name] = partial(replay, recording.config, chunks)
     spent: dict[str, list[float]] = {name: [] for name in recordings}

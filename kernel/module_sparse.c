@@ -9,7 +9,7 @@
 
 static const struct field sparse_fields[] = {
     OF_RULES(swing),      OF_RULES(least),   OF_RULES(soft_noise), OF_RULES(slope), OF_RULES(log_odds),
-    OF_RULES(hard_share), OF_RULES(settled), OF_RULES(stalled),    OF_RULES(turns),
+    OF_RULES(hard_share), OF_RULES(settled), OF_RULES(negligible), OF_RULES(stalled),    OF_RULES(turns),
 };
 
 const struct layout sparse_layout = LAYOUT(sparse_rules, sparse_fields);

@@ -303,7 +303,8 @@ void sparse_detect(struct sparse *sparse, const float *chips, double damping, st
             size_t words;
             bool same;
             double change = change_of(sparse, least, &words, &same);
-            found->settled = same && were_hard && change * (double)words / (double)count < rules->settled * power;
+            double most = fmax(rules->settled * power, rules->negligible);
+            found->settled = same && were_hard && change * (double)words / (double)count < most;
             if (found->settled)
                 reduce(book->bits, found->power, change);
         }

@@ -12,9 +12,9 @@
 
 #include "transform.h"
 
-/* As the constants of detect.py. swing: amplitude of a node, V; least: of a word that is taken off. */
+/* As the constants of detect.py. swing: amplitude of a node, V; least: of a word that is taken off. negligible: V². */
 struct sparse_rules {
-    double swing, least, soft_noise, slope, log_odds, hard_share, settled, stalled;
+    double swing, least, soft_noise, slope, log_odds, hard_share, settled, negligible, stalled;
     size_t turns;
 };
 

@@ -33,9 +33,10 @@ with which as many nodes are found."""
 HARD_SHARE = 2.2
 """Mean |r| of a hard word, in deviations of noise. Chosen: noise has 0.8 ± 0.6/√k, and exceeds it
 at k = 10 once in a million."""
-SETTLED = 0.01
-"""Power by which the amplitudes of words may change in the turn after, of what is left. Chosen: a
-percent of noise. Of m words they change by m/kN of what they do in this turn."""
+SETTLED, NEGLIGIBLE = 0.01, 1e-4
+"""Power by which the amplitudes of words may change in the turn after, of what is left; and in any
+case, in amplitudes of a node squared. Of m words they change by m/kN of what they do in this turn.
+Chosen: a percent of noise, and of an amplitude."""
 STALLED = 0.97
 """Ratio of noise to that of the turn before beyond which soft words get no better. Chosen."""
 MOST_TURNS = 24
@@ -78,6 +79,7 @@ class Detector:
                     log_odds=LOG_ODDS,
                     hard_share=HARD_SHARE,
                     settled=SETTLED,
+                    negligible=NEGLIGIBLE * swing**2,
                     stalled=STALLED,
                     turns=MOST_TURNS,
                 ),
@@ -152,7 +154,8 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Dete
             change = float(np.square(newer - words).sum()) / bits
             if were_hard and np.array_equal(np.sign(newer), np.sign(words)):
                 after = change * np.count_nonzero(heard) / spec.chips
-                settled = bool(after < SETTLED * float(power.mean()))
+                most = max(SETTLED * float(power.mean()), NEGLIGIBLE * float(swing) ** 2)
+                settled = bool(after < most)
                 power -= min(change, float(power.min())) if settled else 0.0
         were_hard = not soft
         if settled or turn + 1 == MOST_TURNS:

@@ -287,7 +287,8 @@ class Taxels:
         words = Words(
             active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, no, sigma
         )
-        if health.note_counted():  # the frame is read by the new verdict
+        health.frames_to_verdict -= 1
+        if not health.frames_to_verdict and health.conclude():  # read by the new verdict
             if words.disturbed(health.invalid):
                 words = words.doubted(~words.active)
             return words, self.update(words, t_device, health)

@@ -81,13 +81,12 @@ class NodeHealth:
         """Count one frame's words."""
         self.any_suspect = count(words, self.weak_v, self.sums, self._suspected)
         self._faint += words.faint
-        self.note_counted()
-
-    def note_counted(self) -> bool:
-        """Note that a frame's words were counted; whether a verdict on the nodes has changed."""
         self.frames_to_verdict -= 1
-        if self.frames_to_verdict:
-            return False
+        if not self.frames_to_verdict:
+            self.conclude()
+
+    def conclude(self) -> bool:
+        """Judge the nodes by the frames counted, and begin anew; whether a verdict has changed."""
         before, self.frames_to_verdict = self.state, JUDGE_FRAMES
         self.judge()
         return self.state is not before

@@ -6,6 +6,7 @@ The chips are those of the document (test/support/sparse_codes.py), added up her
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -153,6 +154,16 @@ def test_a_sample_lost_or_doubled_anywhere_leaves_nothing_false(
         }
         if end > SPEC.order:
             assert not sure
+
+
+def test_what_breaks_off_in_the_last_of_many_bits_is_seen() -> None:
+    """In the mean of all bits it is less than chance may be."""
+    rig = Rig(replace(SPEC, bits=16))
+    line = rig.sent({7: 54321})
+    assert certain(rig.read(line)).all()
+    at = line.size - 58
+    line[at:-1] = line[at + 1 :]
+    assert not certain(rig.read(line)).any()
 
 
 def test_silence_is_not_claimed_of_a_node_that_cannot_be_understood() -> None:
