@@ -25,7 +25,7 @@ from ..report import QUICK
 from .tally import Tally
 from .words import TIMINGS, LineCondition
 
-MIXTURES = 100 if QUICK else 500
+MIXTURES = 40 if QUICK else 200
 ORDERS = (
     *(4, 8, 12, 16, 20, 24, 28, 32, 36, 40, 44, 48, 60, 64, 68, 72),
     *(96, 100, 128, 144, 200, 256, 400, 512, 768, 1024),

@@ -288,7 +288,7 @@ class Taxels:
             active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, no, sigma
         )
         health.frames_to_verdict -= 1
-        if not health.frames_to_verdict and health.conclude():  # read by the new verdict
+        if not health.frames_to_verdict and health.conclude():  # it is read by the new verdict
             if words.disturbed(health.invalid):
                 words = words.doubted(~words.active)
             return words, self.update(words, t_device, health)

@@ -51,7 +51,8 @@ class NodeHealth:
     state: (n,) uint8 of NodeState.
     invalid: (n,) bool, nodes whose words cannot be trusted: doubled or faulty.
     any_suspect: whether there are suspect nodes.
-    frames_to_verdict: frames with words until the next verdict.
+    frames_to_verdict: frames with words until the next verdict. One without suspect nodes may be
+        counted elsewhere: in `sums`, and here.
     sums: (5, n) float32, fading, of each node's words: their number and amplitudes, V; uneven,
         doubled and odd ones.
     weak_v: least amplitude of a word that is too weak to count as spoken, V; NaN where unknown.
@@ -86,7 +87,7 @@ class NodeHealth:
             self.conclude()
 
     def conclude(self) -> bool:
-        """Judge the nodes by the frames counted, and begin anew; whether a verdict has changed."""
+        """Judge the nodes when that is due; returns whether a verdict has changed."""
         before, self.frames_to_verdict = self.state, JUDGE_FRAMES
         self.judge()
         return self.state is not before

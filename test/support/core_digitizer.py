@@ -30,6 +30,8 @@ class Board(ctypes.Structure):
         ("zero_count", ctypes.c_int16),
         ("min_count", ctypes.c_int16),
         ("max_count", ctypes.c_int16),
+        ("command", ctypes.c_void_p),
+        ("layout", ctypes.c_void_p),
     ]
 
     @classmethod

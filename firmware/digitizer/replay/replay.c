@@ -15,10 +15,12 @@
 #include "digitizer.h"
 #include "instructions.h"
 
+#define BOARD_SIZE (offsetof(struct dg_board, max_count) + sizeof(int16_t)) /* without pointers */
+
 struct __attribute__((packed)) start {
     uint64_t now_us;
     uint32_t output_size, sample_capacity;
-    struct dg_board board;
+    uint8_t board[BOARD_SIZE]; /* the beginning of a struct dg_board */
 };
 
 struct __attribute__((packed)) event {
@@ -90,7 +92,8 @@ static void replay(FILE *events, FILE *output)
 
     if (fread(&start, sizeof start, 1, events) != 1)
         fail("the events have no start");
-    struct dg_board board = start.board; /* aligned */
+    struct dg_board board = {.command = NULL};
+    memcpy(&board, start.board, sizeof start.board);
     uint64_t now_us = start.now_us;
     dg_init(&dg, &board, allocate(start.output_size), start.output_size,
             allocate(start.sample_capacity * sizeof(int16_t)), start.sample_capacity, now_us);
