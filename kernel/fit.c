@@ -156,28 +156,29 @@ size_t fit_scratch(const struct fit_code *code)
 {
     const struct words_frame *frame = &code->frame;
 
-    return frame->bits * frame->order + 2 + code->span;
+    return 2 * frame->bits * frame->order + 2 + code->span + 2 * frame->nodes;
 }
 
 struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
                       const struct fit_refining *refining, struct fit fit, double earliest,
-                      double latest, const struct fit_words *words, size_t *turns, float *scratch)
+                      double latest, float *scratch)
 {
     const struct words_frame *frame = &code->frame;
     size_t chips = frame->bits * frame->order;
-    float *model = scratch, *levels = model + chips + 2;
+    float *rows = scratch, *model = rows + chips, *levels = model + chips + 2;
+    float *amplitude = levels + code->span, *uneven = amplitude + frame->nodes;
+    float pedestal, power, spread, misfit;
 
-    for (*turns = 0; *turns < refining->turns;) {
+    for (size_t turn = 0; turn < refining->turns; turn++) {
         fit_levels(line, &fit, refining->blur, 0, code->span, levels);
-        fit_chips(code, levels, frame->bits, words->rows);
-        transform_multiply(code->correlate, words->rows, words->rows, frame->bits);
-        words_fit(frame, words->rows, words->amplitude, words->uneven, words->pedestal, words->power,
-                  words->spread, words->misfit);
+        fit_chips(code, levels, frame->bits, rows);
+        transform_multiply(code->correlate, rows, rows, frame->bits);
+        words_fit(frame, rows, amplitude, uneven, &pedestal, &power, &spread, &misfit);
         model[0] = model[chips + 1] = 0; /* the gap on either side */
-        fit_symbols(code, frame->bits, words->rows, words->amplitude, model + 1);
+        fit_symbols(code, frame->bits, rows, amplitude, model + 1);
         transform_multiply(code->spread, model + 1, model + 1, frame->bits);
-        fit_model(code, frame->bits, *words->pedestal, model + 1);
-        struct fit next = moved(line, fit, refining->reaches[(*turns)++] * fit.chip, chips + 1, model,
+        fit_model(code, frame->bits, pedestal, model + 1);
+        struct fit next = moved(line, fit, refining->reaches[turn] * fit.chip, chips + 1, model,
                                 earliest, latest);
         double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)chips;
         bool settled = change < refining->settled_chips * next.chip;

@@ -36,12 +36,6 @@ struct fit {
     double start, chip;
 };
 
-/* What chips say, as WordFit: rows (k, N); amplitude, uneven (n); one of each of the others. Of several
- * candidates, theirs follow. */
-struct fit_words {
-    float *rows, *amplitude, *uneven, *pedestal, *power, *spread, *misfit;
-};
-
 /* How a fit is refined; see refine in fit.py. reaches: of a chip on either side of an edge, in each turn. */
 struct fit_refining {
     double blur, settled_chips;
@@ -67,11 +61,10 @@ void fit_symbols(const struct fit_code *code, size_t bits, const float *rows, co
 void fit_model(const struct fit_code *code, size_t bits, float pedestal, float *chips);
 
 size_t fit_scratch(const struct fit_code *code);
-/* As refine in fit.py. words: of the last of so many turns. scratch: fit_scratch values; after the first one it
- * then holds what chips these words send. */
+/* As refine in fit.py. scratch: so many values. */
 struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
                       const struct fit_refining *refining, struct fit fit, double earliest,
-                      double latest, const struct fit_words *words, size_t *turns, float *scratch);
+                      double latest, float *scratch);
 
 /* The value of this rank, from 0; changes their order. Hoare's selection. */
 float fit_ranked(float *values, ptrdiff_t size, ptrdiff_t rank);

@@ -22,17 +22,21 @@ size_t gap_scratch(const struct fit_code *code, const struct burst_search *searc
 {
     size_t order = code->frame.order, each = code->frame.bits * order + 2 * code->frame.nodes + 4;
     size_t judge = (GAP_MOST + 2) * most_chips(code) + GAP_MOST * code->frame.bits * order;
-    size_t beside = 4 * (search->gap_size / search->half + 1);
+    size_t beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
 
-    return fit_scratch(code) + GAP_MOST * each + (judge < beside ? beside : judge);
+    judge = judge < beside ? beside : judge;
+    return most_chips(code) + GAP_MOST * each + (judge < refine ? refine : judge);
 }
 
-/* Whole chips by which rivals may begin earlier or later than a fit; as GapSearch._shifts_of. */
-static void find_shifts(const struct fit_code *code, const struct gap_rules *rules,
-                        const struct burst_found *burst, const struct fit *fit, double *earliest,
-                        double *latest)
+/* Whole chips by which rivals may begin earlier or later than a fit; as GapSearch._shifts_of. Whether that is not too
+ * many, and silence after all of them in view; if the fit is not, proven is 0. */
+static bool find_shifts(const struct fit_code *code, const struct gap_rules *rules, size_t size,
+                        struct gap_seen *seen, double *earliest, double *latest)
 {
+    const struct burst_found *burst = &seen->burst;
+    const struct fit *fit = &seen->fit;
     double length = (double)code->span * fit->chip, bit = (double)code->frame.order * fit->chip;
+    double end = fit->start + length;
     double low = burst->last - length, high = burst->last + bit - length;
 
     low = low > burst->first - bit ? low : burst->first - bit;
@@ -41,6 +45,24 @@ static void find_shifts(const struct fit_code *code, const struct gap_rules *rul
     high = floor((high + burst->slack - fit->start) / fit->chip);
     *earliest = (low < 0 ? low : 0) - rules->beyond;
     *latest = (high > 0 ? high : 0) + rules->beyond;
+    seen->proven = fit->start >= -0.5 && end <= (double)size ? end + *latest * fit->chip : 0;
+    return seen->proven > 0 && seen->proven <= (double)size && *latest - *earliest < GAP_MOST;
+}
+
+/* As GapSearch.carried: whether the chips where a frame is expected leave nothing over, and then its words. levels: of
+ * the chips in view, too. */
+static bool is_still(const struct fit_code *code, const struct fit_line *line, double blur, double misfit,
+                     double earliest, double latest, struct gap_seen *seen, float *levels)
+{
+    const struct judge_found *words = &seen->words;
+    size_t lead = (size_t)-earliest;
+
+    fit_levels(line, &seen->fit, blur, lead, lead + code->span + (size_t)latest, levels);
+    fit_chips(code, levels + lead, code->frame.bits, words->rows);
+    transform_multiply(code->correlate, words->rows, words->rows, code->frame.bits);
+    words_fit(&code->frame, words->rows, words->amplitude, words->uneven, words->pedestal, words->power, words->spread,
+              words->misfit);
+    return (double)*words->misfit < misfit;
 }
 
 /* As Expected.log_prior, negative. */
@@ -71,7 +93,7 @@ static double square(double value)
     return value * value;
 }
 
-static void copy_words(const struct words_frame *frame, const struct fit_words *from, const struct fit_words *to)
+static void copy_words(const struct words_frame *frame, const struct judge_found *from, const struct judge_found *to)
 {
     memcpy(to->rows, from->rows, frame->bits * frame->order * sizeof *to->rows);
     memcpy(to->amplitude, from->amplitude, frame->nodes * sizeof *to->amplitude);
@@ -82,11 +104,11 @@ static void copy_words(const struct words_frame *frame, const struct fit_words *
     *to->misfit = *from->misfit;
 }
 
-/* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. model:
+/* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. levels:
  * as in judge_candidates. */
 static bool judge(const struct fit_code *code, const struct fit_line *line, const struct judge_limits *limits,
                   const struct gap_rules *rules, const struct gap_expected *expected, double noise,
-                  double earliest, double latest, const float *model, struct gap_seen *seen, float *scratch)
+                  double earliest, double latest, float *levels, struct gap_seen *seen, float *scratch)
 {
     const struct words_frame *frame = &code->frame;
     size_t size = frame->bits * frame->order, nodes = frame->nodes, count = (size_t)(latest - earliest) + 1;
@@ -94,22 +116,22 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
     double start[GAP_MOST], chip[GAP_MOST], cost[GAP_MOST];
     float *rows = scratch, *amplitude = rows + GAP_MOST * size, *uneven = amplitude + GAP_MOST * nodes;
     float *four = uneven + GAP_MOST * nodes;
-    const struct judge_found found = {{rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
-                                       four + 3 * GAP_MOST}, cost};
-    struct fit_words own = {rows + likely * size, amplitude + likely * nodes, uneven + likely * nodes, four + likely,
-                            four + GAP_MOST + likely, four + 2 * GAP_MOST + likely, four + 3 * GAP_MOST + likely};
+    struct judge_found found = {rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
+                                four + 3 * GAP_MOST, cost};
+    const struct judge_found own = {rows + likely * size, amplitude + likely * nodes, uneven + likely * nodes,
+                                    four + likely, four + GAP_MOST + likely, four + 2 * GAP_MOST + likely,
+                                    four + 3 * GAP_MOST + likely, NULL};
     struct judge_votes votes;
 
-    if (model)
+    if (levels)
         copy_words(frame, &seen->words, &own);
-
     for (size_t c = 0; c < count; c++) {
         start[c] = seen->fit.start + seen->fit.chip * ((double)c + earliest);
         chip[c] = seen->fit.chip;
     }
     struct judge_candidates all = {count, likely, start, chip, start[0],
                                    start[count - 1] + (double)code->span * chip[0], rules->ruled_out,
-                                   rules->ruled_out / 2, model};
+                                   rules->ruled_out / 2, levels};
     bool decided = false;
     seen->unaided = false;
     /* Mostly the least that the others cost is enough. */
@@ -139,7 +161,7 @@ static bool judge(const struct fit_code *code, const struct fit_line *line, cons
 
 /* As WordFit.believable, of words that are even, by all of them and this noise of a chip's level. */
 static bool are_sound(const struct words_frame *frame, const struct gap_rules *rules,
-                      const struct fit_words *words, double noise)
+                      const struct judge_found *words, double noise)
 {
     double power = (double)*words->power, pedestal = (double)*words->pedestal, active = 0;
     double even = power - pedestal * pedestal, spread = (double)*words->spread;
@@ -152,14 +174,6 @@ static bool are_sound(const struct words_frame *frame, const struct gap_rules *r
     double expected = noise * active / (double)frame->order / even * (1.3 + 4 * scatter);
     return spread < rules->spread * (1.7 - 0.7 / active) && spread < rules->spread / 2 + expected &&
            (double)*words->misfit < rules->left * noise / power + rules->misfit;
-}
-
-/* As GapSearch.carried: whether a refined fit is as good where it was. */
-static bool is_still(const struct gap_rules *rules, const struct fit *fit, const struct fit *refined, size_t span)
-{
-    double moved = fabs(refined->start - fit->start) + fabs(refined->chip - fit->chip) * (double)span;
-
-    return moved < rules->still_chips * fit->chip;
 }
 
 /* Whether there may be a weaker burst before this one, as GapTiming._first_burst asks. */
@@ -179,7 +193,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
               double least_power, const struct burst_gap *known, const struct gap_expected *expected,
               struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
 {
-    size_t halves = size / search->half, turn;
+    size_t halves = size / search->half;
     double *sums = values, *means = sums + size + 1, *rest = means + halves, earliest, latest;
     double behind = 0; /* the last half chip */
     struct burst_found *burst = &seen->burst;
@@ -206,25 +220,24 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
         return true;
     const struct fit_line line = {size, volts, sums, seen->gap.level};
     fit_sums(volts, size, line.level, sums);
-    const struct fit_refining refining = {limits->blur, rules->settled_chips, turns, reaches};
-    const struct fit place = {expected->start, expected->chip};
-    const float *model = scratch + 1;
-    seen->fit = fit_refine(code, &line, &refining, place, -INFINITY, INFINITY, &seen->words, &turn, scratch);
-    scratch += fit_scratch(code);
-    if (is_still(rules, &place, &seen->fit, code->span))
-        seen->fit = place;
-    model = turn > 1 || seen->fit.start != place.start || seen->fit.chip != place.chip ? NULL : model;
-    double end = seen->fit.start + (double)code->span * seen->fit.chip;
-    if (!(seen->fit.start >= -0.5 && end <= (double)size && seen->fit.chip > rules->least_chip * expected->chip))
-        return true;
-    find_shifts(code, rules, burst, &seen->fit, &earliest, &latest);
-    seen->proven = end + latest * seen->fit.chip;
+    float *levels = scratch;
+    scratch += most_chips(code);
+    seen->fit = (struct fit){expected->start, expected->chip};
+    if (!(find_shifts(code, rules, size, seen, &earliest, &latest) &&
+          is_still(code, &line, limits->blur, rules->still_misfit, earliest, latest, seen, levels))) {
+        const struct fit_refining refining = {limits->blur, rules->settled_chips, turns, reaches};
+        seen->fit = fit_refine(code, &line, &refining, seen->fit, -INFINITY, INFINITY, scratch);
+        seen->proven = 0;
+        if (!(seen->fit.chip > rules->least_chip * expected->chip &&
+              find_shifts(code, rules, size, seen, &earliest, &latest)))
+            return true;
+        levels = NULL;
+    }
     double noise = burst->variance * (double)search->half / seen->fit.chip;
-    if (!(latest - earliest < GAP_MOST && seen->proven <= (double)size) ||
-        !judge(code, &line, limits, rules, expected, noise, earliest, latest, model, seen, scratch))
+    if (!judge(code, &line, limits, rules, expected, noise, earliest, latest, levels, seen, scratch))
         return true;
     double first = floor(seen->fit.start - seen->fit.chip);
-    end = ceil(end + seen->fit.chip);
+    double end = ceil(seen->fit.start + ((double)code->span + 1) * seen->fit.chip);
     seen->beside = burst_beside(search, volts, size, line.level, first > 0 ? (size_t)first : 0, (size_t)end,
                                 burst->variance, burst->power, scratch);
     noise = seen->beside.variance * (double)search->half / seen->fit.chip;

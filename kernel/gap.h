@@ -16,7 +16,7 @@
 struct gap_rules {
     double shortest, longest, bit, period;
     double beyond, carried_noise, carried_misfit, doubt, disturbed, wide, ruled_out, settled_chips;
-    double still_chips, least_chip, uneven, spread, left, misfit;
+    double still_misfit, least_chip, uneven, spread, left, misfit;
     size_t spare, spare_count;
 };
 
@@ -34,7 +34,7 @@ enum gap_look {
 
 /* proven: until which sample silence has to last to prove that the frame is over; 0 where none is carried.
  * unaided: whether the waveform alone places the frame. sound: its words are even, and leave nothing over, and
- * the line is at rest beside it; then noise: of a row's levels, V. words: of the frame. */
+ * the line is at rest beside it; then noise: of a row's levels, V. words: of one candidate, as in judge_found. */
 struct gap_seen {
     struct burst_gap gap;
     struct burst_found burst;
@@ -43,7 +43,7 @@ struct gap_seen {
     bool unaided, sound;
     struct burst_beside beside;
     double noise;
-    struct fit_words words;
+    struct judge_found words;
 };
 
 /* Values that gap_look works in: of `samples` double, and of float. */

@@ -163,14 +163,6 @@ static struct seen look_at(struct weighing *w, size_t c)
     return seen;
 }
 
-/* Bits by which the words of a candidate are to be found: all of the one that is `whole`, unless they are known. */
-static size_t bits_of(const struct weighing *w, size_t c, size_t whole, size_t bits)
-{
-    size_t all = c == w->all->likely && w->all->model ? 0 : w->code->frame.bits;
-
-    return c == whole ? all : bits;
-}
-
 /* The last bits of a frame alone. Not the first ones, in which words are more alike. */
 static struct fit_code last_of(const struct fit_code *code, size_t bits)
 {
@@ -183,40 +175,55 @@ static struct fit_code last_of(const struct fit_code *code, size_t bits)
     return last;
 }
 
-/* Finds the words of the candidates from `first` to before `end`, and the model: by all bits of the one that is
- * `whole`, and of the others by their last bits alone. What transforms do at once costs little more than one
- * of them. */
+/* Candidate number `i` of those from `first` to before `end`, the `whole` one last. */
+static size_t nth(size_t first, size_t end, size_t whole, size_t i)
+{
+    size_t c = first + i;
+
+    if (whole < first || whole >= end)
+        return c;
+    return c == end - 1 ? whole : c + (c >= whole);
+}
+
+/* Finds the words of the candidates from `first` to before `end`, and the models, on end: by the last bits of all but
+ * the one that is `whole`, which comes last, unless its words are known. What transforms do at once costs little more
+ * than one of them. */
 static void find_words(struct weighing *w, size_t first, size_t end, size_t whole, size_t bits)
 {
-    const struct fit_words *found = &w->found->words;
+    const struct judge_found *found = w->found;
     const size_t order = w->code->frame.order, size = w->code->frame.bits * order, nodes = w->code->frame.nodes;
-    size_t total = 0, some;
-
-    for (size_t c = first; c < end; total += some, c++) {
-        some = bits_of(w, c, whole, bits);
-        struct fit_code code = last_of(w->code, some);
-        struct seen seen = look_at(w, c);
-        fit_chips(&code, w->levels + seen.lead, some, w->model + total * order);
-    }
-    transform_multiply(w->code->correlate, w->model, w->model, total);
+    const struct fit_code last = last_of(w->code, bits);
+    const bool known = w->all->levels && whole == w->all->likely;
     float *model = w->model;
-    for (size_t c = first; c < end; model += some * order, c++) {
-        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * nodes;
-        some = bits_of(w, c, whole, bits);
-        if (!some)
-            continue;
-        struct fit_code code = last_of(w->code, some);
-        memcpy(rows, model, some * order * sizeof *rows);
-        words_fit(&code.frame, rows, amplitude, found->uneven + c * nodes, &found->pedestal[c],
-                  &found->power[c], &found->spread[c], &found->misfit[c]);
-        fit_symbols(w->code, some, rows, amplitude, model);
+
+    for (size_t i = 0; i < end - first - known; i++) {
+        size_t c = nth(first, end, whole, i);
+        const struct fit_code *code = c == whole ? w->code : &last;
+        struct seen seen = look_at(w, c);
+        fit_chips(code, w->levels + seen.lead, code->frame.bits, model);
+        model += code->frame.bits * order;
     }
-    transform_multiply(w->code->spread, w->model, w->model, total);
+    transform_multiply(w->code->correlate, w->model, w->model, (size_t)(model - w->model) / order);
     model = w->model;
-    for (size_t c = first; c < end; model += some * order, c++) {
-        some = bits_of(w, c, whole, bits);
-        struct fit_code code = last_of(w->code, some);
-        fit_model(&code, some, found->pedestal[c], model);
+    for (size_t i = 0; i < end - first; i++) {
+        size_t c = nth(first, end, whole, i);
+        const struct words_frame *frame = c == whole ? &w->code->frame : &last.frame;
+        float *rows = found->rows + c * size, *amplitude = found->amplitude + c * nodes;
+        if (!(known && c == whole)) {
+            memcpy(rows, model, frame->bits * order * sizeof *rows);
+            words_fit(frame, rows, amplitude, found->uneven + c * nodes, &found->pedestal[c], &found->power[c],
+                      &found->spread[c], frame->bits < w->code->frame.bits ? NULL : &found->misfit[c]);
+        }
+        fit_symbols(w->code, frame->bits, rows, amplitude, model);
+        model += frame->bits * order;
+    }
+    transform_multiply(w->code->spread, w->model, w->model, (size_t)(model - w->model) / order);
+    model = w->model;
+    for (size_t i = 0; i < end - first; i++) {
+        size_t c = nth(first, end, whole, i);
+        const struct fit_code *code = c == whole ? w->code : &last;
+        fit_model(code, code->frame.bits, found->pedestal[c], model);
+        model += code->frame.bits * order;
     }
 }
 
@@ -277,7 +284,7 @@ static size_t first_bits(const struct words_frame *frame)
     return bits < 2 ? 2 : bits;
 }
 
-/* Weighs the likely candidate, and of the others those that their first bits do not rule out. False where
+/* Weighs the likely candidate, and of the others those that their last bits do not rule out. False where
  * one of them leaves less over than the likely one does: then it is the one by which chips vote. */
 static bool weigh_likely(struct weighing *w)
 {
@@ -285,10 +292,10 @@ static bool weigh_likely(struct weighing *w)
     const size_t bits = first_bits(&w->code->frame), part = bits * w->code->frame.order;
     double *cost = w->found->cost;
     /* whether they leave more over than the likely one, until their words are known */
-    float *more = w->found->words.misfit;
+    float *more = w->found->misfit;
 
     find_words(w, 0, count, likely, bits);
-    size_t size = find_off(w, likely, all, w->all->model ? w->all->model : w->model + likely * part);
+    size_t size = find_off(w, likely, all, w->model + (count - 1) * part);
     double left = left_by(w, likely, size);
     find_votes(w, likely);
     double least = cost[likely] = cost_of(w, likely, size);
@@ -298,8 +305,8 @@ static bool weigh_likely(struct weighing *w)
             size = find_off(w, c, bits, model);
             more[c] = (float)left_by(w, c, size) > (float)left;
             cost[c] = cost_of(w, c, size);
+            model += part;
         }
-        model += bits_of(w, c, likely, bits) * w->code->frame.order;
     }
     for (size_t c = 0; c < count; c++) {
         if (c == likely || cost[c] > least + (more[c] > 0 ? w->all->close : w->all->margin))
@@ -339,6 +346,10 @@ void judge_weigh(const struct fit_code *code, const struct fit_line *line,
                          .votes = votes, .noise = noise, .most = most, .levels = scratch,
                          .off = scratch + most, .model = scratch + (all->count + 2) * most};
 
+    if (all->levels) {
+        w.levels = all->levels;
+        w.there = seen_of(code, all, all->likely);
+    }
     if (all->likely < all->count && weigh_likely(&w))
         return;
     *votes = given;

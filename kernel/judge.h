@@ -15,20 +15,21 @@ struct judge_limits {
 };
 
 /* c candidates, and the line from `begin` to `end`. likely: which one it probably is; of the others those are
- * left after their first bits whose cost is beyond its one and `margin` by then, or `close` if by then they
- * leave more over. As many as there are: of all the whole cost is wanted. model: the chips that the likely one's
- * words send, if they are found already; else NULL. */
+ * left after their last bits whose cost is beyond its one and `margin` by these, or `close` if by these they
+ * leave more over. As many as there are: of all the whole cost is wanted. levels: of the chips in view of the likely
+ * one, whose words are found already; or NULL. */
 struct judge_candidates {
     size_t count, likely;
     const double *start, *chip;
     double begin, end, margin, close;
-    const float *model;
+    float *levels;
 };
 
-/* What is found out of each candidate. cost: negative log-likelihood; of those that are left, that of their
- * first bits, and nothing is meant by their words. */
+/* What is found out of each candidate: rows (c, k, N); amplitude, uneven (c, n); the others (c,), as in
+ * WordFit. cost: negative log-likelihood; of those that are left, that of their last bits, and nothing is
+ * meant by their words. */
 struct judge_found {
-    struct fit_words words;
+    float *rows, *amplitude, *uneven, *pedestal, *power, *spread, *misfit;
     double *cost;
 };
 

@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 20 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 21 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -75,9 +75,9 @@ static const struct field rules_fields[] = {
     FIELD(gap_rules, period),        FIELD(gap_rules, beyond),        FIELD(gap_rules, carried_noise),
     FIELD(gap_rules, carried_misfit), FIELD(gap_rules, doubt),        FIELD(gap_rules, disturbed),
     FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
-    FIELD(gap_rules, still_chips),   FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),        FIELD(gap_rules, spread),
-    FIELD(gap_rules, left),          FIELD(gap_rules, misfit),        FIELD(gap_rules, spare),
-    FIELD(gap_rules, spare_count),
+    FIELD(gap_rules, still_misfit),  FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),
+    FIELD(gap_rules, spread),        FIELD(gap_rules, left),          FIELD(gap_rules, misfit),
+    FIELD(gap_rules, spare),         FIELD(gap_rules, spare_count),
 };
 
 static const struct layout layouts[] = {

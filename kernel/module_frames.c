@@ -90,18 +90,13 @@ FUNCTION(refine, ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"), NUMBER("blur
     struct fit fit = {call->value[5].number, call->value[6].number};
     struct fit_refining refining = {call->value[2].number, call->value[3].number, axis(call, 'r'),
                                     call->value[4].data};
-    const struct words_frame *frame = &code->code.frame;
-    size_t chips = frame->bits * frame->order, all = chips + 2 * frame->nodes + 4, turns;
 
     if (!is_line(call, 0, &line))
         return NULL;
-    if (axis(call, 'f') < all + fit_scratch(&code->code))
-        return refuse(call, "scratch: %zu values expected", all + fit_scratch(&code->code));
-    float *rows = call->value[9].data, *amplitude = rows + chips, *uneven = amplitude + frame->nodes;
-    float *four = uneven + frame->nodes;
-    struct fit_words words = {rows, amplitude, uneven, four, four + 1, four + 2, four + 3};
+    if (axis(call, 'f') < fit_scratch(&code->code))
+        return refuse(call, "scratch: %zu values expected", fit_scratch(&code->code));
     fit = fit_refine(&code->code, &line, &refining, fit, call->value[7].number, call->value[8].number,
-                     &words, &turns, rows + all);
+                     call->value[9].data);
     return Py_BuildValue("(dd)", fit.start, fit.chip);
 }
 
@@ -117,8 +112,8 @@ FUNCTION(weigh, SETTINGS(judge_limits), ARRAY("volts", 'd', "m"), ARRAY("sums", 
     struct judge_candidates candidates = {axis(call, 'c'),  value[8].size,   value[3].data,
                                           value[4].data,    value[5].number, value[6].number,
                                           value[9].number,  value[9].number, NULL};
-    struct judge_found found = {{value[12].data, value[13].data, value[14].data, value[15].data,
-                                 value[16].data, value[17].data, value[18].data}, value[19].data};
+    struct judge_found found = {value[12].data, value[13].data, value[14].data, value[15].data,
+                                value[16].data, value[17].data, value[18].data, value[19].data};
     struct judge_votes votes = {value[10].number, value[11].number};
     struct fit_line line;
 
@@ -158,7 +153,7 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(judge_limits), SETTINGS(gap_rule
     struct gap_expected expected = {value[8].number, value[9].number, value[10].number,
                                     value[11].number};
     struct gap_seen seen = {.words = {value[12].data, value[13].data, value[14].data, value[15].data,
-                                      value[16].data, value[17].data, value[18].data}};
+                                      value[16].data, value[17].data, value[18].data, NULL}};
     enum gap_look look;
 
     if (!is_frame(call, code))

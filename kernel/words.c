@@ -264,13 +264,14 @@ static float floor_of(const struct words_frame *frame, const float *mean)
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit)
 {
-    double total, word_power = 0, uneven_power = 0, level = 0;
+    double word_power = 0, uneven_power = 0, level = 0;
     const float tiny = 1e-30f; /* for divisors that may be zero */
 
     sum_up(frame, rows, amplitude, uneven);
-    total = frame_power(frame, rows);
     float floor = floor_of(frame, amplitude);
-    for (size_t i = 0; i < frame->nodes; i++) {
+    for (size_t i = 0; i < frame->nodes && !misfit; i++)
+        amplitude[i] *= amplitude[i] > floor ? 1.0f : 0.0f;
+    for (size_t i = 0; i < frame->nodes && misfit; i++) {
         bool active = amplitude[i] > floor;
         uneven[i] = active ? uneven[i] - amplitude[i] * amplitude[i] : 0.0f;
         amplitude[i] = active ? amplitude[i] : amplitude[i] * 0.0f; /* NaN stays */
@@ -281,10 +282,12 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
         for (size_t bit = 0; bit < frame->bits; bit++)
             level += (double)rows[bit * frame->order];
     *pedestal = (float)(level / (double)frame->bits);
+    if (!misfit)
+        return;
     *power = (float)word_power + *pedestal * *pedestal;
     float bits_power = (float)frame->bits * *power, words = (float)word_power;
     *spread = (float)uneven_power / (words < tiny ? tiny : words);
-    *misfit = (float)total / (bits_power < tiny ? tiny : bits_power) - 1.0f;
+    *misfit = (float)frame_power(frame, rows) / (bits_power < tiny ? tiny : bits_power) - 1.0f;
 }
 
 /* ---- noise ------------------------------------------------------------------------------------- */

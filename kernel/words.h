@@ -37,7 +37,8 @@ struct words_frame {
     double spoken_over; /* see separate.py */
 };
 
-/* Of one candidate. rows: (k, N). amplitude, uneven: (n,). Returns through the others as WordFit. */
+/* Of one candidate. rows: (k, N). amplitude, uneven: (n,). Returns through the others as WordFit; without a misfit,
+ * neither power nor spread. */
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 

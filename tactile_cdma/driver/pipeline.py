@@ -239,6 +239,7 @@ class Pipeline:
             or levels.late
             or levels.level_unknown
             or heard.doubtful is not None
+            or not heard.placed
         )
         if kernel.compiled is not None and not is_odd and not config.roll_call:
             read = taxels.read(levels, config.spec, config.threshold, t_device, self.health)
@@ -260,7 +261,9 @@ class Pipeline:
             words = words.doubted(heard.doubtful)
         if self.health.any_suspect:
             words = words.doubted(self.health.suspect & words.active)
-        if words.doubtful.any() and words.disturbed(self.health.invalid):
+        # A frame is where its words are: if none of them is certain, it may be elsewhere.
+        lost = not heard.placed and not (words.active & ~words.doubtful).any()
+        if lost or (words.doubtful.any() and words.disturbed(self.health.invalid)):
             words = words.doubted(~words.active)
         return words
 

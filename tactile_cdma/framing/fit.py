@@ -418,7 +418,7 @@ def refine(
     code = compiled_code(spec)
     if code is None:
         return numpy_refine(line, fit, spec, earliest, latest)
-    scratch = np.empty(2 * spec.chips + spec.span_chips + 2 * spec.nodes + 6, np.float32)
+    scratch = np.empty(2 * spec.chips + spec.span_chips + 2 * spec.nodes + 2, np.float32)
     start, chip, bounds = fit.start, fit.chip, (earliest, latest)
     return Fit(
         *code.refine(

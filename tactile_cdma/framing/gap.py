@@ -23,8 +23,9 @@ does not accumulate).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ from .fit import (
     Line,
     WordFit,
     compiled_code,
+    integrate,
     read_words,
     refine,
 )
@@ -59,9 +61,9 @@ _TURNS = 4
 """Chips per block in the search for the chip clock: its band of 11 % then is 0.4 turns wide."""
 _MAX_LINES = 12
 """Spectral lines that are tried at most. Chosen."""
-_STILL_CHIPS = 0.005
-"""Change of an expected frame's edges, chips, below which it is as good as refined. Chosen: leaves
-1e-4 of the words' power over."""
+_STILL_MISFIT = 1e-3
+"""Misfit of a frame where it is expected below which it need not be refined. Chosen: edges 0.02
+chip off; see LIMITS.carried_misfit."""
 _LEAST_CHIP = 0.5
 """Share of an expected chip duration below which a refined one fits no frame: most edges were out
 of view. Chosen."""
@@ -71,25 +73,58 @@ _SILENT, _BURST, _FRAME = 0, 2, 3
 """What the kernel finds: enum gap_look there."""
 
 
-@dataclass(frozen=True, slots=True)
-class Look:
-    """What the kernel sees in a stretch of samples.
+class Look(NamedTuple):
+    """What the kernel sees in a stretch of samples; whatever few ask for is made of that then.
 
-    gap: its level, as `gaps` finds it.
-    burst: as `burst` finds it, where there is one, and certainly no other before it.
-    is_silent: whether there is none.
-    proven: see GapSearch.proven; 0 where no frame is carried.
-    found: a carried frame that is beyond doubt. beside: what lies beside that.
-    sound: its levels, if its words are even and leave nothing over, and the line is at rest beside.
+    kind: enum gap_look. quiet, loud: the gap and the burst. proven: see GapSearch.proven; 0 where
+    no frame is carried. place, unaided: of a carried frame that is beyond doubt. around: what lies
+    beside that. is_sound: its words are even and leave nothing over, and the line is at rest
+    beside. noise_v: of a row's levels then. words: of it, valid until the next look.
     """
 
-    gap: Gap
-    burst: Burst | None
-    is_silent: bool
+    kind: int
+    quiet: tuple[float, float, int]
+    loud: tuple[float, float, float, float, float, float]
     proven: float
-    found: Judgement | None
-    beside: Beside | None
-    sound: NodeLevels | None
+    place: tuple[float, float]
+    unaided: bool
+    around: tuple[float, float, bool]
+    is_sound: bool
+    noise_v: float
+    words: WordFit
+
+    @property
+    def gap(self) -> Gap:
+        """Its level, as `gaps` finds it."""
+        return Gap(*self.quiet)
+
+    @property
+    def burst(self) -> Burst | None:
+        """As `burst` finds it, where there is one, and certainly no other before it."""
+        return Burst(*self.loud) if self.kind >= _BURST else None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether there is no burst."""
+        return self.kind == _SILENT
+
+    @property
+    def found(self) -> Judgement | None:
+        """A carried frame that is beyond doubt."""
+        if self.kind != _FRAME:
+            return None
+        words = replace(self.words, rows=self.words.rows.copy())
+        return Judgement(Fit(*self.place), words, None, True, self.unaided)
+
+    @property
+    def beside(self) -> Beside | None:
+        """What lies beside that frame."""
+        return Beside(*self.around) if self.kind == _FRAME else None
+
+    def levels(self, spec: FrameSpec) -> NodeLevels:
+        """Those of a sound frame."""
+        rows = self.words.rows[0].copy()
+        return NodeLevels(rows[:, spec.node_slice], self.noise_v, rows=rows)
 
 
 class GapSearch(BurstSearch):
@@ -100,7 +135,8 @@ class GapSearch(BurstSearch):
         super().__init__(spec, rate_hz)
         self._judge = Judge(spec)
         self._code = compiled_code(spec)
-        self._values, self._scratch = np.empty(0), np.empty(0, np.float32)
+        self._values = np.empty(0)
+        self._make_room()
 
     def look(
         self, volts: Floats, known: Gap, begin: float, expected: Expected | None
@@ -111,38 +147,31 @@ class GapSearch(BurstSearch):
         stream index `begin` on. expected: the next frame, if that is sure, in stream indices. Gives
         what the other methods would, as far as it is beyond doubt.
         """
-        code, spec = self._code, self.spec
+        code = self._code
         if code is None:
             return None
         size = volts.size + 3 * (volts.size // self.half + 1)
         if self._values.size < size:
             self._values = np.empty(2 * size)
-            each = 2 * (spec.chips + spec.nodes + 2) + spec.span_chips + _MOST_CARRIED
-            beside = 4 * (self.gap_size // self.half + 1)
-            most = (_MOST_CARRIED + 2) * each + beside
-            self._scratch = np.empty(most, np.float32)
         place = (0.0, 0.0, 0.0, 0.0)
         if expected is not None:
             place = expected.start - begin, expected.scatter, expected.chip, expected.slips
-        rows = np.empty((1, spec.line_bits, spec.order), np.float32)
-        amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
-        four = np.empty((4, 1), np.float32)
         seen = code.look(
             self.settings, VOTE_SETTINGS, self._rules, REACHES, volts, self.least_power,
-            known.level, known.variance, *place, rows, amplitude, uneven, *four, self._values,
-            self._scratch,
+            known.level, known.variance, *place, *self._arrays, self._values, self._scratch,
         )  # fmt: skip
-        if seen is None:
-            return None
-        look, gap, loud, proven, fit, unaided, beside, is_sound, noise_v = seen
-        burst, found, sound = Burst(*loud) if look >= _BURST else None, None, None
-        if look != _FRAME:
-            return Look(Gap(*gap), burst, look == _SILENT, proven, None, None, None)
-        words = WordFit(rows, amplitude, four[0], uneven, *four[1:])
-        found = Judgement(Fit(*fit), words, None, True, unaided)
-        if is_sound:
-            sound = NodeLevels(rows[0, :, spec.node_slice], noise_v, rows=rows[0])
-        return Look(Gap(*gap), burst, False, proven, found, Beside(*beside), sound)
+        return None if seen is None else Look._make((*seen, self._words))
+
+    def _make_room(self) -> None:
+        """Arrays for the kernel's looks."""
+        spec, one = self.spec, np.empty((4, 1), np.float32)
+        rows = np.empty((1, spec.line_bits, spec.order), np.float32)
+        amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
+        self._words = WordFit(rows, amplitude, one[0], uneven, *one[1:])
+        self._arrays = rows, amplitude, uneven, *one
+        each = 2 * (spec.chips + spec.nodes + 2) + spec.span_chips + _MOST_CARRIED
+        beside = 4 * (self.gap_size // self.half + 1)
+        self._scratch = np.empty((_MOST_CARRIED + 2) * each + beside, np.float32)
 
     @cached_property
     def _rules(self) -> NDArray[np.void]:
@@ -161,7 +190,7 @@ class GapSearch(BurstSearch):
             wide=WIDE,
             ruled_out=RULED_OUT,
             settled_chips=SETTLED_CHIPS,
-            still_chips=_STILL_CHIPS,
+            still_misfit=_STILL_MISFIT,
             least_chip=_LEAST_CHIP,
             uneven=UNEVEN,
             spread=LIMITS.spread,
@@ -196,11 +225,10 @@ class GapSearch(BurstSearch):
         """The frame where it is surely expected, refined on its own edges."""
         if expected is None or not self.is_sure(expected):
             return None
-        place = Fit(expected.start, expected.chip)
-        fit = refine(line, place, self.spec)
-        longer = abs(fit.chip - place.chip) * self.spec.span_chips
-        if abs(fit.start - place.start) + longer < _STILL_CHIPS * place.chip:
-            fit = place
+        start, chip, spec = np.array([expected.start]), np.array([expected.chip]), self.spec
+        fit = Fit(expected.start, expected.chip)
+        if not read_words(integrate(line, start, chip, spec), spec).misfit.item() < _STILL_MISFIT:
+            fit = refine(line, fit, spec)
         within = fit.start >= -0.5 and fit.end(self.spec) <= line.volts.size
         return fit if within and fit.chip > _LEAST_CHIP * expected.chip else None
 

@@ -11,19 +11,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import Floats
+from ..base.arrays import Bools, Floats
 from ..base.errors import SpecError
 from ..base.sums import dot, sums
 from ..code.amplitude import FAINT_SHARE, rises
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels, node_levels
-from .burst import Burst, Gap
-from .fit import Fit, Line, even_words, integrate, lowest_power, read_words
+from .burst import Beside, Burst, Gap
+from .fit import Fit, Line, WordFit, even_words, integrate, lowest_power, read_words
 from .gap import GapSearch, Look
 from .hum import Hum, without_impulses
 from .judge import Judgement
 from .limits import LIMITS
-from .raster import Expected, Raster
+from .raster import ON_RASTER, Expected, Raster
 from .timing import (
     ABSURD,
     AT_RAIL,
@@ -213,6 +213,8 @@ class GapTiming(Timing):
             self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
                 return []
+        if look and look.is_sound and (frames := self._take_sound(look, candidates[0], raw)):
+            return frames
         found = self._look(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
             steady = without_impulses(volts)
@@ -254,8 +256,8 @@ class GapTiming(Timing):
             if burst is None:
                 continue
             seen.append(burst)
-            if look and look.found:
-                taken = self._take(line, burst, gap, raw, look.found, look)
+            if look and (found := look.found):
+                taken = self._take(line, burst, gap, raw, found, look.beside)
                 if not isinstance(taken, Rejections):
                     return taken
             expected = self._raster.expect(self._cursor + burst.first, self._cursor)
@@ -340,44 +342,79 @@ class GapTiming(Timing):
         gap: Gap,
         raw: Floats,
         found: Judgement,
-        look: Look | None = None,
+        beside: Beside | None = None,
     ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        line: gap level, hum and impulses removed. raw: the samples as they came, V. look: by which
-        it was found.
+        line: gap level, hum and impulses removed. raw: the samples as they came, V. beside: as far
+        as that is known.
         """
         spec, fit = self._spec, found.fit
         end = fit.end(spec)
         if end > raw.size + 0.5 * fit.chip:
             return INCOMPLETE
-        clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
+        clipped = self._clipped(fit, raw)
         if clipped > LIMITS.clipped:
             return AT_RAIL
-        beside = look.beside if look else None
         beside = beside or self._search.beside(line.volts, fit, burst)
-        words, levels = found.words, look.sound if look else None
-        if levels is None:
-            noise = beside.variance * self._search.half / fit.chip
-            words = even_words(line, fit, spec, words)
-            if not words.believable(spec, noise):
-                return MISFIT
-            if not beside.quiet:
-                return NOT_AT_REST
-            levels = node_levels(words.rows[0], spec)
-        self._gap = gap
-        if spec.node_swing_v is None:
-            self._search.least_power = lowest_power(float(words.amplitude.max()))
+        noise = beside.variance * self._search.half / fit.chip
+        words = even_words(line, fit, spec, found.words)
+        if not words.believable(spec, noise):
+            return MISFIT
+        if not beside.quiet:
+            return NOT_AT_REST
+        self._learn(gap, words)
+        levels, doubtful = node_levels(words.rows[0], spec), found.doubtful
         if clipped > LIMITS.deafened:
-            found = replace(found, doubtful=np.ones(spec.nodes, bool))
-        return self._emit(found, levels, beside.level, clipped)
+            doubtful = np.ones(spec.nodes, bool)
+        unaided = found.unaided if found.decided else None
+        expected = self._raster.expect(self._cursor + fit.start, self._cursor)
+        placed = (
+            expected is not None
+            and self._search.is_sure(expected)
+            and abs(fit.start - expected.start) < ON_RASTER * fit.chip
+        )
+        return self._emit(fit, unaided, levels, beside.level, clipped, doubtful, placed)
+
+    def _take_sound(self, look: Look, gap: Gap, raw: Floats) -> list[FrameLevels]:
+        """The frame in which the kernel found nothing odd; none if a rail may hide words."""
+        fit = Fit(*look.place)
+        clipped = self._clipped(fit, raw)
+        if clipped > LIMITS.deafened:
+            return []
+        self._learn(gap, look.words)
+        levels = look.levels(self._spec)
+        return self._emit(fit, look.unaided, levels, look.around[0], clipped)
+
+    def _clipped(self, fit: Fit, raw: Floats) -> float:
+        """Share of a frame's samples that are at a rail."""
+        frame = raw[max(0, round(fit.start)) : round(fit.end(self._spec))]
+        return share_clipped(frame, self._rails_v)
+
+    def _learn(self, gap: Gap, words: WordFit) -> None:
+        """Learn from a frame's words and the gap beside it."""
+        self._gap = gap
+        if self._spec.node_swing_v is None:
+            self._search.least_power = lowest_power(float(words.amplitude.max()))
 
     def _emit(
-        self, found: Judgement, levels: NodeLevels, left_v: float, clipped: float
+        self,
+        fit: Fit,
+        unaided: bool | None,
+        levels: NodeLevels,
+        left_v: float,
+        clipped: float,
+        doubtful: Bools | None = None,
+        placed: bool = True,
     ) -> list[FrameLevels]:
-        """The frame, after the silent slots before it. left_v: of the gap's level around it."""
+        """The frame, after the silent slots before it.
+
+        fit: from the cursor on. unaided: see Judgement; None where its place is not decided.
+        left_v: of the gap's level around it. placed: see FrameLevels.
+        """
         assert self._gap is not None
-        fit = Fit(self._cursor + found.fit.start, found.fit.chip)
+        end = fit.end(self._spec)
+        fit = Fit(self._cursor + fit.start, fit.chip)
         # Without an earlier frame, what lies before this one may be the rest of another.
         frames: list[FrameLevels] = []
         if self._heard_one:
@@ -386,14 +423,13 @@ class GapTiming(Timing):
             levels.values[:, 0] -= np.float32(left_v)
         noise_rms_v = levels.noise_v * math.sqrt(self._spec.order)
         level_v = self._gap.level + left_v
-        frames.append(
-            FrameLevels(fit.start, fit.chip, levels, noise_rms_v, level_v, clipped, found.doubtful)
-        )
+        heard = levels, noise_rms_v, level_v, clipped, doubtful, placed
+        frames.append(FrameLevels(fit.start, fit.chip, *heard))
         self._heard_one, self._failures = True, 0
-        if found.decided:
-            self._raster.learn(fit, found.unaided)
+        if unaided is not None:
+            self._raster.learn(fit, unaided)
         self._next = fit.start + self._search.period
-        self._cursor += math.ceil(found.fit.end(self._spec) + 0.5 * fit.chip)
+        self._cursor += math.ceil(end + 0.5 * fit.chip)
         self._settle()
         return frames
 

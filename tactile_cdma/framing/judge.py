@@ -139,7 +139,7 @@ def weigh(
 ) -> Weighed:
     """As numpy_weigh, in the kernel where it can.
 
-    likely: the likeliest candidate, so far as is known. Others whose first bits cost more than it
+    likely: the likeliest candidate, so far as is known. Others whose last bits cost more than it
     and `margin` may be given the cost of these, and words that mean nothing.
     """
     code = compiled_code(spec)

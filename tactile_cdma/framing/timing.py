@@ -85,6 +85,7 @@ class FrameLevels:
     doubtful: (n,) bool, nodes whose word, or whose silence, is a guess: other frames, some chips
         away, explain the samples as well, or a node was late and may be taken for another. None
         where no node's is.
+    placed: a mark, or the raster of others, tells where it is; else its words alone do.
     """
 
     start: float
@@ -94,6 +95,7 @@ class FrameLevels:
     offset_v: float
     clipped: float
     doubtful: Bools | None = None
+    placed: bool = True
 
 
 _LEAST_STORE = 4096

@@ -64,7 +64,8 @@ def out_of_place(
     if spec.scramble:
         left -= common_energy(levels.rows, amplitude, active, spec)
         weakest = min(weakest, expected)
-    if left < few * least_left(spec) * weakest**2 / spec.order:
+    least_v2 = few * least_left(spec) * weakest**2 / spec.order
+    if left < least_v2:
         return None
     if spec.scramble:
         others, hidden = late_scrambled(levels, amplitude, active, expected, spec)
@@ -72,11 +73,32 @@ def out_of_place(
     least = float(spoken.min())
     if spoken.size <= FEW:
         by = delays(levels, amplitude, active, spec)[active]
-        if least < PART * expected or np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK:
+        weak = least < PART * expected and not _leaks(levels, amplitude, active, least_v2, spec)
+        if weak or np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK:
             return active
     are_late = late(levels, amplitude, active, spec)
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
     return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None
+
+
+def _leaks(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, most_v2: float, spec: FrameSpec
+) -> bool:
+    """Whether one share of the chip before, in all chips alike, explains what the words leave over.
+
+    That a low-pass leaves, or samples taken while the level changes; a part of a late word is more
+    than LEAKED of it late. most_v2: what may be left of it in a bit, V².
+    """
+    signs, meant, left = _taken_apart(levels, amplitude, active, spec)
+    chips = chips_of(meant, spec).ravel()
+    before = rows_of(np.append(np.float32(0), chips[:-1]).reshape(left.shape), spec)
+    beside = before[:, spec.node_slice]
+    beside -= (beside * signs).mean(axis=0) * signs  # which is part of the words' amplitude
+    if spec.first_row > 0:
+        before[:, 0] = 0.0
+    product, power = float((left * before).sum()), float(np.square(before).sum())
+    rest = float(np.square(left).sum()) - product**2 / power
+    return 0 <= product < LEAKED * power and rest < most_v2 * spec.line_bits
 
 
 def common_energy(rows: Floats32, amplitude: Floats32, active: Bools, spec: FrameSpec) -> float:

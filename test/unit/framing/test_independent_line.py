@@ -357,6 +357,20 @@ def test_frames_that_jitter_by_a_chip_are_not_taken_where_a_raster_expects_them(
         claim_what_was_heard(name, 250, [zlib.crc32(name.encode()), seed])
 
 
+def test_in_a_frame_of_nothing_but_hum_nobody_is_called_silent() -> None:
+    """Loud hum looks like a frame half a period before one in which nodes speak."""
+    name = "gap: hum of 2 A, 625 Hz"
+    claim_what_was_heard(name, 60, [zlib.crc32(name.encode()), 19])
+
+
+def test_samples_taken_while_levels_change_put_no_weak_node_in_doubt() -> None:
+    name = "gap: a node at 0.6 A"
+    condition = next(some for some in conditions() if some.name == name)
+    tally, _ = condition.run(60, 0)
+    assert tally.right > 140 and not tally.unflagged
+    assert tally.flagged_share < 0.01 and tally.silent_flagged_share < 0.01
+
+
 def claim_what_was_heard(name: str, frames: int, seed: int | list[int]) -> None:
     condition = next(some for some in conditions() if some.name == name)
     talk, line, digitizer = condition.talk, condition.line, condition.digitizer

@@ -176,12 +176,12 @@ def test_what_the_kernel_sees_at_once(
     assert look.beside.level == pytest.approx(beside.level, rel=1e-4, abs=1e-6)
     assert look.beside.variance == pytest.approx(beside.variance, rel=1e-2, abs=1e-15)
     assert look.beside.quiet == beside.quiet
-    if look.sound is not None:
+    if look.is_sound:
         noise = beside.variance * search.half / fit.chip
         assert beside.quiet and found.words.believable(wire.spec, 1.02 * noise)
         levels = node_levels(found.words.rows[0], wire.spec)
-        assert look.sound.values == pytest.approx(levels.values, rel=1e-4, abs=2e-6)
-        assert look.sound.noise_v == pytest.approx(levels.noise_v, rel=1e-3, abs=1e-7)
+        assert look.levels(wire.spec).values == pytest.approx(levels.values, rel=1e-4, abs=2e-6)
+        assert look.levels(wire.spec).noise_v == pytest.approx(levels.noise_v, rel=1e-3, abs=1e-7)
 
 
 def test_most_frames_of_a_sound_stream_are_seen_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

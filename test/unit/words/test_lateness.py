@@ -60,6 +60,25 @@ def test_words_of_a_late_node_are_not_told_for_certain(
     assert unflagged <= told * wrong
 
 
+@pytest.mark.parametrize(("weak", "share", "late"), [(0.6, 0.06, 0.0), (1.0, 0.0, 0.5)])
+def test_a_weak_word_is_no_part_of_a_late_one_if_all_chips_hold_a_share_of_the_one_before(
+    weak: float, share: float, late: float
+) -> None:
+    """As where samples are taken while levels change. Of a node half a chip late half is left."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        nodes = rng.choice(SPEC.nodes, 3, replace=False)
+        codes, everybody = rng.integers(0, 1024, SPEC.nodes), np.arange(SPEC.nodes)
+        chips = weak * line_chips(SPEC, codes, everybody == nodes[0]).ravel()
+        chips = (1 - late) * chips + late * np.append(0, chips[:-1])
+        chips += line_chips(SPEC, codes, np.isin(everybody, nodes[1:])).ravel()
+        chips = (1 - share) * chips + share * np.append(0, chips[:-1])
+        chips = (chips + rng.normal(0, 1e-3, chips.size)).astype(np.float32)
+        words = decode(separate(chips.reshape(SPEC.line_bits, SPEC.order), SPEC), SPEC)
+        assert words.active[nodes[1:]].all()
+        assert words.doubtful[nodes[0]] if late else not words.doubtful.any()
+
+
 @pytest.mark.parametrize("order", [1, 2, 4, 8])
 def test_the_smallest_books_are_read(order: int) -> None:
     """Their bits are too short for edges that tell."""
