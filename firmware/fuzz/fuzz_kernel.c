@@ -488,8 +488,8 @@ static void look_for_frame(struct input *input)
     float *words = malloc((chips + 2 * nodes + 4) * sizeof *words), *four = words + chips + 2 * nodes;
     double *values = malloc(gap_values(&search, size) * sizeof *values);
     float *scratch = malloc(gap_scratch(&code, &search) * sizeof *scratch);
-    seen.words = (struct fit_words){words, words + chips, words + chips + nodes, four, four + 1, four + 2,
-                                    four + 3};
+    seen.words = (struct judge_found){words, words + chips, words + chips + nodes, four, four + 1, four + 2,
+                                      four + 3, NULL};
     bool has_gap = gap_look(&code, &search, &limits, &rules, reaches, 2, volts, size, 0, &known,
                             &expected, &seen, &look, values, scratch);
     for (size_t i = 0; has_gap && look == GAP_FRAME && !disturbed && i < chips; i++)
@@ -508,9 +508,8 @@ static void look_for_frame(struct input *input)
     all.begin = start[0];
     float *rows = malloc(COUNT * (chips + 2 * nodes + 4) * sizeof *rows), *rest = rows + COUNT * chips;
     float *each = rest + 2 * COUNT * nodes;
-    struct judge_found found = {{rows, rest, rest + COUNT * nodes, each, each + COUNT, each + 2 * COUNT,
-                                 each + 3 * COUNT},
-                                cost};
+    struct judge_found found = {rows, rest, rest + COUNT * nodes, each, each + COUNT, each + 2 * COUNT,
+                                each + 3 * COUNT, cost};
     struct judge_votes votes = {0, 0};
     float *more = malloc(judge_scratch(&code, &all) * sizeof *more);
     sums[0] = 0;

@@ -126,6 +126,10 @@ def node_memory(
     if mcu not in MCUS:
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
     board = MCUS[mcu]
+    if spec.sparse:
+        raise SpecError(
+            "the nodes of firmware/ do not send sparse codes yet: set codes to orthogonal"
+        )
     check_limits("node", node, 1, spec.nodes, "nodes are counted from 1")
     check_limits("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     if heartbeat is None:

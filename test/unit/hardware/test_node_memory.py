@@ -134,6 +134,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         ({}, {"heartbeat": 65_536}, "heartbeat is 65536; it must lie within 0…65535"),
         ({}, {"rest": 1024}, "rest is 1024; it must lie within 0…1023: codes have 10 bits"),
         ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, atmega328p-fast"),
+        ({"codes": "sparse", "order": 16}, {}, "do not send sparse codes yet: set codes to ortho"),
         ({"bits": 11}, {}, "bits is 11; it must lie within 8…10: a node's converter has 10 bits"),
         ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
         ({"chip_s": 19e-6}, {}, "chip_us is 19; it must lie within 35…1000"),
