@@ -25,7 +25,7 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 DEFINITION = "firmware/protocol.yaml"
 PYTHON, HEADER = "tactile_cdma/wire/_protocol.py", "firmware/core/tactile_protocol.h"
-DOCUMENTS = ("docs/protocol.md", "docs/firmware.md")
+DOCUMENT = "docs/protocol.md"
 VECTORS, CODES = "firmware/vectors/protocol.json", "firmware/vectors/codes.json"
 DEMO = "firmware/digitizer/rp2040/demo/memories.h"
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -93,7 +93,7 @@ def outputs() -> Iterator[tuple[str, str]]:
         "sparse": make_vectors.sparse_table(),
         "example": make_vectors.example(),
     }
-    yield from documents(definition, examples)
+    yield DOCUMENT, document(definition, examples)
 
 
 # Shared by all outputs
@@ -349,25 +349,24 @@ def in_range(definition: Definition, message: Definition, path: str) -> Iterator
 # Document
 
 
-def documents(definition: Definition, examples: dict[str, str]) -> Iterator[tuple[str, str]]:
-    """Path and text of every document, with the text between its markers regenerated."""
-    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in DOCUMENTS}
+def document(definition: Definition, examples: dict[str, str]) -> str:
+    """The text of DOCUMENT, with what is between its markers regenerated."""
+    text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
+    packets = {**definition["structs"], **definition["packets"]}
     blocks = {
         f"fields {name}": field_table(definition, name)
-        for name, message in messages(definition).items()
+        for name, message in packets.items()
         if message["fields"]
     }
     blocks |= {f"enum {name}": enum_table(enum) for name, enum in definition["enums"].items()}
     blocks |= examples
     for name, block in blocks.items():
-        marker = f"<!-- begin {name} -->\n"
-        path = next((path for path, text in texts.items() if marker in text), None)
-        before, begin, rest = texts[path].partition(marker) if path else ("", "", "")
+        before, begin, rest = text.partition(f"<!-- begin {name} -->\n")
         _, end, after = rest.partition("<!-- end -->")
-        if path is None or not end:
-            raise SystemExit(f"{name} has no begin or end marker in {' or '.join(DOCUMENTS)}")
-        texts[path] = before + begin + block + end + after
-    yield from texts.items()
+        if not end:
+            raise SystemExit(f"{name} has no begin or end marker in {DOCUMENT}")
+        text = before + begin + block + end + after
+    return text
 
 
 def field_table(definition: Definition, name: str) -> str:

@@ -42,6 +42,7 @@ from tactile_cdma.wire.messages import (
     Stop,
     Touch,
 )
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.rp2040_bench import Bench
 from trial import expected_edges
 
@@ -258,3 +259,17 @@ def test_start_and_stop_at_any_time(image: Path) -> None:
             bench.send(Stop())
             bench.run(0.005)
         assert [ack.result for ack in bench.of(Ack)] == [Result.OK] * 8
+
+
+def test_silent_pins_leave_the_line_at_half_the_supply(image: Path) -> None:
+    """They are released, and nothing in their pads pulls."""
+    writer, layout = PacketWriter(), FrameLayout.of(FrameSpec(), 4)
+    with Rp2040(image, RESISTORS) as chip:
+        chip.plug_usb()
+        chip.run(0.05)
+        chip.write_usb(b"\0" + writer.encode(Configure(layout)) + writer.encode(Start()))
+        chip.run(0.15)
+        packets = PacketParser().feed(chip.read_usb())
+    gaps = [p.counts for p in packets if isinstance(p, Samples) and not p.sync]
+    assert np.concatenate(gaps).size > 500
+    assert np.concatenate(gaps).mean() == pytest.approx(2047.5, abs=1)

@@ -13,6 +13,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.msg import TactileSkinInfo
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.srv import Tare
 from test.support.boards import Board, plugged
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
@@ -138,3 +139,17 @@ def test_a_replay_says_so_and_of_what(tmp_path: Path) -> None:
             wait_for(told(client, OK, f"replayed from replay://{path}"))
             wait_for(lambda kind=kind: origin(client)[:2] == (REPLAYED, kind))
             assert client.value("source", "measured by") == NAMES[kind]
+
+
+def test_a_demonstrators_tare_is_not_a_boards(tmp_path: Path) -> None:
+    link, idle = tmp_path / "ttyACM0", SimOptions(scene="idle")
+    with running(port=str(link), state_folder=str(tmp_path)) as (_, client):
+        with plugged(lambda: Board(idle, DEMO), link):
+            wait_for(told(client, WARN, "is a demonstrator, whose nodes have no sensors"))
+            wait_for(lambda: origin(client) == (DEMONSTRATOR, DEMONSTRATOR, DEMO))
+            wait_for(lambda: client.arrays)
+            wait_for(lambda: client.call(Tare, "tare", Tare.Request()).success)
+            wait_for(lambda: len(client.infos[-1].tare) > 0)
+        with plugged(lambda: Board(idle, FIRST), link):
+            wait_for(lambda: origin(client) == (BOARD, BOARD, FIRST))
+            wait_for(lambda: len(client.infos[-1].tare) == 0)
