@@ -103,11 +103,9 @@ class SparseRecogniser:
         self.speakers = 0
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
-        self._capacity, self._noise = (
-            capacity(line.spec),
-            _Noise(line.spec.chips, HIDDEN * self._swing2),
-        )
-        self._turn, self._detector = 0, Detector(line.spec)
+        self._capacity, self._most_noise = capacity(line.spec), blinding_noise_v(line.spec) ** 2
+        self._noise = _Noise(line.spec.chips, HIDDEN * self._swing2)
+        self._detector = Detector(line.spec)
         # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
         assert line.spec.flips is not None, "sparse codes are scrambled"
         self._products = np.empty((line.spec.line_bits, line.spec.row_count), np.float32)
@@ -167,8 +165,7 @@ class SparseRecogniser:
 
     def _settled(self, found: Detected) -> bool:
         """Whether words were found that stay, or none, and leave no noise that hides words."""
-        most = blinding_noise_v(self._spec) ** 2
-        return found.settled and float(self._noise_of(found).mean()) < most
+        return found.settled and float(found.left.mean()) < self._most_noise
 
     def _words_explain(self, found: Detected) -> bool:
         """Whether words were found that leave no more than the line's noise, in any bit."""
