@@ -91,8 +91,9 @@ static bool is_disturbed(const struct readout *readout, const struct readout_fra
     if (!memchr(out->doubtful, 1, readout->settings.frame.nodes))
         return false;
     for (size_t i = 0; i < readout->settings.frame.nodes; i++)
-        disturbed |= out->doubtful[i] & (out->rho[i] > readout->settings.reading.limits.clear_rho) &
-                     !readout->skin.invalid[i];
+        disturbed |= out->doubled[i] |
+                     (out->doubtful[i] & !readout->skin.invalid[i] &
+                      (out->rho[i] > readout->settings.reading.limits.clear_rho));
     return disturbed;
 }
 

@@ -267,7 +267,8 @@ class Pipeline:
         else:
             words = words.doubted(heard.doubtful)
         if self.health.any_suspect:
-            words = words.doubted(self.health.suspect & words.active)
+            suspect = self.health.suspect & words.active
+            words = words.doubted(suspect | (~words.active & suspect.any()))
         # A frame is where its words are: if none of them is certain, it may be elsewhere.
         lost = not heard.placed and not (words.active & ~words.doubtful).any()
         if lost or (words.doubtful.any() and words.disturbed(self.health.invalid)):

@@ -26,7 +26,7 @@ from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .lateness import out_of_place
 from .leakage import unexplained
-from .limits import CLEAR_RHO, SOUND_SHARE, UNLIKE
+from .limits import CLEAR_RHO, SHARED_SHARE, SOUND_SHARE, UNLIKE
 from .stages import Measures, decide, find_active, measure
 from .tones import toned
 
@@ -104,9 +104,11 @@ class Words:
         """Whether something is on the line that these words do not explain, nor noise.
 
         A word that is uneven without noise may have another one on its row, of a node that is late
-        and so appears silent. broken: (n,) bool, nodes whose words are known to be uneven.
+        and so appears silent; one that is doubled has. broken: (n,) bool, nodes whose words are
+        known to be uneven.
         """
-        return bool((self.doubtful & self.active & (self.rho > CLEAR_RHO) & ~broken).any())
+        uneven = self.doubtful & (self.rho > CLEAR_RHO) & ~broken
+        return bool((self.active & (uneven | self.doubled)).any())
 
     def doubted(self, nodes: Bools) -> Words:
         """The same words, of which those of some nodes (n,) bool are doubtful, too.
@@ -159,6 +161,7 @@ def decode(
     active, faint, any_faint = find_active(measures, expected, threshold, noise, bits, spec.order)
     astray, hidden = np.zeros((2, len(active)), np.bool_)
     noise_may_be_node = False
+    weak = nobody(len(active))
     if any_faint:
         loud = active & ~faint
         rest, rest_noise = unexplained(levels, loud, faint, spec)
@@ -168,6 +171,7 @@ def decode(
         hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
         noise_may_be_node = rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min())
         active = spoke & ~astray
+        weak = active & faint
     amplitude = measures.amplitude
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
         measures, active, expected, spec.sign_mask, noise, bits, spec.parity
@@ -177,6 +181,14 @@ def decode(
     for node in levels.unresolved:
         doubtful[node] = active[node]
     astray[list(levels.late)] = True
+    if any_faint:
+        pieces = astray & ~active
+        is_learnt = swing_v is None and spec.node_swing_v is None
+        if _is_one_word(measures.signs[pieces], bits) or (is_learnt and pieces.any()):
+            few = np.count_nonzero(pieces) > np.count_nonzero(active & ~weak)
+            doubtful |= ~active | weak | few  # its own row may hold nothing
+        elif (active & (amplitude > SHARED_SHARE * expected)).any():
+            doubtful |= weak  # the rest of which may be there
     doubtful |= astray | hidden
     if noise_may_be_node:
         doubtful |= ~active
@@ -233,6 +245,12 @@ def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Flo
         # A line that weakens words weakens faint ones, too.
         astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
     return astray
+
+
+def _is_one_word(signs: NDArray[np.int32], bits: int) -> bool:
+    """Whether any rows say the same, or the opposite, as parts of one late word do; signs: (m,)."""
+    either = np.minimum(signs, signs ^ np.int32((1 << bits) - 1))
+    return len(np.unique(either)) < len(either)
 
 
 def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bools:

@@ -20,9 +20,11 @@ OLD = Skin(order=16, first_row=0, sign_seed=None, polarity=-1, period_chips=208)
 LONG = Skin(nodes=39, order=40, period_chips=520)
 
 
-def tally(line: Line, talk: Talk, skin: Skin, timing: str, frames: int = 40) -> Tally:
+def tally(
+    line: Line, talk: Talk, skin: Skin, timing: str, frames: int = 40, learnt: bool = False
+) -> Tally:
     recording = render(skin, talk, line, TIMINGS[timing], frames, seed=7)
-    counts, complaints = compare(recording, decode(recording), line)
+    counts, complaints = compare(recording, decode(recording, learnt), line)
     assert not counts.unflagged, complaints
     assert not counts.phantom
     return counts
@@ -66,6 +68,43 @@ def test_a_node_in_no_row_is_no_noise(skin: Skin, late: tuple[tuple[int, float],
     """Late by chips it is what other rows hold alike: those who may be it are not silent."""
     counts = tally(Line(late=late, noise_v=0.03), Talk(together=3), skin, "means", 60)
     assert counts.right > 60
+
+
+def test_parts_of_a_late_word_on_other_rows_are_somebodys() -> None:
+    """Whose own row holds nothing."""
+    skin = Skin(nodes=39, order=40, period_chips=749, amplitude_v=0.19)
+    talk = Talk(share=0.3, stay=8, words="equal")
+    line = Line(late=((12, 1.38),), noise_v=0.093)
+    counts = tally(line, talk, skin, "means", 60)
+    assert counts.right > 200
+
+
+def test_of_unknown_amplitude_words_that_may_be_noise_hide_a_node() -> None:
+    """All speak but one that is early, and so on another's row."""
+    line = Line(late=((5, -2.0),), noise_v=0.112)
+    counts = tally(line, Talk(), Skin(), "means", learnt=True)
+    assert counts.wrong_flagged > 20
+
+
+@pytest.mark.parametrize(("timing", "late"), [("marks", -1.0), ("means", 1.0)])
+def test_a_doubled_row_hides_a_node_for_as_long_as_it_is_doubled(timing: str, late: float) -> None:
+    """Also once it is known to be, and is left out of what tells of something unknown."""
+    noise_v = 0.08 if timing == "marks" else 0.1
+    line = Line(late=((5, late),), dropouts=((5, 0.3),), noise_v=noise_v)
+    counts = tally(line, Talk(), Skin(), timing, 60)
+    assert counts.right > 600
+
+
+def test_what_a_weak_word_lacks_may_be_on_a_row_that_has_too_much() -> None:
+    spec, rng = FrameSpec(), np.random.default_rng(1)
+    gain = np.where(np.arange(16) == 3, 0.65, np.where(np.arange(16) == 8, 1.4, 1.0))
+    chips = sum(
+        gain[node] * line_chips(spec, rng.integers(0, 1024, 16), np.arange(16) == node)
+        for node in (3, 8, 12)
+    )
+    words = read_words(separate(np.asarray(chips, np.float32), spec), spec)
+    assert words.active[[3, 8, 12]].all()
+    assert words.doubtful[[3, 8, 12]].tolist() == [True, False, False]
 
 
 def test_a_tone_that_gives_a_frame_its_timing_is_no_silence() -> None:
