@@ -71,6 +71,11 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
         f"{spec.chip_s * 1e6:g} µs chips{', scrambled' if spec.scramble else ''}, "
         f"a frame every {spec.frame_period_s * 1e3:g} ms"
     )
+    if load := pipeline.load:
+        print(
+            f"nodes at once: {load.peak} at most, capacity {load.capacity}, "
+            f"{load.overloads} frames beyond it"
+        )
     print(f"calibration: {capture.config.calibration.identity or 'default curve'}")
     for name, value in survey.lines():
         if name == "frames" and counters.frames:

@@ -128,7 +128,8 @@ PARAMETERS: tuple[Parameter, ...] = (
         "the frame and the nodes' measuring allow", "ms", (0.0, 1e5)),
     Parameter("codes", ORTHOGONAL,
         "code book: orthogonal, with as many chips per bit as nodes; or sparse, with fewer, for "
-        "nodes of which few speak in a frame: up to half as many as chips",
+        "nodes of which few speak in a frame: up to about half as many as chips (diagnostics "
+        "tell the capacity)",
         choices=(ORTHOGONAL, SPARSE)),
     Parameter("order", 0,
         "code order (chips per bit); 0: the smallest possible, or one slightly larger if it is "

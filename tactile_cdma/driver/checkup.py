@@ -92,6 +92,13 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
                 f"{REJECTED_FOR[rejections.leading]}"
             )
             yield Finding(text, key="rejected")
+    if window.rises.overloads and (load := pipeline.load):
+        text = (
+            f"{window.rises.overloads} frames are flagged, because more nodes spoke at once than "
+            f"the {load.capacity} that their codes tell apart, up to about {load.peak}: raise "
+            "order, or the nodes' thresholds; or is amplitude_mv too low?"
+        )
+        yield Finding(text, event=True, key="overload")
     if share > FAST:
         text = (
             f"frames come at {share:.0%} of their rate: a replay or simulation that hurries, or "

@@ -13,6 +13,7 @@ from ..base.stage import stage
 from ..clocks.clock_keeper import ClockReport
 from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
+from ..framing.sparse_timing import Load, SparseTiming
 from ..framing.timing import FrameLevels, Rejections
 from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
@@ -183,6 +184,12 @@ class Pipeline:
     def rejections(self) -> Rejections:
         """Bursts on the line that were no frame, since the digitizer described itself."""
         return self._description.timing.rejections if self._description else Rejections()
+
+    @property
+    def load(self) -> Load | None:
+        """How many nodes speak at once; None where all may."""
+        timing = self._description.timing if self._description else None
+        return timing.load if isinstance(timing, SparseTiming) else None
 
     @property
     def clocks(self) -> ClockReport | None:

@@ -33,13 +33,14 @@ read, when it was decoded, and handed on; clipped, noise_rms_v: see TactileFrame
 class Counts:
     """Everything that is counted, up to one moment or between two.
 
-    digitizer: by its own STATUS; None while that is unknown.
+    digitizer: by its own STATUS; None while that is unknown. overloads: see Load.
     """
 
     stream: StreamCounters
     packets: Counters
     digitizer: Status | None
     rejections: Rejections
+    overloads: int = 0
 
     @classmethod
     def of(cls, pipeline: Pipeline) -> Counts:
@@ -49,6 +50,7 @@ class Counts:
             pipeline.packet_counts,
             pipeline.digitizer.status,
             pipeline.rejections,
+            pipeline.load.overloads if pipeline.load else 0,
         )
 
     def since(self, before: Counts) -> Counts:

@@ -9,6 +9,7 @@ doubt: it is never guessed which part.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import rows_of
 from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
-from .timing import Rails
+from .timing import Rails, blinding_noise_v
 
 DAMPINGS = (0.0, 0.6, 0.8)
 """How a frame is tried, one after the other, until it is certain; see detect. Chosen: of frames in
@@ -50,13 +51,39 @@ MOST_LATE, LATE_SHARE = 8, 0.5
 LATENESSES = (*range(1, MOST_LATE + 1), *range(-MOST_LATE, 0))
 
 
+class Load(NamedTuple):
+    """Nodes that speak at once.
+
+    capacity: most that are told apart. now, peak: in the newest frame, and in any so far; of those
+    that are not told apart, as many as have the line's power. overloads: frames of more than the
+    capacity.
+    """
+
+    capacity: int
+    now: int = 0
+    peak: int = 0
+    overloads: int = 0
+
+    def after(self, now: int) -> "Load":
+        """With a frame more, in which so many spoke."""
+        overloads = self.overloads + (now > self.capacity)
+        return Load(self.capacity, now, max(self.peak, now), overloads)
+
+
 class SparseTiming(MarkedTiming):
     """Line timing of nodes with sparse codes."""
 
     def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
         """See MarkedLine."""
         line = MarkedLine(spec, rate_hz, rails_v)
-        super().__init__(line, SparseRecogniser(line))
+        self._own = SparseRecogniser(line)
+        self.load = Load(capacity(spec))
+        super().__init__(line, self._own)
+
+    def _noted(self, verdict: Verdict) -> Verdict:
+        if verdict.frame is not None:
+            self.load = self.load.after(self._own.speakers if verdict.frame.levels else 0)
+        return super()._noted(verdict)
 
 
 def capacity(spec: FrameSpec) -> int:
@@ -67,16 +94,18 @@ def capacity(spec: FrameSpec) -> int:
 
 
 class SparseRecogniser:
-    """A Recogniser for frames of means of chips."""
+    """A Recogniser for frames of means of chips.
+
+    speakers: nodes that spoke in the last frame that was not silent; see Load.
+    """
 
     def __init__(self, line: MarkedLine) -> None:
+        self.speakers = 0
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
-        self._capacity, self._noise = (
-            capacity(line.spec),
-            _Noise(line.spec.chips, HIDDEN * self._swing2),
-        )
-        self._turn, self._detector = 0, Detector(line.spec)
+        self._capacity, self._most_noise = capacity(line.spec), blinding_noise_v(line.spec) ** 2
+        self._noise = _Noise(line.spec.chips, HIDDEN * self._swing2)
+        self._detector = Detector(line.spec)
         # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
         assert line.spec.flips is not None, "sparse codes are scrambled"
         self._products = np.empty((line.spec.line_bits, line.spec.row_count), np.float32)
@@ -119,6 +148,11 @@ class SparseRecogniser:
         elif self._hides_nodes:
             doubtful = ~found.heard
         noise = float(self._noise_of(found).mean())
+        if self._settled(found):
+            self.speakers = int(np.count_nonzero(found.heard))
+        else:
+            power = float(chips.var(dtype=np.float64)) - self._noise.power
+            self.speakers = max(0, round(power / self._swing2))
         if self._is_understood(found) and not late:
             self._noise.learn(noise, None if explained else _kurtosis(found.chips))
         self._line.level_v, noise_v = found.level_v, math.sqrt(noise / spec.order)
@@ -127,7 +161,11 @@ class SparseRecogniser:
 
     def _is_understood(self, found: Detected) -> bool:
         """Whether words were found that stay, of no more nodes than the book tells apart."""
-        return found.settled and int(np.count_nonzero(found.heard)) <= self._capacity
+        return self._settled(found) and int(np.count_nonzero(found.heard)) <= self._capacity
+
+    def _settled(self, found: Detected) -> bool:
+        """Whether words were found that stay, or none, and leave no noise that hides words."""
+        return found.settled and float(found.left.mean()) < self._most_noise
 
     def _words_explain(self, found: Detected) -> bool:
         """Whether words were found that leave no more than the line's noise, in any bit."""

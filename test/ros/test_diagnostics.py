@@ -172,6 +172,16 @@ def test_clipping_says_by_how_much() -> None:
     assert float(client.value("stream", "clipped samples (%)")) > 1
 
 
+def test_more_nodes_at_once_than_sparse_codes_tell_apart() -> None:
+    skin: dict[str, Any] = {"codes": "sparse", "nodes": 120, "order": 32, "samples_per_chip": 1}
+    port = "sim://?scene=all&threshold=0"
+    text = "more nodes spoke at once than the 13 that"
+    client = complaint("stream", WARN, text, port=port, frame_period_ms=20.0, **skin)
+    assert client.value("stream", "nodes at once, capacity") == "13"
+    assert int(client.value("stream", "nodes at once")) > 100
+    assert int(client.value("stream", "frames beyond the capacity")) > 0
+
+
 @pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
 def test_why_frames_are_decided_in_python_is_told_while_they_are() -> None:
     """The line of a skin under load is clipped; when nobody speaks, nothing is left to doubt."""

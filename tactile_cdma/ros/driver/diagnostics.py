@@ -140,6 +140,18 @@ def _stream_values(pipeline: Pipeline, window: Window) -> Values:
         "lost frames (per s)": f"{window.rises.stream.lost_frames / window.seconds:.2f}",
         "noise floor (V rms)": _number(window.noise_rms_v, 6),
         "clipped samples (%)": f"{100 * window.clipped:.2f}",
+        **_load_values(pipeline),
+    }
+
+
+def _load_values(pipeline: Pipeline) -> Values:
+    if (load := pipeline.load) is None:
+        return {}
+    return {
+        "nodes at once": load.now,
+        "nodes at once, peak": load.peak,
+        "nodes at once, capacity": load.capacity,
+        "frames beyond the capacity": load.overloads,
     }
 
 

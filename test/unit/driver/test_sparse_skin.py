@@ -2,11 +2,18 @@
 
 """A skin of more nodes than chips, from the digitizer's bytes to words, against what was sent."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import TactileFrame
+from tactile_cdma.driver import checkup
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.vitals import Vitals
+from tactile_cdma.framing.sparse_timing import Load, capacity
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Start
@@ -28,10 +35,15 @@ SKIN = {
 
 
 def decoded(url: str, frames: int) -> tuple[list[TactileFrame], Truth]:
-    config, writer = SkinConfig.of(SKIN), PacketWriter()
+    config = SkinConfig.of(SKIN)
+    return run(config, stream(config, url, frames)), sent(url)
+
+
+def sent(url: str) -> Truth:
     digitizer = VirtualDigitizer(SimOptions.from_url(f"{url}&speed=0"), clock=lambda: 0.0)
-    digitizer.receive(writer.encode(configuration(config)) + writer.encode(Start()))
-    return run(config, stream(config, url, frames)), Truth(digitizer)
+    writer = PacketWriter()
+    digitizer.receive(writer.encode(configuration(SkinConfig.of(SKIN))) + writer.encode(Start()))
+    return Truth(digitizer)
 
 
 @pytest.mark.parametrize("noise", ["0.005", "0.05"])
@@ -40,11 +52,11 @@ def test_what_is_certain_was_sent(noise: str) -> None:
     assert len(frames) >= 59
     certain = 0
     for frame in frames:
-        words, sent = frame.words, truth[frame.sequence]
+        words, true = frame.words, truth[frame.sequence]
         sure = ~words.doubtful
-        assert np.array_equal(words.active[sure], sent.active[sure])
-        spoke = sure & sent.active
-        assert np.array_equal(words.codes[spoke], sent.codes[spoke])
+        assert np.array_equal(words.active[sure], true.active[sure])
+        spoke = sure & true.active
+        assert np.array_equal(words.codes[spoke], true.codes[spoke])
         certain += int(sure.all())
     assert certain > 50
 
@@ -54,3 +66,37 @@ def test_of_more_than_can_be_told_apart_nothing_is_certain() -> None:
     assert len(frames) >= 9
     for frame in frames:
         assert frame.words.doubtful.all()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_how_many_speak_is_told_and_that_it_is_too_many(compiled: bool) -> None:
+    config, vitals = SkinConfig.of(SKIN), Vitals()
+    most = capacity(config.spec)
+    for url, frames in (("sim://?scene=moving", 40), ("sim://?scene=all&threshold=0", 10)):
+        pipeline = Pipeline(config, compiled=compiled)
+        vitals.take(pipeline)
+        decoded = pipeline.feed(stream(config, url, frames), 0.0)
+        truth = sent(url)
+        speakers = [int(truth[frame.sequence].active.sum()) for frame in decoded]
+        load, window = pipeline.load, vitals.take(pipeline)
+        assert load is not None
+        found = [each for each in checkup.stream(pipeline, window, None) if each.key == "overload"]
+        if max(speakers) <= most:
+            assert load == Load(most, speakers[-1], max(speakers), 0)
+            assert not found
+        else:
+            assert load.now == pytest.approx(speakers[-1], rel=0.2)
+            assert load.overloads == window.rises.overloads == len(decoded)
+            assert f"{len(decoded)} frames are flagged" in found[0].text
+            assert f"the {most} that their codes tell apart" in found[0].text
+
+
+def test_info_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "touch.skin"
+    skin = "--codes sparse --nodes 120 --order 32 --samples-per-chip 1 --frame-period-ms 20"
+    port = "sim://?scene=all&threshold=0"
+    assert main(["record", port, str(path), "--seconds", "0.2", *skin.split()]) == 0
+    capsys.readouterr()
+    assert main(["info", str(path), "--amplitude-mv", "300"]) == 0
+    said = re.search(r"at once: (\d+) at most, capacity 13, (\d+) fr", capsys.readouterr().out)
+    assert said and 100 < int(said[1]) < 140 and int(said[2]) > 2

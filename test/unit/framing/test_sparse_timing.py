@@ -90,7 +90,7 @@ def test_frames_are_certain_and_right_up_to_their_capacity(share: float) -> None
     for _ in range(30):
         words = rig.some(speakers)
         read = rig.read(rig.sent(words))
-        assert certain(read).all()
+        assert certain(read).all() and rig.recogniser.speakers == speakers
         assert told(read) == words
 
 
@@ -109,6 +109,19 @@ def test_more_than_its_capacity_is_flagged_as_a_whole(count: int) -> None:
     rig = Rig()
     for _ in range(5):
         assert not certain(rig.read(rig.sent(rig.some(count)))).any()
+        assert rig.recogniser.speakers == pytest.approx(count, rel=0.2)
+
+
+def test_many_nodes_are_not_taken_for_noise_of_the_line() -> None:
+    """What they add up to is as Gaussian; but in as much noise nobody would be heard."""
+    for known in (True, False):
+        rig = Rig(SMALL, known=known)
+        for _ in range(sparse_timing.RELEARNT + 2):
+            assert not certain(rig.read(rig.sent(rig.some(60)))).any()
+        if known:
+            words = rig.some(2)
+            read = rig.read(rig.sent(words))
+            assert certain(read).all() and told(read) == words
 
 
 @pytest.mark.parametrize("speakers", [1, 5, 40])
