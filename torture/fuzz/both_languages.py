@@ -25,7 +25,7 @@ from ..outcome import Outcome, Plan
 
 T = TypeVar("T", bound=Packet)
 BEGIN = struct.pack("<QII", 0, 1 << 22, 8192) + struct.pack(
-    "<8sIIIfhhh2x", b"torture", 48, 96, 65_536, 2**-10, 2048, 0, 4095
+    "<8sIIIfhhh", b"torture", 48, 96, 65_536, 2**-10, 2048, 0, 4095
 )
 """struct start of firmware/digitizer/replay: a board like an RP2040's, with a generous output."""
 SECOND = ("t", struct.pack("<Q", 1_000_000))
