@@ -31,7 +31,8 @@ BEGIN = struct.pack("<QII", 0, 1 << 22, 8192) + struct.pack(
 SECOND = ("t", struct.pack("<Q", 1_000_000))
 SEND = ("o", struct.pack("<I", 2**32 - 1))
 REPLAY_S = 60
-TYPES = [0, 2, 0x7F, *range(0x80, 0x88), 0xFF]
+TYPES = [0, 2, 0x7F, *range(0x80, PacketType.TOUCH), 0x8F, 0xFF]
+"""Of commands and others; which of TOUCH and BOOTSEL a board knows is its own affair."""
 CONFIGURED = Configure(FrameLayout.of(FrameSpec(), 4))
 PACKETS, SAMPLES = 200, 20_000
 """Input of one digitizer."""
