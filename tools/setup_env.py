@@ -448,8 +448,8 @@ def explain_pip(text: str) -> str | None:
         return "PyPI cannot be reached; check the network (behind a proxy: set https_proxy)"
     if re.search(r"No matching distribution found for ros-", text):
         return (
-            "PyPI has no ROS 2 wheels for this platform (they are for Linux on x86_64 and "
-            "aarch64); install ROS 2, source its setup.bash and run make again"
+            "PyPI has no ROS 2 wheels for this platform (they are for Linux on x86_64): install "
+            "ROS 2, source its setup.bash and run make again; or do without ROS: pip install ."
         )
     return None
 

@@ -230,6 +230,14 @@ class WordFit:
             odd > 0 and self._explained(odd, LIMITS.stricter, spec, noise)
         )
 
+    def explained_by(self, noise: float) -> bool:
+        """Whether the words of a single candidate leave no more than noise, as reused timing may.
+
+        noise: variance of a chip's level in the gap, V².
+        """
+        limit = LIMITS.carried_noise * noise / max(self.power.item(), 1e-30)
+        return self.misfit.item() < limit + LIMITS.carried_misfit
+
     def is_clear(self, spec: FrameSpec) -> bool:
         """Whether the words of a single candidate leave no more than noise, in all bits alike.
 

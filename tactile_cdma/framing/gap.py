@@ -240,9 +240,7 @@ class GapSearch(BurstSearch):
             return None
         found = self._judged(line, burst, fit, expected)
         noise = burst.variance * self.half / fit.chip
-        power = max(found.words.power.item(), 1e-30)
-        limit = LIMITS.carried_noise * noise / power + LIMITS.carried_misfit
-        return found if found.fit == fit and found.words.misfit.item() < limit else None
+        return found if found.fit == fit and found.words.explained_by(noise) else None
 
     def proven(self, burst: Burst, fit: Fit) -> float:
         """Instant at which silence proves that a frame is over.

@@ -50,6 +50,12 @@ SURE_SHARE, SURE_NOISE = 0.5, 0.3
 """A silent slot holds no faint word if its power, and so much of its noise, stays below the power
 of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
 slot and gap are right to a tenth."""
+BESIDE_CHIPS = 0.25, 1.25
+"""From where to where, chips, a line is looked at for chips of nodes that are late or early, behind
+a frame and before it. Chosen: clear of a low-pass of 0.3 chip; a node that is a chip late shows."""
+BESIDE_POWER, BESIDE_NOISE = 0.25, 3.0
+"""Power there, in squares of a node's amplitude, and deviations of the power of noise, beyond both
+of which there are such chips. Chosen."""
 AGAIN_PERIODS = 12
 """Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
 it is known after 4 to 8."""
@@ -213,7 +219,7 @@ class GapTiming(Timing):
             self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
                 return []
-        if look and look.is_sound and (frames := self._take_sound(look, candidates[0], raw)):
+        if look and look.is_sound and (frames := self._take_sound(look, candidates[0], raw, volts)):
             return frames
         found = self._look(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
@@ -365,26 +371,54 @@ class GapTiming(Timing):
             return NOT_AT_REST
         self._learn(gap, words)
         levels, doubtful = node_levels(words.rows[0], spec), found.doubtful
-        if clipped > LIMITS.deafened:
+        if clipped > LIMITS.deafened or self._is_early_or_late(line, fit, beside):
             doubtful = np.ones(spec.nodes, bool)
         unaided = found.unaided if found.decided else None
         expected = self._raster.expect(self._cursor + fit.start, self._cursor)
+        sure = expected is not None and self._search.is_sure(expected)
         placed = (
-            expected is not None
-            and self._search.is_sure(expected)
-            and abs(fit.start - expected.start) < ON_RASTER * fit.chip
+            expected is not None and sure and abs(fit.start - expected.start) < ON_RASTER * fit.chip
         )
+        if sure and not placed and not words.explained_by(noise):
+            doubtful = np.ones(spec.nodes, bool)  # a frame of others may be on the raster
         return self._emit(fit, unaided, levels, beside.level, clipped, doubtful, placed)
 
-    def _take_sound(self, look: Look, gap: Gap, raw: Floats) -> list[FrameLevels]:
-        """The frame in which the kernel found nothing odd; none if a rail may hide words."""
+    def _take_sound(self, look: Look, gap: Gap, raw: Floats, volts: Floats) -> list[FrameLevels]:
+        """The frame in which the kernel found nothing odd; none if a rail may hide words.
+
+        raw: the samples as they came, V. volts: without hum.
+        """
         fit = Fit(*look.place)
         clipped = self._clipped(fit, raw)
-        if clipped > LIMITS.deafened:
+        beside = Beside(*look.around)
+        if clipped > LIMITS.deafened or self._is_early_or_late(Line(volts, gap.level), fit, beside):
             return []
         self._learn(gap, look.words)
         levels = look.levels(self._spec)
         return self._emit(fit, look.unaided, levels, look.around[0], clipped)
+
+    def _is_early_or_late(self, line: Line, fit: Fit, beside: Beside) -> bool:
+        """Whether there are chips next to a frame, of nodes that may be taken for others.
+
+        If its bits are equal, a node that is some chips late leaves nothing else over: within the
+        frame it is another row's word, or the inverse of its own. Impulses are single samples.
+        """
+        search, level = self._search, line.level_v + beside.level
+        near, far = (chips * fit.chip for chips in BESIDE_CHIPS)
+        end = fit.end(self._spec)
+        for begin, stop in ((fit.start - far, fit.start - near), (end + near, end + far)):
+            chips = line.received[max(0, math.ceil(begin)) : max(0, math.ceil(stop))]
+            if chips.size < 2:
+                continue
+            noise = beside.variance * search.half
+            most = noise * (1 + BESIDE_NOISE * math.sqrt(2 / chips.size))
+            most = max(most, BESIDE_POWER * search.least_power / FAINT_SHARE**2)
+            total, squares = sums(chips)
+            if squares - level * (2 * total - level * chips.size) > most * chips.size:
+                power = np.sort(np.square(chips - level))[:-1].mean()
+                if power > most:
+                    return True
+        return False
 
     def _clipped(self, fit: Fit, raw: Floats) -> float:
         """Share of a frame's samples that are at a rail."""

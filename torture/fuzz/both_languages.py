@@ -25,13 +25,14 @@ from ..outcome import Outcome, Plan
 
 T = TypeVar("T", bound=Packet)
 BEGIN = struct.pack("<QII", 0, 1 << 22, 8192) + struct.pack(
-    "<8sIIIfhhh2x", b"torture", 48, 96, 65_536, 2**-10, 2048, 0, 4095
+    "<8sIIIfhhh", b"torture", 48, 96, 65_536, 2**-10, 2048, 0, 4095
 )
 """struct start of firmware/digitizer/replay: a board like an RP2040's, with a generous output."""
 SECOND = ("t", struct.pack("<Q", 1_000_000))
 SEND = ("o", struct.pack("<I", 2**32 - 1))
 REPLAY_S = 60
-TYPES = [0, 2, 0x7F, *range(0x80, 0x88), 0xFF]
+TYPES = [0, 2, 0x7F, *range(0x80, PacketType.TOUCH), 0x8F, 0xFF]
+"""Of commands and others; which of TOUCH and BOOTSEL a board knows is its own affair."""
 CONFIGURED = Configure(FrameLayout.of(FrameSpec(), 4))
 PACKETS, SAMPLES = 200, 20_000
 """Input of one digitizer."""

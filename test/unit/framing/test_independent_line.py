@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks.doubt.lines import conditions
+from benchmarks.doubt.mixtures import mixture_of
 from benchmarks.doubt.tally import Tally
-from benchmarks.doubt.words import compare, decode, rival
+from benchmarks.doubt.words import BLIND, LineCondition, compare, decode, rival
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code import codes
 from test.support.independent_line import (
@@ -369,6 +370,24 @@ def test_samples_taken_while_levels_change_put_no_weak_node_in_doubt() -> None:
     tally, _ = condition.run(60, 0)
     assert tally.right > 140 and not tally.unflagged
     assert tally.flagged_share < 0.01 and tally.silent_flagged_share < 0.01
+
+
+@pytest.mark.parametrize("late", [2.2, -1.0])
+def test_nodes_out_of_time_by_chips_are_not_taken_for_others_between_gaps(late: float) -> None:
+    """Words of equal bits are another row's, or inverted, and but the gap shows whose they are."""
+    false = right = 0
+    for node in (1, 5, 9):
+        line = Line(late=((node, late),), noise_v=0.015)
+        talk, skin = Talk(share=0.3, stay=8, words="extreme"), Skin(nodes=15, order=20)
+        tally, _ = LineCondition(f"node {node} {late} late", line, talk, skin, BLIND).run(40, 0)
+        false, right = false + tally.unflagged, right + tally.right
+    assert right > 100 and not false
+
+
+def test_a_frame_off_its_raster_that_leaves_more_than_noise_is_in_doubt() -> None:
+    """A line whose level jumps: a frame seems to begin two chips late, with others' words."""
+    tally, _ = mixture_of(161).run(250, 2)
+    assert tally.right > 800 and not tally.unflagged
 
 
 def claim_what_was_heard(name: str, frames: int, seed: int | list[int]) -> None:
