@@ -371,7 +371,9 @@ class GapTiming(Timing):
             return NOT_AT_REST
         self._learn(gap, words)
         levels, doubtful = node_levels(words.rows[0], spec), found.doubtful
-        if clipped > LIMITS.deafened or self._is_early_or_late(line, fit, beside):
+        level = line.level_v + beside.level
+        late = self._is_early_or_late(line.received, level, fit, beside.variance)
+        if clipped > LIMITS.deafened or late:
             doubtful = np.ones(spec.nodes, bool)
         unaided = found.unaided if found.decided else None
         expected = self._raster.expect(self._cursor + fit.start, self._cursor)
@@ -390,34 +392,34 @@ class GapTiming(Timing):
         """
         fit = Fit(*look.place)
         clipped = self._clipped(fit, raw)
-        beside = Beside(*look.around)
-        if clipped > LIMITS.deafened or self._is_early_or_late(Line(volts, gap.level), fit, beside):
+        left_v, variance, _ = look.around
+        if clipped > LIMITS.deafened:
+            return []
+        if self._is_early_or_late(volts, gap.level + left_v, fit, variance):
             return []
         self._learn(gap, look.words)
         levels = look.levels(self._spec)
-        return self._emit(fit, look.unaided, levels, look.around[0], clipped)
+        return self._emit(fit, look.unaided, levels, left_v, clipped)
 
-    def _is_early_or_late(self, line: Line, fit: Fit, beside: Beside) -> bool:
+    def _is_early_or_late(self, volts: Floats, level: float, fit: Fit, variance: float) -> bool:
         """Whether there are chips next to a frame, of nodes that may be taken for others.
 
         If its bits are equal, a node that is some chips late leaves nothing else over: within the
         frame it is another row's word, or the inverse of its own. Impulses are single samples.
+        volts: (m,). level: of the gap, V. variance: of its half-chip means, V².
         """
-        search, level = self._search, line.level_v + beside.level
-        near, far = (chips * fit.chip for chips in BESIDE_CHIPS)
-        end = fit.end(self._spec)
-        for begin, stop in ((fit.start - far, fit.start - near), (end + near, end + far)):
-            chips = line.received[max(0, math.ceil(begin)) : max(0, math.ceil(stop))]
-            if chips.size < 2:
-                continue
-            noise = beside.variance * search.half
-            most = noise * (1 + BESIDE_NOISE * math.sqrt(2 / chips.size))
-            most = max(most, BESIDE_POWER * search.least_power / FAINT_SHARE**2)
+        (near, far), chip, end = BESIDE_CHIPS, fit.chip, fit.end(self._spec)
+        noise = variance * self._search.half
+        most = noise * (1 + BESIDE_NOISE * math.sqrt(2 / ((far - near) * chip)))
+        most = max(most, BESIDE_POWER * self._search.least_power / FAINT_SHARE**2)
+        for begin in (fit.start - far * chip, end + near * chip):
+            first = max(0, math.ceil(begin))
+            chips = volts[first : max(0, math.ceil(begin + (far - near) * chip))]
             total, squares = sums(chips)
-            if squares - level * (2 * total - level * chips.size) > most * chips.size:
-                power = np.sort(np.square(chips - level))[:-1].mean()
-                if power > most:
-                    return True
+            if squares - level * (2 * total - level * chips.size) <= most * chips.size:
+                continue
+            if chips.size > 1 and np.sort(np.square(chips - level))[:-1].mean() > most:
+                return True
         return False
 
     def _clipped(self, fit: Fit, raw: Floats) -> float:
