@@ -410,7 +410,8 @@ class GapTiming(Timing):
         """
         (near, far), chip, end = BESIDE_CHIPS, fit.chip, fit.end(self._spec)
         noise = variance * self._search.half
-        most = noise * (1 + BESIDE_NOISE * math.sqrt(2 / ((far - near) * chip)))
+        spread = 2 / (9 * (far - near) * chip)  # of χ²'s cube root: Wilson and Hilferty, 1931
+        most = noise * (1 - spread + BESIDE_NOISE * math.sqrt(spread)) ** 3
         most = max(most, BESIDE_POWER * self._search.least_power / FAINT_SHARE**2)
         for begin in (fit.start - far * chip, end + near * chip):
             first = max(0, math.ceil(begin))
