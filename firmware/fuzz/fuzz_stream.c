@@ -293,7 +293,7 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
     struct frame_rules frame = {
         .frame = {.bits = BITS, .order = ORDER, .first = 1, .nodes = 3, .swing = 100,
                   .loudest_share = 0.25f, .active_share = 0.5f, .spoken_over = 2.2},
-        .size = SIZE, .whole_size = SIZE, .chip = CHIP, .least_power = 625, .most_noise = 80,
+        .size = SIZE, .whole_size = SIZE, .chip = CHIP, .least_power = 625, .silent_power = 625, .most_noise = 80,
         .rail_low = -30000, .rail_high = 30000, .deafened = 0.25, .carried_noise = 1.5,
         .carried_misfit = 3e-3, .loud = 2, .tail_noise = 2, .tail_scatter = 8, .tail_level = 4,
         .least_tail = 0.5, .scrambled = run.is_scrambled, .silent_rise = 1, .silent_more = 2500};
