@@ -3,6 +3,7 @@
 """Contacts and wrench over real DDS: consistent with the array of their frame, only on demand."""
 
 import math
+import time
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
@@ -136,14 +137,13 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
 
 
 class Lossy(VirtualDigitizer):
-    """Loses what it sends next, once that is asked for."""
+    """Loses what it sends until a time: two frames, as single packets may hold none."""
 
-    loses = False
+    until_s = 0.0
 
     def take(self, most: int) -> bytes:
-        lost, self.loses = self.loses, False
         data = super().take(most)
-        return b"" if lost else data
+        return b"" if time.monotonic() < self.until_s else data
 
 
 def test_untouched_is_not_claimed_after_a_loss_until_every_node_was_heard_again() -> None:
@@ -155,7 +155,7 @@ def test_untouched_is_not_claimed_after_a_loss_until_every_node_was_heard_again(
         lists = subscribed(client, TactileContacts, "contacts")
         wait_for(lambda: lists and lists[-1].untouched)
         before = lists[-1].sequence
-        lossy.loses = True
+        lossy.until_s = time.monotonic() + 0.03
         wait_for(lambda: any(m.sequence > before and not m.untouched for m in lists))
         wait_for(lambda: lists[-1].untouched)
         arrays = {array.sequence: np.asarray(array.status) for array in client.arrays}
