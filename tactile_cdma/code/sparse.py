@@ -30,8 +30,6 @@ TAPS = {
     13: (1, 3, 4), 14: (1, 3, 5), 15: (1,), 16: (2, 3, 5),
 }  # fmt: skip
 """Exponents of the primitive polynomials x^m + … + 1, by m."""
-
-
 MIXER = 0x9E3779B1
 """2³² over the golden ratio, odd, so that a product modulo 2^m can be undone."""
 

@@ -182,13 +182,8 @@ def decode(
         doubtful[node] = active[node]
     astray[list(levels.late)] = True
     if any_faint:
-        pieces = astray & ~active
         is_learnt = swing_v is None and spec.node_swing_v is None
-        if _is_one_word(measures.signs[pieces], bits) or (is_learnt and pieces.any()):
-            few = np.count_nonzero(pieces) > np.count_nonzero(active & ~weak)
-            doubtful |= ~active | weak | few  # its own row may hold nothing
-        elif (active & (amplitude > SHARED_SHARE * expected)).any():
-            doubtful |= weak  # the rest of which may be there
+        doubtful |= _hidden_by_parts(measures, expected, active, weak, astray, is_learnt, bits)
     doubtful |= astray | hidden
     if noise_may_be_node:
         doubtful |= ~active
@@ -245,6 +240,28 @@ def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Flo
         # A line that weakens words weakens faint ones, too.
         astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
     return astray
+
+
+def _hidden_by_parts(
+    measures: Measures,
+    expected: Floats32,
+    active: Bools,
+    weak: Bools,
+    astray: Bools,
+    is_learnt: bool,
+    bits: int,
+) -> Bools:
+    """Nodes whose words other rows may hold in parts, (n,).
+
+    weak: faint words that count. astray: see Words. is_learnt: the amplitude is this frame's own.
+    """
+    parts = astray & ~active
+    if _is_one_word(measures.signs[parts], bits) or (is_learnt and parts.any()):
+        outnumbered = np.count_nonzero(parts) > np.count_nonzero(active & ~weak)
+        hidden: Bools = ~active | weak | outnumbered  # its own row may hold nothing
+        return hidden
+    is_shared = (active & (measures.amplitude > SHARED_SHARE * expected)).any()
+    return weak if is_shared else nobody(len(active))  # the rest of weak ones may be there
 
 
 def _is_one_word(signs: NDArray[np.int32], bits: int) -> bool:
