@@ -169,7 +169,8 @@ def decode(
         spoke = measures.amplitude > np.float32(threshold) * expected
         astray = _out_of_step(measures.amplitude, active, spoke, expected)
         hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
-        noise_may_be_node = rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min())
+        if not spec.sparse:  # there it is the certificate that says what noise may hide
+            noise_may_be_node = rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min())
         active = spoke & ~astray
         weak = active & faint
     amplitude = measures.amplitude

@@ -204,6 +204,17 @@ def test_silence_is_not_claimed_where_noise_may_hide_a_node() -> None:
     assert not (certain(read) & ~read.active).any()
 
 
+def test_silence_is_not_claimed_where_no_row_shows_a_node_that_noise_hides() -> None:
+    """Half of a node, which flips its chips otherwise, beside the noise of 9,120 chips."""
+    spec = replace(SPEC, nodes=1000, order=912)
+    strange = 0.5 * node_chips(9, spec.nodes, spec.order, spec.bits, seed=4).ravel()
+    for rho, may_hide in ((12.0, True), (30.0, False)):
+        rig = Rig(spec, rho)
+        assert (certain(rig.read(rig.sent({3: 700}))) != may_hide)[3:].all()
+        silent = rig.read(rig.sent({3: 700}) + strange)
+        assert not (certain(silent) & ~silent.active).any()
+
+
 def test_nothing_is_claimed_before_the_noise_is_known() -> None:
     rig = Rig(known=False)
     flagged = [not certain(rig.read(rig.sent({5: 3}))).any() for _ in range(LEARNT + 1)]
