@@ -28,6 +28,7 @@ from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
     GetInfo,
+    Groups,
     Info,
     Message,
     Pack,
@@ -118,6 +119,11 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "pack": (4, Pack()),
     "touch": (5, Touch(Scene.HOST, 16, 1023)),
     "bootsel": (6, Bootsel()),
+    "groups": (7, Groups(3)),
+    "samples, of the last of eight groups": (
+        265,
+        Samples(9, 10, np.array([1, 2], dtype=np.int16), sync=True, turn=15),
+    ),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 
