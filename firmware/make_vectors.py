@@ -252,7 +252,7 @@ def book_table() -> str:
 def sign_table() -> str:
     """The row signs of docs/protocol.md."""
     rows = (0, 1, 2, 3, 1000, 65_535)
-    table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * (len(rows) + 1) + "|"]
+    table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * 7 + "|"]
     for seed in (0, 1, 0xFFFFFFFF):
         signs = plus_minus(row_signs(np.array(rows), seed)).replace("-", "−")
         table.append(f"| {seed} | {' | '.join(signs)} |")
