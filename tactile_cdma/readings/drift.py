@@ -129,9 +129,8 @@ class DriftTracker:
         np.copyto(self._usual_v, np.inf, where=~valid)
         np.copyto(self._usual_v, voltage_v, where=near & np.isinf(self._usual_v))
         home = near & (np.abs(voltage_v - self._usual_v) < band_v)
-        back = (self._sign * behind_v > band_v) | (
-            np.abs(self._deviation_v) < CLOSE_LSB * self.lsb_v
-        )
+        back = self._sign * behind_v > band_v
+        back |= np.abs(self._deviation_v) < CLOSE_LSB * self.lsb_v
         self._touched = valid & np.where(home, self._touched & ~back, True)
         return np.asarray(home & ~self._touched)
 
