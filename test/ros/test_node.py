@@ -2,7 +2,6 @@
 
 """The driver node over real DDS: topics, parameters, lifecycle, faults."""
 
-import threading
 import time
 from itertools import islice, pairwise
 from pathlib import Path
@@ -179,30 +178,7 @@ def test_configure_refuses_impossible_combinations_until_they_are_resolved() -> 
     assert len(client.arrays[-1].pressure) == 36
 
 
-def test_every_transition_works_again_and_again_without_leaking() -> None:
-    with running(autostart=False, port="sim://?scene=all") as (_, client):
-        threads = None
-        for _ in range(4):
-            assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
-            assert client.change(Transition.TRANSITION_CONFIGURE)
-            for _ in range(2):
-                assert client.change(Transition.TRANSITION_ACTIVATE)
-                before = len(client.arrays)
-                wait_for(lambda before=before: len(client.arrays) > before + 5)
-                assert client.change(Transition.TRANSITION_DEACTIVATE)
-                time.sleep(0.1)
-                after = len(client.arrays)
-                time.sleep(0.1)
-                assert len(client.arrays) == after
-            assert client.change(Transition.TRANSITION_CLEANUP)
-            threads = threads or threading.active_count()
-            assert threading.active_count() == threads
-        assert client.set(heatmap_pixels=4) == (True, "")
-        assert client.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
-        assert client.state() == State.PRIMARY_STATE_FINALIZED
-
-
-def test_impossible_transitions_are_refused_and_the_node_lives() -> None:
+def test_impossible_transitions_are_refused_and_the_node_publishes_until_it_is_inactive() -> None:
     with running() as (_, client):
         wait_for(lambda: client.arrays)
         assert client.state() == State.PRIMARY_STATE_ACTIVE
@@ -211,6 +187,11 @@ def test_impossible_transitions_are_refused_and_the_node_lives() -> None:
         assert not client.change(222)
         before = len(client.arrays)
         wait_for(lambda: len(client.arrays) > before + 10)
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        time.sleep(0.1)
+        after = len(client.arrays)
+        time.sleep(0.1)
+        assert len(client.arrays) == after
 
 
 def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Path) -> None:
