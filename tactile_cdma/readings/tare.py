@@ -29,7 +29,7 @@ def take_tare(
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
 
-    Its pressure becomes the tare. A voltage above the start of the curve is no pressure: the excess
+    Its pressure becomes the tare. A voltage before the start of the curve is no pressure: the rest
     becomes drift.
     lsb_v: one count of the nodes' converters, V. may_yet_speak: (n,) bool, nodes whose
     first word may still come.
@@ -37,8 +37,8 @@ def take_tare(
 
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
     (Pa) above its lowest zero since the first or a forced tare, so that many tares hide no more
-    than two, rests above the start of its curve by more than that would pull it
-    down, or has not been heard for a second; forced or not, if no node has readings.
+    than two, rests before the start of its curve by more than that would pull it away, or has not
+    been heard for a second; forced or not, if no node has readings.
     """
     if not baseline.seen:
         raise RestError(
@@ -49,7 +49,7 @@ def take_tare(
     if not valid.any():
         raise RestError("not tared: no node has a valid reading; is the skin powered?")
     begin_v, rest_v = curves.begin_v, np.median(voltages_v, axis=0) + baseline.drift_v
-    above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
+    before_v = np.where(valid, np.maximum(curves.sign * (rest_v - begin_v), 0), np.float32(0))
     if not force:
         awaited = ~valid & (may_yet_speak | valids.any(axis=0))
         if early := (np.flatnonzero(awaited) + 1).tolist():
@@ -69,18 +69,18 @@ def take_tare(
         otherwise = ", or, if this is how the skin rests, tare with force: true"
         remedy = "take away what touches them" + otherwise
         _refuse("under load", loaded, above_pa / 1e3, "kPa", above_pa, layout, remedy)
-        torn, remedy = above_v > curves.fall_v(contact_pa), "check their sensors" + otherwise
+        torn, remedy = before_v > curves.pull_v(contact_pa), "check their sensors" + otherwise
         _refuse(
-            "above where their curves begin", torn, 1e3 * above_v, "mV", above_v, layout, remedy
+            "before where their curves begin", torn, 1e3 * before_v, "mV", before_v, layout, remedy
         )
-    before_v = begin_v if baseline.rest_v is None else baseline.rest_v
-    baseline.drift_v = baseline.drift_v - above_v
+    excess_v, last_v = curves.sign * before_v, baseline.rest_v
+    baseline.drift_v = baseline.drift_v - excess_v
     if force or not baseline.tared:
         baseline.least_pa = np.where(valid, pressure_pa, baseline.least_pa)
         baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
     baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
-    baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
+    baseline.rest_v = np.where(valid, rest_v - excess_v, begin_v if last_v is None else last_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
 

@@ -438,7 +438,7 @@ def test_a_torn_sensor_is_not_tared_unless_forced() -> None:
     patch = Patch(v0_v=3.0)
     patch.read(SECOND, 0.0, TORN)
     with pytest.raises(
-        RestError, match=r"above where their curves begin: node 4 .* 29\d\.\d\d mV;"
+        RestError, match=r"before where their curves begin: node 4 .* 29\d\.\d\d mV;"
     ):
         patch.taxels.tare(1000.0)
     patch.taxels.tare(1000.0, force=True)
