@@ -230,23 +230,32 @@ def test_a_clock_that_runs_off_is_told_in_ppm(monkeypatch: pytest.MonkeyPatch) -
         wait_for(lambda: abs(drift_ppm() - 800) < 150, PATIENCE_S)
 
 
-def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest(
+def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest_nor_frames(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "tty"
     with hurrying(port=str(path)) as (_, client):
+        wait_for(says(client, "stream", ERROR, f"{path}: no such port"))
+        assert client.arrays == []
         with plugged(VirtualDigitizer, path):
             wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
+            wait_for(lambda: len(client.arrays) > 20)
         wait_for(lambda: client.entry("stream").level == ERROR, PATIENCE_S)
         assert str(path) in client.entry("stream").message
         for entry in ("nodes", "link"):
             wait_for(lambda entry=entry: client.entry(entry).level == STALE)
             assert client.entry(entry).message == NO_FRAMES
         assert client.entry("host").level == OK
+        before = len(client.arrays)
+        time.sleep(0.3)
+        assert len(client.arrays) == before
         with plugged(VirtualDigitizer, path):
             wait_for(lambda: client.entry("stream").level == OK, PATIENCE_S)
             wait_for(lambda: client.entry("link").level == OK, PATIENCE_S)
+            wait_for(lambda: len(client.arrays) > before + 20)
     assert client.value("link", "connections") == "2"
+    sequences = [message.sequence for message in client.arrays]
+    assert sequences == sorted(set(sequences))
 
 
 def test_two_drivers_of_one_name_are_told_of_by_both() -> None:
