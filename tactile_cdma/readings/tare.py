@@ -5,7 +5,7 @@
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
-from ..base.errors import RestError
+from ..base.errors import Refusal, RestError
 from ..base.listing import listed
 from ..places.layout import Layout
 from .baseline import LOOK_S, LOOKS, Baseline
@@ -42,12 +42,15 @@ def take_tare(
     """
     if not baseline.seen:
         raise RestError(
-            f"not tared: the skin has been read for less than {LOOKS * LOOK_S:g} s; try again"
+            f"not tared: the skin has been read for less than {LOOKS * LOOK_S:g} s; try again",
+            Refusal.EARLY,
         )
     voltages_v, pressures_pa, valids = baseline.last_second
     valid, pressure_pa = valids.all(axis=0), np.median(pressures_pa, axis=0)
     if not valid.any():
-        raise RestError("not tared: no node has a valid reading; is the skin powered?")
+        raise RestError(
+            "not tared: no node has a valid reading; is the skin powered?", Refusal.NO_READING
+        )
     begin_v, rest_v = curves.begin_v, np.median(voltages_v, axis=0) + baseline.drift_v
     before_v = np.where(valid, np.maximum(curves.sign * (rest_v - begin_v), 0), np.float32(0))
     if not force:
@@ -55,7 +58,8 @@ def take_tare(
         if early := (np.flatnonzero(awaited) + 1).tolist():
             raise RestError(  # they would be left with another zero
                 f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
-                "try again, or tare the others with force: true"
+                "try again, or tare the others with force: true",
+                Refusal.EARLY,
             )
         above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
         moving = valid & (moved_v > MOVING_LSB * lsb_v)
@@ -64,14 +68,19 @@ def take_tare(
         named = moving & loaded if (moving & loaded).any() else moving
         # By voltage: a pressure does not move where it is clamped to 0.
         _refuse(
-            "moving", named, 1e3 * moved_v, "mV", above_pa, layout, "wait until nothing moves them"
+            *("moving", Refusal.MOVING, named, 1e3 * moved_v, "mV", above_pa, layout),
+            "wait until nothing moves them",
         )
         otherwise = ", or, if this is how the skin rests, tare with force: true"
         remedy = "take away what touches them" + otherwise
-        _refuse("under load", loaded, above_pa / 1e3, "kPa", above_pa, layout, remedy)
+        _refuse(
+            *("under load", Refusal.LOADED, loaded, above_pa / 1e3, "kPa", above_pa, layout),
+            remedy,
+        )
         torn, remedy = before_v > curves.pull_v(contact_pa), "check their sensors" + otherwise
         _refuse(
-            "before where their curves begin", torn, 1e3 * before_v, "mV", before_v, layout, remedy
+            *("before where their curves begin", Refusal.SENSOR, torn, 1e3 * before_v, "mV"),
+            *(before_v, layout, remedy),
         )
     excess_v, last_v = curves.sign * before_v, baseline.rest_v
     baseline.drift_v = baseline.drift_v - excess_v
@@ -87,6 +96,7 @@ def take_tare(
 
 def _refuse(
     state: str,
+    reason: Refusal,
     nodes: Bools,
     amounts: Floats32 | Floats,
     unit: str,
@@ -104,7 +114,7 @@ def _refuse(
         most=_MOST_NAMES,
         show=lambda i: f"{_name(i, layout)} {amounts[i]:.2f} {unit}",
     )
-    raise RestError(f"not tared, {state}: {names}; {remedy}")
+    raise RestError(f"not tared, {state}: {names}; {remedy}", reason)
 
 
 def _name(index: int, layout: Layout) -> str:
