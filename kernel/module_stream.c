@@ -73,7 +73,7 @@ enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 struct owner {
     struct stream *stream;
     struct scanner *scanner;
-    PyObject *scanner_object, *transform;
+    PyObject *scanner_object, *transform, *sparse;
     Py_buffer given; /* the bytes that are used up next */
     Py_buffer rows, flips, edges[EDGE_ARRAYS];
     size_t chips; /* of a frame */
@@ -104,6 +104,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, frame.tail_scatter),        FIELD(stream_rules, frame.tail_level),
     FIELD(stream_rules, frame.least_tail),          FIELD(stream_rules, frame.integrated),
     FIELD(stream_rules, frame.mean_is_offset),      FIELD(stream_rules, frame.scrambled),
+    FIELD(stream_rules, frame.noise_share),
     FIELD(stream_rules, frame.silent_rise),         FIELD(stream_rules, frame.silent_more),
     FIELD(stream_rules, marked),                    FIELD(stream_rules, in_blocks),
     FIELD(stream_rules, heeds_calls),               FIELD(stream_rules, zero_count),
@@ -164,6 +165,7 @@ static void drop_owner(void *held)
     release(&owner->flips);
     Py_XDECREF(owner->scanner_object);
     Py_XDECREF(owner->transform);
+    Py_XDECREF(owner->sparse);
     release(&owner->given);
     if (owner->stream)
         stream_free(owner->stream);
@@ -209,7 +211,7 @@ FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARR
 
     if (!owner)
         return NULL;
-    struct frame_code code = {call->value[1].data, NULL};
+    struct frame_code code = {call->value[1].data, NULL, NULL};
     size_t bits = axis(call, 'k'), order = axis(call, 'n');
     if (!(is_possible(rules, bits, order) && transform_order(code.transform) == order))
         return refuse(call, "rows: those of no frame of this code and these rules");
@@ -225,6 +227,21 @@ FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARR
     owner->chips = bits * order;
     PyObject *before = owner->transform;
     owner->transform = Py_NewRef(call->given[1]);
+    Py_XDECREF(before);
+    Py_RETURN_NONE;
+}
+
+/* Frames are of sparse codes, which this takes apart. */
+FUNCTION(detect_by, OBJECT("sparse", "Sparse"))
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    if (!stream_detect_by(owner->stream, sparse_of(call->value[0].data)))
+        return refuse(call, "sparse: of no frame that was described");
+    PyObject *before = owner->sparse;
+    owner->sparse = Py_NewRef(call->given[0]);
     Py_XDECREF(before);
     Py_RETURN_NONE;
 }
@@ -329,8 +346,9 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
     switch (event) {
     case STREAM_HEARD:
     case STREAM_SILENT:
-        return Py_BuildValue("(LdddO)", (long long)about->start, about->found.noise,
-                             about->found.level, about->found.clipped, flag(rest->known));
+        return Py_BuildValue("(LdddOn)", (long long)about->start, about->found.noise,
+                             about->found.level, about->found.clipped, flag(rest->known),
+                             (Py_ssize_t)about->found.speakers);
     case STREAM_PACKET:
     case STREAM_FOREIGN:
         return packet_tuple(&about->packet);
@@ -439,12 +457,12 @@ static int64_t index_of(const struct call *call, size_t argument)
     return index >= 0 && index < (double)(1LL << 53) ? (int64_t)index : -1;
 }
 
-FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"))
+FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"), NUMBER("noise"))
 {
     struct owner *owner = free_one(call);
 
     return owner ? answered(call, stream_decide(owner->stream, index_of(call, 0), index_of(call, 1),
-                                                call->value[2].number))
+                                                call->value[2].number, call->value[3].number))
                  : NULL;
 }
 
@@ -456,8 +474,8 @@ FUNCTION(look, NUMBER("due"))
 }
 
 static PyMethodDef methods[] = {
-    ENTRY(describe), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end), ENTRY(next),
-    ENTRY(place),    ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
+    ENTRY(describe), ENTRY(detect_by), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end),
+    ENTRY(next),     ENTRY(place),     ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
 };
 
 static PyType_Slot slots[] = {

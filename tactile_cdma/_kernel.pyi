@@ -107,6 +107,9 @@ class Stream:
     ) -> None:
         """flips: (k, N), or empty. rows: (k, N), written to with every frame."""
 
+    def detect_by(self, sparse: Sparse | None, /) -> None:
+        """Frames are of sparse codes, which this takes apart."""
+
     def forget(self) -> None: ...
     def carry(
         self, stream_timing: Settings, whole: Int32s, share: Floats, number: Floats, places: Int32s
@@ -130,7 +133,7 @@ class Stream:
         """Whether a frame was cut short."""
 
     def open(self, due: int, /) -> None: ...
-    def decide(self, due: int, over: int, level_v: float, /) -> None: ...
+    def decide(self, due: int, over: int, level_v: float, noise_v2: float, /) -> None: ...
     def look(self, due: int, /) -> None: ...
 
 @final

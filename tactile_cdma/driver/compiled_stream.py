@@ -22,6 +22,7 @@ from ..framing.frame_end import tail_of
 from ..framing.gap_timing import GapTiming
 from ..framing.limits import LIMITS
 from ..framing.marked_timing import GAP_WEIGHT, LEAST_REST, MarkedFrame, MarkedLine, MarkedTiming
+from ..framing.sparse_timing import SparseTiming
 from ..framing.timing import (
     ABSURD_V,
     INCOMPLETE,
@@ -88,6 +89,7 @@ class CompiledStream:
         self._read = 0.0, False  # t_host and backlog of the last event
         self._rows = self._values = np.empty((0, 0), np.float32)  # of the last frame; the nodes'
         self._line: MarkedLine | None = None  # where frames are marked
+        self._sparse: SparseTiming | None = None  # where codes are sparse
         self._chip_noise = 1.0  # noise of a chip, in that of a correlation
         self._fit: Fit | None = None
         self._timing = kernel.settings(
@@ -103,11 +105,13 @@ class CompiledStream:
         self._values = self._rows[:, spec.node_slice]
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
         self._chip_noise = math.sqrt(spec.order)
+        self._sparse = timing if isinstance(timing, SparseTiming) else None
         transform = compiled_transform(spec.book.plan, spreading=False)
-        # Frames of sparse codes are asked about before their chips are looked at.
         flips = None if spec.sparse else spec.flips
         flips = np.empty(0, np.float32) if flips is None else np.ascontiguousarray(flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
+        if self._sparse is not None:
+            self._kernel.detect_by(self._sparse.detector.kernel)
         if isinstance(timing, MarkedTiming):
             self._carry(timing)
 
@@ -165,7 +169,14 @@ class CompiledStream:
         self._ending = True
 
     def _found(
-        self, kind: int, start: int, noise_v: float, level_v: float, clipped: float, known: bool
+        self,
+        kind: int,
+        start: int,
+        noise_v: float,
+        level_v: float,
+        clipped: float,
+        known: bool,
+        speakers: int,
     ) -> FrameLevels:
         """A frame that the kernel has decided."""
         line = self._line
@@ -175,6 +186,8 @@ class CompiledStream:
         if self._reason:
             _log.debug("frames are decided in the kernel from sample %d on", start)
             self._reason = ""
+        if self._sparse is not None:
+            self._sparse.load = self._sparse.load.after(speakers)
         fit, levels = line.nominal, None
         if kind == _HEARD:
             rows = self._rows
@@ -223,7 +236,7 @@ class CompiledStream:
             verdict = timing.recognise(frame)
         reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
         due, over = (-1 if at is None else at for at in (verdict.due, verdict.over))
-        self._kernel.decide(due, over, line.level_v)
+        self._kernel.decide(due, over, line.level_v, line.noise)
         self._carry(timing)
         if verdict.due is None:
             self.decisions.in_python[reason] += 1
@@ -293,6 +306,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         chip=line.chip,
         least_power=line.least_power,
         silent_power=line.silent_power,
+        noise_share=line.noise_share,
         most_noise=blinding_noise_v(spec),
         rail_low=rail_low,
         rail_high=rail_high,
