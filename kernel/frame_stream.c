@@ -575,15 +575,18 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     return stream->described = make_room(stream, rules->frame.size);
 }
 
-bool stream_detect_by(struct stream *stream, struct sparse *sparse)
+bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke)
 {
     const struct sparse_book *book = sparse_book(sparse);
     const struct words_frame *frame = &stream->rules.frame.frame;
 
     if (!stream->described || book->bits != frame->bits || book->rows != frame->order ||
-        book->nodes != frame->nodes || book->order > frame->order || frame->first != 1 || stream->rules.frame.size < book->bits * book->order || !stream->rules.frame.integrated)
+        book->nodes != frame->nodes || book->order > frame->order ||
+        frame->first != 1 || !stream->rules.frame.integrated ||
+        stream->rules.frame.size < book->bits * book->order)
         return false;
     stream->code.sparse = sparse;
+    stream->code.spoke = spoke;
     return true;
 }
 

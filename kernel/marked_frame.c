@@ -234,13 +234,12 @@ static bool chip_stands_out(const struct frame_rules *rules, const double *volts
 }
 
 /* A frame of sparse codes, of chips that are samples. */
-static enum frame_look read_sparse(const struct frame_code *code, const double *volts, size_t size,
-                                   float *rows, struct frame_found *found)
+static enum frame_look read_sparse(const struct frame_code *code, const double *volts, float *rows,
+                                   struct frame_found *found)
 {
     struct sparse_told told;
 
-    integrated_chips(volts, size, 0, rows); /* has room for more */
-    if (!sparse_read(code->sparse, rows, &found->rest, rows, &told))
+    if (!sparse_read(code->sparse, volts, &found->rest, rows, code->spoke, &told))
         return FRAME_UNEXPLAINED;
     found->level = told.level;
     found->noise = told.noise;
@@ -288,7 +287,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     if (found->clipped > rules->deafened)
         return FRAME_CLIPPED;
     if (code->sparse)
-        return read_sparse(code, volts, chips, rows, found);
+        return read_sparse(code, volts, rows, found);
     if (!find_chips(rules, code, edges, found->level, volts, count, rows))
         return FRAME_NO_TIMING;
     double outermost = INFINITY;

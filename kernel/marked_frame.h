@@ -76,6 +76,7 @@ struct frame_code {
     const struct transform *transform; /* from chips to rows; NULL: none of this order */
     const float *flips;                /* (k, N), of a scrambled frame's chips */
     struct sparse *sparse;             /* what takes sparse codes apart; NULL: codes are orthogonal */
+    int32_t *spoke;                    /* (n) nodes that spoke, of sparse codes */
 };
 
 /* The timing of an earlier frame. */

@@ -34,9 +34,10 @@ struct sparse {
     double *triangle;       /* (most that are told apart)² */
     int32_t *unused;        /* codes of no node */
     int32_t *carried;       /* those that spoke in the last frame that settled */
+    int32_t *told_nodes;    /* those of the last frame that was read */
     int32_t *from;          /* where a listed one was listed before, or -1 */
     int32_t *nodes;         /* (2^m) node of every code, from 0 on; -1: none */
-    size_t unused_count, carried_count;
+    size_t unused_count, carried_count, told_count;
     struct listed now, next; /* words that are taken off; those that will be */
     double power[WORDS_MOST_BITS];
     double level;
@@ -76,7 +77,7 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->book = *book;
     sparse->rules = *rules;
     sparse->chips = calloc(2 * chips + levels + 7 * book->rows, sizeof(float));
-    sparse->unused = malloc(4 * book->rows * sizeof(int32_t));
+    sparse->unused = malloc(5 * book->rows * sizeof(int32_t));
     if (!(sparse->chips && sparse->unused && make_list(&sparse->now, book) && make_list(&sparse->next, book))) {
         sparse_free(sparse);
         return NULL;
@@ -93,6 +94,7 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->carried = sparse->unused + book->rows;
     sparse->from = sparse->carried + book->rows;
     sparse->nodes = sparse->from + book->rows;
+    sparse->told_nodes = sparse->nodes + book->rows;
     if (rules->alike && !make_products(sparse)) {
         sparse_free(sparse);
         return NULL;
@@ -144,6 +146,12 @@ VECTORS static void add_squares(size_t rows, const float *restrict sums, float *
 {
     for (size_t i = 0; i < rows; i++)
         squares[i] += sums[i] * sums[i];
+}
+
+VECTORS static void narrow(size_t count, const double *restrict volts, float *restrict chips)
+{
+    for (size_t i = 0; i < count; i++)
+        chips[i] = (float)volts[i];
 }
 
 VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
@@ -223,6 +231,19 @@ static void exchange(struct sparse *sparse)
     sparse->next = now;
 }
 
+/* Lists the codes that have more; without branches, because it is a guess who has. */
+static void list_above(struct sparse *sparse, const float *values, float least)
+{
+    int32_t *codes = sparse->next.codes;
+    size_t count = 0;
+
+    for (size_t code = 0; code < sparse->book.rows; code++) {
+        codes[count] = (int32_t)code;
+        count += values[code] > least;
+    }
+    sparse->next.count = count;
+}
+
 /* Lists those who are believed, and those who were listed, if what they said is kept. */
 static void list_believed(struct sparse *sparse, bool keeps)
 {
@@ -230,10 +251,14 @@ static void list_believed(struct sparse *sparse, bool keeps)
     struct listed *next = &sparse->next;
     size_t old = 0;
 
+    if (!keeps) {
+        list_above(sparse, sparse->belief, 0);
+        return;
+    }
     next->count = 0;
     for (size_t code = 0; code < sparse->book.rows; code++) {
         bool was = old < now->count && (size_t)now->codes[old] == code;
-        if (sparse->belief[code] > 0 || (keeps && was)) {
+        if (sparse->belief[code] > 0 || was) {
             sparse->from[next->count] = was ? (int32_t)old : -1;
             next->codes[next->count++] = (int32_t)code;
         }
@@ -322,10 +347,7 @@ static void harden(struct sparse *sparse, float least)
     struct listed *next = &sparse->next;
     const float *loud = sparse->loud;
 
-    next->count = 0;
-    for (size_t code = 0; code < book->rows; code++)
-        if (loud[code] > least)
-            next->codes[next->count++] = (int32_t)code;
+    list_above(sparse, loud, least);
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *sums = sums_of(sparse, bit);
         float *words = next->words + bit * book->rows;
@@ -595,27 +617,49 @@ void sparse_learn(const struct sparse *sparse, double found, double *noise)
     *noise = *noise > 0 ? *noise + sparse->rules.weight * (found - *noise) : found;
 }
 
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, struct sparse_told *told)
+static bool detect_volts(struct sparse *sparse, const double *volts)
+{
+    float *chips = sparse->sums; /* has room for more, and is not used yet */
+
+    narrow(sparse->book.bits * sparse->book.order, volts, chips);
+    return detect(sparse, chips, 0);
+}
+
+/* Replaces the levels of those who spoke in the frame before by those of this one. */
+static void tell_spoken(struct sparse *sparse, float *rows, int32_t *spoke)
+{
+    const struct sparse_book *book = &sparse->book;
+    const struct listed *next = &sparse->next;
+    int32_t *nodes = sparse->told_nodes;
+
+    for (size_t bit = 0; bit < book->bits; bit++)
+        for (size_t i = 0; i < sparse->told_count; i++)
+            rows[bit * book->rows + (size_t)nodes[i] + 1] = 0;
+    sparse->told_count = next->count;
+    for (size_t i = 0; i < next->count; i++)
+        nodes[i] = spoke[i] = sparse->nodes[next->codes[i]];
+    for (size_t bit = 0; bit < book->bits; bit++) {
+        const float *sums = sums_of(sparse, bit);
+        for (size_t i = 0; i < next->count; i++)
+            rows[bit * book->rows + (size_t)nodes[i] + 1] = sums[next->codes[i]] * (1.0f / (float)book->order);
+    }
+}
+
+bool sparse_read(struct sparse *sparse, const double *volts, double *noise, float *rows, int32_t *spoke,
+                 struct sparse_told *told)
 {
     const struct sparse_book *book = &sparse->book;
     const struct sparse_rules *rules = &sparse->rules;
     double swing2 = rules->swing * rules->swing, found = 0;
 
-    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * swing2) || !detect(sparse, chips, 0))
+    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * swing2) || !detect_volts(sparse, volts))
         return false;
     for (size_t bit = 0; bit < book->bits; bit++)
         found += noise_of(sparse, sparse->power[bit]);
     found /= (double)book->bits;
     if (!words_explain(sparse, *noise) || silence_rises(sparse, found / (double)book->order))
         return false;
-    memset(rows, 0, book->bits * book->rows * sizeof *rows);
-    for (size_t bit = 0; bit < book->bits; bit++) {
-        const float *sums = sums_of(sparse, bit);
-        for (size_t i = 0; i < sparse->next.count; i++) {
-            int32_t code = sparse->next.codes[i];
-            rows[bit * book->rows + (size_t)sparse->nodes[code] + 1] = sums[code] * (1.0f / (float)book->order);
-        }
-    }
+    tell_spoken(sparse, rows, spoke);
     *told = (struct sparse_told){sparse->level, sqrt(found / (double)book->order), sparse->next.count};
     sparse_learn(sparse, found, noise);
     return true;

@@ -53,8 +53,10 @@ const struct sparse_book *sparse_book(const struct sparse *sparse);
 void sparse_detect(struct sparse *sparse, const float *chips, double damping, struct sparse_found *found);
 
 /* Reads a frame that leaves nothing to decide, as SparseRecogniser does; false for any other. noise: V², of a chip, in
- * the frames before, and then with this one. rows: (k, 2^m) levels of those who spoke, 0 of all others. */
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, struct sparse_told *told);
+ * the frames before, and then with this one. rows: (k, 2^m) levels of those who spoke, 0 of all others; as the last
+ * frame left them, and 0 at first. spoke: (n) their nodes, from 0 on, in any order. */
+bool sparse_read(struct sparse *sparse, const double *chips, double *noise, float *rows, int32_t *spoke,
+                 struct sparse_told *told);
 
 /* Learns the noise from that of one frame, V²; 0: unknown. */
 void sparse_learn(const struct sparse *sparse, double found, double *noise);

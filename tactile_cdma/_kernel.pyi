@@ -62,7 +62,8 @@ class Readout:
     def read(self, rows: Floats32, *given: Any) -> int:
         """Enum readout_look.
 
-        given: per_noise, least_usual, in_place, now_s, stale_after_s; drift V, tare Pa; out.
+        given: spoke (m,), only_these; per_noise, least_usual, in_place, now_s, stale_after_s;
+        drift V, tare Pa; out.
         Out: active, codes (n,); amplitude, rho, margin (3, n); doubtful, doubled, odd (3, n);
         pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
         """
@@ -107,8 +108,8 @@ class Stream:
     ) -> None:
         """flips: (k, N), or empty. rows: (k, N), written to with every frame."""
 
-    def detect_by(self, sparse: Sparse | None, /) -> None:
-        """Frames are of sparse codes, which this takes apart."""
+    def detect_by(self, sparse: Sparse | None, spoke: Int32s, /) -> None:
+        """Frames are of sparse codes, which this takes apart. spoke: (n,), written to: who did."""
 
     def forget(self) -> None: ...
     def carry(

@@ -181,7 +181,7 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Befor
     left = chips - np.float32(level)
     words = np.zeros((bits, spec.row_count), np.float32)
     nodes, noise_before, soft, were_hard = spec.node_slice, np.inf, True, True
-    expected_v = before.amplitude_v if damping == 0 else swing
+    expected_v = before.amplitude_v if damping == 0 else np.full(spec.nodes, swing)
     spoke = before.spoke if damping == 0 else np.zeros(spec.nodes, np.bool_)
     rows, power, settled = words, np.zeros(bits), False
     heard = np.zeros(spec.nodes, np.bool_)

@@ -90,6 +90,7 @@ class CompiledStream:
         self._rows = self._values = np.empty((0, 0), np.float32)  # of the last frame; the nodes'
         self._line: MarkedLine | None = None  # where frames are marked
         self._sparse: SparseTiming | None = None  # where codes are sparse
+        self._spoke = np.empty(0, np.int32)  # who did in the last frame, of these
         self._chip_noise = 1.0  # noise of a chip, in that of a correlation
         self._fit: Fit | None = None
         self._timing = kernel.settings(
@@ -101,7 +102,7 @@ class CompiledStream:
         """See Stream."""
         spec, timing = description.spec, description.timing
         self._description, self._fit = description, None
-        self._rows = np.empty((spec.line_bits, spec.row_count), np.float32)
+        self._rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
         self._values = self._rows[:, spec.node_slice]
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
         self._chip_noise = math.sqrt(spec.order)
@@ -111,7 +112,8 @@ class CompiledStream:
         flips = np.empty(0, np.float32) if flips is None else np.ascontiguousarray(flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
         if self._sparse is not None:
-            self._kernel.detect_by(self._sparse.detector.kernel)
+            self._spoke = np.empty(spec.nodes, np.int32)
+            self._kernel.detect_by(self._sparse.detector.kernel, self._spoke)
         if isinstance(timing, MarkedTiming):
             self._carry(timing)
 
@@ -192,7 +194,10 @@ class CompiledStream:
         if kind == _HEARD:
             rows = self._rows
             unknown = line.integrated and not known and may_be_offset(rows, line.spec)
-            levels = NodeLevels(self._values, noise_v, rows=rows, level_unknown=unknown)
+            spoke = None if self._sparse is None else self._spoke[:speakers]
+            levels = NodeLevels(
+                self._values, noise_v, rows=rows, level_unknown=unknown, spoke=spoke
+            )
             fit = self._fit or fit
             noise_v *= self._chip_noise
         begin = float(start) if line.integrated else start + fit.start

@@ -181,7 +181,7 @@ class SparseRecogniser:
         elif self._hides_nodes:
             doubtful = ~found.heard
         noise = sum(self._noise_of(found).tolist()) / spec.line_bits  # in the kernel's order
-        rows, noise_v = found.rows, math.sqrt(noise / spec.order)
+        rows, spoke, noise_v = found.rows, None, math.sqrt(noise / spec.order)
         if self._settled(found):
             self.speakers = int(np.count_nonzero(found.heard))
         else:
@@ -192,7 +192,8 @@ class SparseRecogniser:
         if doubtful is None and not self._silence_rises(found, noise_v):
             rows = np.zeros_like(rows)  # there is nothing to ask about the silence
             rows[:, spec.rows[found.heard]] = found.rows[:, spec.rows[found.heard]]
-        levels = NodeLevels(rows[:, spec.node_slice], noise_v, rows=rows, late=late)
+            spoke = np.flatnonzero(found.heard).astype(np.int32)
+        levels = NodeLevels(rows[:, spec.node_slice], noise_v, rows=rows, late=late, spoke=spoke)
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
 
     def _learn(
