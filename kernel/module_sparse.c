@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The class Sparse of the Python module: see sparse.h and tactile_cdma/_kernel.pyi. */
+/* The class Sparse of the Python module: see sparse.h. */
 #include "binding.h"
 
 #include "sparse.h"

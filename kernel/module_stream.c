@@ -498,7 +498,7 @@ PyType_Spec stream_spec = {
 
 /* ---- Readout ----------------------------------------------------------------------------------- */
 
-enum { SKIN_ARRAYS = 18 };
+enum { SKIN_ARRAYS = 19 };
 
 struct reader_of_skin {
     struct readout *readout;
@@ -520,7 +520,7 @@ static void drop_readout(void *held)
 CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
             ARRAY("offset", 'f', "o"), OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
             ARRAY("state", 'B', "n"), ARRAY("invalid", '?', "n"), ARRAY("uncalibrated", '?', "n"),
-            ARRAY("masked", '?', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("margin_v", 'f', "n"),
+            ARRAY("masked", '?', "n"), ARRAY("sign", 'f', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("margin_v", 'f', "n"),
             ARRAY("end_v", 'f', "n"), ARRAY("pieces", 'f', "p3n"), ARRAY("source", 'i', "t"), OUT("kept_codes", 'i', "n"),
             OUT("kept_flags", 'B', "n"), OUT("heard_s", 'd', "n"), OUT("sums", 'f', "5n"))
 {
@@ -529,7 +529,8 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
     const union value *v = call->value;
     struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data,  v[6].data,
                                 v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data, v[12].data,
-                                v[13].data, v[14].data, v[15].data, v[16].data, v[17].data, v[18].data};
+                                v[13].data, v[14].data, v[15].data, v[16].data, v[17].data, v[18].data,
+                                v[19].data};
     const int32_t *source = skin.source;
     bool in_range = true;
 

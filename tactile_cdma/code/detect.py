@@ -224,9 +224,9 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Befor
         left = told - np.float32(level) + np.float32(onsager / spec.order) * left
     if settled:
         before.spoke[:] = heard
-        least, most = (np.float32(share) * swing for share in REMEMBERED)
+        least_v, most_v = (np.float32(share) * swing for share in REMEMBERED)
         spoken_v = np.abs(rows[:, nodes]).mean(axis=0, dtype=np.float32)
-        before.amplitude_v[heard] = np.clip(spoken_v, least, most)[heard]
+        before.amplitude_v[heard] = np.clip(spoken_v, least_v, most_v)[heard]
     return Detected(rows, heard, level, left, power, settled)
 
 

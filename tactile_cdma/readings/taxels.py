@@ -328,7 +328,7 @@ class Taxels:
             self.stale_after_s,
         )  # fmt: skip
         self._stale_from_s = heard.stale_from_s
-        pressure_pa, saturated, off_rest = self.chain.update(heard.raised_v, heard.valid, t_device)
+        pressure_pa, saturated, off_rest = self.chain.update(heard.meant_v, heard.valid, t_device)
         uncalibrated = self.chain.calibration.uncalibrated
         finish(heard, saturated, off_rest, uncalibrated, self._masked, pressure_pa)
         return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))

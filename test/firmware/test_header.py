@@ -10,7 +10,13 @@ from typing import Any
 
 import pytest
 
-from tactile_cdma.wire._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
+from tactile_cdma.wire._protocol import (
+    FLAG_CALLED,
+    FLAG_OVERRUN,
+    FLAG_SYNC,
+    TURN_SHIFT,
+    PacketType,
+)
 from tactile_cdma.wire.packets import MAX_PACKET
 from test.support.waiting import PATIENCE_S
 
@@ -80,7 +86,7 @@ def c_check(vector: dict[str, Any]) -> str:
     declarations = []
     if vector["packet"] in ("Samples", "Packed", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
-        flags |= FLAG_CALLED * fields.pop("called")
+        flags |= FLAG_CALLED * fields.pop("called") | fields.pop("turn") << TURN_SHIFT
         fields["flags"] = flags
     if counts:
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")

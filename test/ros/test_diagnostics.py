@@ -82,6 +82,10 @@ def test_a_sound_skin_has_four_entries_that_are_ok_and_complete() -> None:
     kinds = ("dead", "stale", "weak", "faulty", "doubled", "stuck")
     assert {client.value("nodes", f"{kind} nodes") for kind in kinds} == {""}
     assert number("link", "bytes (per s)") > 78 * 1600
+    assert number("stream", "expected rate (Hz)") == pytest.approx(78.125, abs=0.01)
+    lossless = ("crc errors", "framing errors", "lost packets", "digitizer packets dropped")
+    assert [client.value("link", name) for name in lossless] == ["0"] * 4
+    assert client.value("stream", "lost frames") == "0"
     assert 0 < number("host", "CPU of the driver's thread (%)") <= 100
     assert number("host", "CPU of the process (%)") > 0
 
