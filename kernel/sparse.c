@@ -471,7 +471,7 @@ static bool detect(struct sparse *sparse, const float *chips, double damping)
     const struct sparse_rules *rules = &sparse->rules;
     size_t count = book->bits * book->order;
     double before = INFINITY, swing2 = rules->swing * rules->swing, odds = 0;
-    bool soft = true, were_hard = true;
+    bool soft = true, were_hard = true, are_whole = true; /* of the words before */
 
     sparse->now.count = sparse->next.count = 0;
     sparse->level = mean_of(chips, count);
@@ -494,11 +494,12 @@ static bool detect(struct sparse *sparse, const float *chips, double damping)
         if (soft && !is_last) {
             double onsager = soften(sparse, noise, odds, (float)damping);
             take_off(sparse, sparse->level, (float)(onsager / (double)book->order));
+            are_whole = onsager == 0 && damping == 0;
         } else if (!soft) {
             harden(sparse, (float)fmax(rules->least, rules->hard_share * sqrt(noise)));
             double change = change_of(sparse);
             double most = fmax(rules->settled * power, rules->negligible);
-            if ((were_hard || change < rules->near * power) &&
+            if (are_whole && (were_hard || change < rules->near * power) &&
                 change * (double)sparse->next.count / (double)count < most) {
                 reduce(sparse, change);
                 carry(sparse);
@@ -507,6 +508,7 @@ static bool detect(struct sparse *sparse, const float *chips, double damping)
             if (!is_last) {
                 exchange(sparse);
                 take_off(sparse, NAN, 0);
+                are_whole = true;
             }
         }
         were_hard = !soft;

@@ -181,6 +181,7 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Befor
     left = chips - np.float32(level)
     words = np.zeros((bits, spec.row_count), np.float32)
     nodes, noise_before, soft, were_hard = spec.node_slice, np.inf, True, True
+    are_whole = True  # the words before: then what is left is of them alone
     expected_v = before.amplitude_v if damping == 0 else np.full(spec.nodes, swing)
     spoke = before.spoke if damping == 0 else np.zeros(spec.nodes, np.bool_)
     rows, power, settled = words, np.zeros(bits), False
@@ -209,12 +210,12 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Befor
             newer[:, nodes] = np.copysign(amplitude * heard, own)
             change = float(np.square(newer - words).sum()) / bits
             is_near = were_hard or change < NEAR * float(power.mean())
-            if is_near and np.array_equal(np.sign(newer), np.sign(words)):
+            if are_whole and is_near and np.array_equal(np.sign(newer), np.sign(words)):
                 after = change * np.count_nonzero(heard) / spec.chips
                 most = max(SETTLED * float(power.mean()), NEGLIGIBLE * float(swing) ** 2)
                 settled = bool(after < most)
                 power -= min(change, float(power.min())) if settled else 0.0
-        were_hard = not soft
+        were_hard, are_whole = not soft, onsager == 0 and (damping == 0 or not soft)
         if settled or turn + 1 == MOST_TURNS:
             break
         words = newer
