@@ -197,9 +197,9 @@ class Curves:
         return convert(voltage_v, self.pieces)
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
-        """Pa to V, (n,) float64, clamped to each curve's ends."""
-        pressure = np.broadcast_to(np.asarray(pressure_pa, dtype=np.float64), (len(self),))
-        result = np.array(self.voltage_v[0])
+        """Pa, of a shape that ends in n, or one number, to V, clamped to each curve's ends."""
+        pressure = np.asarray(pressure_pa, dtype=np.float64)
+        result: Floats = np.zeros_like(pressure) + self.voltage_v[0]
         corners = zip(self.pressure_pa, self.voltage_v, strict=True)
         for (low_pa, low_v), (high_pa, high_v) in pairwise(corners):
             width_pa = np.where(high_pa > low_pa, high_pa - low_pa, 1.0)

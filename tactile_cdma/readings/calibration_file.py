@@ -125,15 +125,14 @@ def out_of_range(largest_pa: float, range_pa: float) -> str | None:
     return (
         f"loads up to {largest_pa / 1e3:.4g} kPa are {largest_pa / range_pa:.3g} times range_kpa "
         f"({range_pa / 1e3:g}): is their unit right, and the area of forces? If so, set range_kpa "
-        "to what the sensors bear"
+        "to what the sensors bear, with sensitivities to match"
     )
 
 
 def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> CalibrationContent:
     """Read all that is in a file; see read_calibration."""
-    file = read_marked(path, CalibrationError)
-    content, identity = _parse(file)
-    root = file.mapping("the file")
+    content = read_any(path)
+    root = read_marked(path, CalibrationError).mapping("the file")
     wanted = replace(content, skin=skin or content.skin, nodes=nodes, adc=adc).made_for
     for (name, theirs), ours in zip(content.made_for.items(), wanted.values(), strict=True):
         if theirs != ours:
@@ -141,6 +140,14 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
                 f"made for {name} {theirs or 'without a name'}, this skin has {name} {ours}: "
                 "is this the file of another skin?"
             )
+    return content
+
+
+def read_any(path: Path) -> CalibrationContent:
+    """Read all that is in the file of any skin; see read_calibration."""
+    file = read_marked(path, CalibrationError)
+    content, identity = _parse(file)
+    root = file.mapping("the file")
     if identity != content.identity:
         raise root["identity"].refuse(
             f"the identity is {identity[:40]}, the content's is {content.identity}: the file was "
