@@ -4,11 +4,9 @@
 
 import time
 from itertools import islice, pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.time import Time
@@ -21,7 +19,6 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
-from test.support.boards import Board, plugged
 from test.support.skin_client import running
 from test.support.waiting import wait_for
 
@@ -192,25 +189,6 @@ def test_impossible_transitions_are_refused_and_the_node_publishes_until_it_is_i
         after = len(client.arrays)
         time.sleep(0.1)
         assert len(client.arrays) == after
-
-
-def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Path) -> None:
-    path = tmp_path / "skin"
-    with running(port=str(path)) as (_, client):
-        wait_for(lambda: any("no such port" in status.message for status in client.diagnostics))
-        assert client.arrays == []
-        for _ in range(2):
-            with plugged(Board, path):
-                before = len(client.arrays)
-                wait_for(lambda before=before: len(client.arrays) > before + 20)
-                wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.OK)
-            wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.ERROR)
-            assert str(path) in client.diagnostics[-1].message
-            quiet = len(client.arrays)
-            time.sleep(0.3)
-            assert len(client.arrays) == quiet
-    sequences = [message.sequence for message in client.arrays]
-    assert sequences == sorted(set(sequences))
 
 
 def test_silence_can_be_published_less_often_and_touch_always_is() -> None:
