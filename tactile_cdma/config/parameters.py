@@ -175,7 +175,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("sensitivity2_v_per_kpa", 0.0059,
         "voltage drop per pressure in the second stage, of the same sign",
         "V/kPa", (-100.0, 100.0), live=True),
-    Parameter("threshold", 0.5,
+    Parameter("active_share", 0.5,
         "a node is active if its amplitude exceeds this fraction of amplitude_mv",
         "", (0.1, 0.9), live=True),
     Parameter("stale_after_s", 3.0,
@@ -234,9 +234,15 @@ def _shown(value: object) -> str:
     return reprlib.repr(list(value) if isinstance(value, array | tuple) else value)
 
 
+RENAMED = {"threshold": "active_share"}
+"""Parameters' names of earlier versions."""
+
+
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
     """Convert values to their parameters' types; raises ParameterError for a bad name or value."""
     for name in values:
+        if name in RENAMED:
+            raise ParameterError(f"the parameter {name} is called {RENAMED[name]} now")
         if name not in BY_NAME:
             raise ParameterError(unknown(name, BY_NAME))
     return {name: BY_NAME[name].check(value) for name, value in values.items()}
