@@ -159,7 +159,7 @@ def decode(
     measures = measure(levels.values)
     expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
     active, faint, any_faint = find_active(
-        measures, expected, active_share, noise, bits, spec.order
+        measures, expected, active_share, noise, bits, 0 if spec.sparse else spec.order
     )
     astray, hidden = np.zeros((2, len(active)), np.bool_)
     noise_may_be_node = False
