@@ -238,7 +238,8 @@ VECTORS static void finish(const struct readout *readout, const struct readout_f
     }
 }
 
-enum readout_look readout_read(struct readout *readout, const float *rows, float per_noise,
+enum readout_look readout_read(struct readout *readout, const float *rows, const int32_t *spoke,
+                               size_t speakers, float per_noise,
                                float least_usual, bool in_place, double now_s, double stale_after_s,
                                const float *drift_v, const float *tare_pa,
                                const struct readout_frame *out)
@@ -252,7 +253,7 @@ enum readout_look readout_read(struct readout *readout, const float *rows, float
     struct words_decided decided = {out->codes,    out->rho,     out->margin,
                                     out->doubtful, out->doubled, out->odd};
     enum words_look look =
-        words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, skin->sign_mask,
+        words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, spoke, speakers, skin->sign_mask,
                    skin->offset, skin->expected, &measures, &decided, out->active);
     if (look == WORDS_NEED_STAGES || is_disturbed(readout, out))
         return READOUT_ODD;

@@ -76,9 +76,10 @@ enum readout_look {
 };
 
 /* Reads the words of a frame, counts them, and converts them to readings. rows: (k, N) V. per_noise,
- * least_usual: see words_read. in_place: what they leave over is not asked. drift_v, tare_pa: added to
+ * spoke, least_usual: see words_read. in_place: what they leave over is not asked. drift_v, tare_pa: added to
  * voltages, taken off pressures. */
-enum readout_look readout_read(struct readout *readout, const float *rows, float per_noise,
+enum readout_look readout_read(struct readout *readout, const float *rows, const int32_t *spoke,
+                               size_t speakers, float per_noise,
                                float least_usual, bool in_place, double now_s, double stale_after_s,
                                const float *drift_v, const float *tare_pa,
                                const struct readout_frame *frame);
