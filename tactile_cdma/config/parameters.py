@@ -241,15 +241,15 @@ RENAMED = {"threshold": "active_share"}
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
     """Convert values to their parameters' types; raises ParameterError for a bad name or value."""
     for name in values:
-        if name in RENAMED:
-            raise ParameterError(f"the parameter {name} is called {RENAMED[name]} now")
         if name not in BY_NAME:
             raise ParameterError(unknown(name, BY_NAME))
     return {name: BY_NAME[name].check(value) for name, value in values.items()}
 
 
 def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
-    """The message for an unknown name, with the closest known one."""
+    """The message for an unknown name, with the closest known one, or its present name."""
+    if name in RENAMED and RENAMED[name] in known:
+        return f"the {kind} {name} is called {RENAMED[name]} now"
     return f"unknown {kind} {name!r}{suggestion(name, known)}"
 
 
