@@ -49,7 +49,7 @@ class Groups:
         self._over = self._calm = 0
 
     def take(self, turn: int, speakers: int, active: Bools) -> None:
-        """Take in how many nodes spoke in a frame of this turn, and as far as is known, who, (n,)."""
+        """Take in how many spoke in a frame of this turn, and as far as is known, who, (n,)."""
         log2 = groups_of(turn).bit_length() - 1
         if log2 != self.now_log2:
             self.now_log2, self._over, self._calm = log2, 0, 0
