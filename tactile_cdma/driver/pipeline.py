@@ -23,12 +23,12 @@ from ..wire._protocol import PacketType, Result
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.decode import Words, decode, silent
+from ..words.groups import Groups, out_of_turn
 from ..words.health import NodeHealth
 from .clock import DeviceClock, StreamCounters
 from .compiled_stream import CompiledStream
 from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .groups import Groups, out_of_turn
 from .stream import Decisions, Event, NumpyStream, Stream
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.groups import CALM_S, OVERLOADS, Groups, groups_of, out_of_turn
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
+from tactile_cdma.words.groups import CALM_S, OVERLOADS, Groups, groups_of, out_of_turn
 from test.support.simulated import Truth
 
 SKIN = {
