@@ -258,7 +258,7 @@ class Pipeline:
             or not heard.placed
         )
         if kernel.compiled is not None and not is_odd and not config.roll_call:
-            read = taxels.read(levels, config.spec, config.threshold, t_device, self.health)
+            read = taxels.read(levels, config.spec, config.active_share, t_device, self.health)
             if read is not None:
                 return read
         words = self._words(heard, levels)
@@ -267,7 +267,7 @@ class Pipeline:
     def _words(self, heard: FrameLevels, levels: NodeLevels) -> Words:
         """What the nodes said; updates their health by words that are not a guess."""
         spec, clocks = self.config.spec, self.clocks
-        words = decode(levels, spec, self.config.threshold, self.health.swing_v)
+        words = decode(levels, spec, self.config.active_share, self.health.swing_v)
         clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
         if clocks_unknown:
             words = words.doubted(words.active)

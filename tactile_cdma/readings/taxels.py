@@ -251,19 +251,19 @@ class Taxels:
         self,
         levels: NodeLevels,
         spec: FrameSpec,
-        threshold: float,
+        active_share: float,
         t_device: float,
         health: NodeHealth,
     ) -> tuple[Words, Readings] | None:
         """Decode one frame, and update its nodes' health and readings by its words, all at once.
 
         Needs the compiled kernel, and levels with all rows. None, and nothing is updated, where
-        anything about the frame is odd. threshold: see decode.
+        anything about the frame is odd. active_share: see decode.
         """
         chain = self.chain
         if health.any_suspect:
             return None
-        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, threshold
+        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, active_share
         readout = self._readout
         if readout is None or any(map(is_not, conditions, readout.conditions)):
             readout = self._readout = Readout(
@@ -274,7 +274,7 @@ class Taxels:
         active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)
         floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
         readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
-        floor_v = AUTO_FLOOR * noise_v / threshold if health.swing_v is None else math.nan
+        floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
         spoke = (NOBODY, False) if levels.spoke is None else (levels.spoke, True)
         in_place, baseline = False, chain.baseline
         while True:
