@@ -11,7 +11,7 @@ from operator import is_not
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats32
+from ..base.arrays import Bools, Floats32
 from ..base.stage import stage
 from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
@@ -168,18 +168,30 @@ class Taxels:
         ).tolist()
         return numbers
 
-    def miss(self, nodes_repeat: bool) -> None:
+    def miss(self, nodes_repeat: bool, round_s: float = 0.0) -> None:
         """Note that a frame was not heard, in which any node may have spoken.
 
+        round_s: from the last frame of a group of nodes that transmit by turns to that of the next.
         nodes_repeat: they speak in every frame while their code is farther than a threshold from
         that at rest, or from the one they sent last (firmware/core/event.c). Who was silent in the
         last frame held a value within two thresholds of its rest then; if it is silent in the next
         one, too, its code is within one of it. So what it holds stands, but for three thresholds,
         and only who spoke in the last frame may have told its release unheard.
         """
-        spoke = self._kept.heard_s == self.now_s
+        spoke = self._kept.heard_s >= self.now_s - 1.01 * round_s
         self._kept.flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
         self._silence = None
+
+    def waiting(self, readings: Readings, nodes: Bools) -> Readings:
+        """The readings of a frame in which these nodes, (n,), kept what they had to say.
+
+        Their values are UNHEARD until their turn comes, and if they are silent then, hold.
+        """
+        source = self._layout.source
+        waits = nodes if source is None else nodes[source] & (source >= 0)
+        waits = waits & (readings.status & np.uint8(Status.STALE | Status.MASKED) == 0)
+        status = readings.status | np.where(waits, np.uint8(Status.LOW_SNR), np.uint8(0))
+        return Readings(readings.pressure_pa, readings.voltage_v, status)
 
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
