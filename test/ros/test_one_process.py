@@ -2,6 +2,8 @@
 
 """Many patches in one process, and all their taxels in one message: /body/tactile."""
 
+import importlib.util
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +26,7 @@ from tactile_cdma.ros.driver.patches import PatchesNode
 from test.support.spinning import spinning
 from test.support.waiting import wait_for
 
+ROOT = Path(__file__).resolve().parents[2]
 FILE = """
 frame_id: torso
 process: one
@@ -132,3 +135,25 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     assert (status[32:] == TactileArray.STATUS_STALE).all()
     assert pressure[:32].max() > 1e3 and np.isfinite(pressure[:32]).all()
     assert message.area[0] == pytest.approx(7e-3**2)
+
+
+def test_make_run_starts_a_process_for_those_that_share_one(tmp_path: Path) -> None:
+    (tmp_path / "body.yaml").write_text("process: {arm: [b, c]}\npatches: {a: {}, b: {}, c: {}}")
+    spec = importlib.util.spec_from_file_location("run", ROOT / "tools" / "run.py")
+    assert spec is not None and spec.loader is not None
+    run = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(run)
+    arm, a, body = run.body_commands(tmp_path / "body.yaml")
+    assert arm[1:] == [
+        str(ROOT / "scripts/skin_patches"),
+        str(tmp_path / "body.yaml"),
+        "--only",
+        "b,c",
+    ]
+    assert "__ns:=/a" in a and body[1].endswith("skin_body")
+    for words, said in (
+        ((str(tmp_path / "no.yaml"),), "no.yaml: No such file or directory"),
+        ((str(tmp_path / "body.yaml"), "--only", "d"), "no patch 'd' to start"),
+    ):
+        answer = subprocess.run([*arm[:2], *words], capture_output=True, text=True)
+        assert answer.returncode == 1 and said in answer.stderr
