@@ -68,7 +68,6 @@ struct stream {
     struct stream_passed passed[STREAM_MOST_PASSED];
     size_t passed_count;
 
-    float volts[TP_MAX_SAMPLES];
     double *store; /* samples: `kept` of them, the last one before `end` */
     size_t room, first, kept;
 };
@@ -135,40 +134,36 @@ static void forget_before(struct stream *stream, int64_t index)
     if (count > (int64_t)stream->kept)
         count = (int64_t)stream->kept;
     if (count > 0) {
-        stream->first += (size_t)count;
         stream->kept -= (size_t)count;
+        stream->first = stream->kept ? stream->first + (size_t)count : 0; /* memory that is cached */
     }
 }
 
-static void append(struct stream *stream, size_t count)
-{
-    if (stream->first + stream->kept + count > stream->room) {
-        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
-        stream->first = 0;
-    }
-    samples_copy(stream->volts, count, stream->rules.most_volts,
-                 stream->store + stream->first + stream->kept);
-    stream->kept += count;
-    stream->end += (int64_t)count;
-    stream->filled += (uint32_t)count;
-}
-
-/* The next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
+/* Takes in the next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
 static void fill(struct stream *stream)
 {
     const struct arrival *now = stream->now;
     double zero = stream->rules.zero_count, per_count = stream->rules.volts_per_count;
+    double most = stream->rules.most_volts;
     size_t count = now->count - stream->filled;
 
+    count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+    if (stream->first + stream->kept + count > stream->room) {
+        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
+        stream->first = 0;
+    }
+    double *volts = stream->store + stream->first + stream->kept;
     if (now->quiet) {
         float mean = (float)((now->mean - zero) * per_count);
         float deviation = (float)sqrt(now->variance * (per_count * per_count));
-        count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+        const double levels[2] = {(double)(mean + deviation), (double)(mean - deviation)};
         for (size_t i = 0; i < count; i++)
-            stream->volts[i] = i % 2 ? mean - deviation : mean + deviation;
+            volts[i] = fabs(levels[i % 2]) < most ? levels[i % 2] : (double)NAN;
     } else
-        samples_volts(now->counts, count, (float)zero, (float)per_count, stream->volts);
-    append(stream, count);
+        samples_volts(now->counts, count, (float)zero, (float)per_count, most, volts);
+    stream->kept += count;
+    stream->end += (int64_t)count;
+    stream->filled += (uint32_t)count;
 }
 
 /* ---- the line at rest -------------------------------------------------------------------------- */
@@ -328,20 +323,42 @@ static bool continues(const struct stream *stream)
     return -slack_s <= ahead_s && ahead_s <= slack_s + gap_s;
 }
 
+/* Notes the packet at hand, in place of one before it that was read with it: that one tells less of the
+ * clocks, as DeviceClock.observe says, and of frames nothing, unless they begin with it. */
+static void note(struct stream *stream)
+{
+    const struct stream_rules *rules = &stream->rules;
+    const struct arrival *now = stream->now;
+    struct stream_passed *last = &stream->passed[stream->passed_count];
+    struct stream_passed noted = {
+        .index = stream->end,
+        .device_time_us = now->device_us,
+        .count = now->count,
+        .sequence = now->sequence,
+        .backlog = now->backlog,
+        .begins = now->sync,
+        .t_host = now->t_host,
+        .interval = floor(((double)now->device_us * 1e-6 + now->count / rules->rate_hz) / rules->interval_s),
+        .samples = now->count,
+    };
+
+    if (rules->marked && stream->passed_count && !now->sync && !last[-1].begins &&
+        last[-1].t_host == noted.t_host && last[-1].interval == noted.interval) {
+        noted.samples += last[-1].samples;
+        last[-1] = noted;
+        return;
+    }
+    *last = noted;
+    stream->passed_count++;
+}
+
 /* Accepts the packet at hand. */
 static void pass(struct stream *stream)
 {
     const struct stream_rules *rules = &stream->rules;
     const struct arrival *now = stream->now;
 
-    stream->passed[stream->passed_count++] = (struct stream_passed){
-        .index = stream->end,
-        .device_time_us = now->device_us,
-        .count = now->count,
-        .sequence = now->sequence,
-        .backlog = now->backlog,
-        .t_host = now->t_host,
-    };
+    note(stream);
     stream->began = true;
     stream->last_us = now->device_us;
     stream->last_count = now->count;

@@ -37,6 +37,7 @@ struct stream_rules {
     double gap_weight, rise, rise_v2;   /* as GAP_WEIGHT, Limits.rise; V² that it may rise besides */
     size_t silent_over;                 /* samples from the mark to the end of a silent frame */
     double rate_hz, slack_s, slack, gap_s, gaps; /* device time and count may part; see Pace.fits */
+    double interval_s; /* device time from which one arrival is kept */
     uint64_t most_device_us;
     double most_quiet, most_quiet_v2; /* samples; variance, V² */
 };
@@ -50,14 +51,15 @@ struct stream_timing {
     struct frame_timing frame;
 };
 
-/* A packet that was accepted. */
+/* A packet that was accepted; begins: a frame. interval: of the device's clock, in which it ended. samples:
+ * its own and those of packets before it that are not told of. */
 struct stream_passed {
     int64_t index; /* of its first sample, in the stream */
-    uint64_t device_time_us;
+    uint64_t device_time_us, samples;
     uint32_t count;
     uint16_t sequence;
-    bool backlog;
-    double t_host;
+    bool backlog, begins;
+    double t_host, interval;
 };
 
 enum stream_event {

@@ -7,40 +7,38 @@
 #include "vectors.h"
 
 #define CLEARLY 0.9 /* share of a limit below which sums in any order are */
-#define LANES 8 /* sums that are kept apart, so that they can be added at once */
 
 /* ---- samples → chips ----------------------------------------------------------------------------- */
 
-VECTORS void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts)
+VECTORS void samples_volts(const int16_t *restrict counts, size_t size, float zero, float per_count, double most,
+                           double *restrict volts)
 {
-    for (size_t i = 0; i < size; i++)
-        volts[i] = ((float)counts[i] - zero) * per_count;
-}
-
-VECTORS void samples_copy(const float *volts, size_t size, double most, double *copy)
-{
-    for (size_t i = 0; i < size; i++)
-        copy[i] = fabs((double)volts[i]) < most ? (double)volts[i] : (double)NAN;
+    for (size_t i = 0; i < size; i++) {
+        double level = (double)(((float)counts[i] - zero) * per_count);
+        volts[i] = fabs(level) < most ? level : (double)NAN;
+    }
 }
 
 VECTORS struct samples_sums samples_add(const double *volts, size_t size)
 {
-    double sum[LANES] = {0}, squares[LANES] = {0};
+    doubles4 sum[2] = {{0}, {0}}, squares[2] = {{0}, {0}};
     struct samples_sums all = {0, 0};
     size_t i = 0;
 
-    for (; i + LANES <= size; i += LANES)
-        for (size_t lane = 0; lane < LANES; lane++) {
-            sum[lane] += volts[i + lane];
-            squares[lane] += volts[i + lane] * volts[i + lane];
-        }
+    for (; i + 8 <= size; i += 8) {
+        const doubles4 *at = (const doubles4 *)(volts + i);
+        sum[0] += at[0];
+        sum[1] += at[1];
+        squares[0] += at[0] * at[0];
+        squares[1] += at[1] * at[1];
+    }
     for (; i < size; i++) {
         all.sum += volts[i];
         all.squares += volts[i] * volts[i];
     }
-    for (size_t lane = 0; lane < LANES; lane++) {
-        all.sum += sum[lane];
-        all.squares += squares[lane];
+    for (size_t lane = 0; lane < 8; lane++) {
+        all.sum += sum[lane / 4][lane % 4];
+        all.squares += squares[lane / 4][lane % 4];
     }
     return all;
 }
@@ -116,24 +114,6 @@ enum frame_look frame_summed_up(const struct frame_rules *rules, const struct fr
     return silent(rules, rest, variance, found);
 }
 
-/* As WordFit._most_left; amplitude: (n,) V, of the words. */
-static double most_left(const struct frame_rules *rules, const float *rows, const float *amplitude)
-{
-    const struct words_frame *frame = &rules->frame;
-    double sum = 0, most = -INFINITY;
-
-    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
-        double left = 0;
-        for (size_t row = frame->first ? 1 : 0; row < frame->order; row++)
-            left += (double)(rows[row] * rows[row]);
-        for (size_t node = 0; node < frame->nodes; node++)
-            left -= 2 * fabs((double)rows[frame->first + node]) * (double)amplitude[node];
-        sum += left;
-        most = most > left ? most : left;
-    }
-    return most - (sum - most) / (double)(frame->bits - 1);
-}
-
 /* Whether words leave no more than the noise of the gap, as LineRecogniser._is_explained says; or those
  * of samples that are chips are believable beyond doubt, as WordFit.believable says; and the frame does
  * not look as if a bit began or ended at rest. outermost: the least level of the bits' first and last chips, V. */
@@ -170,8 +150,8 @@ static bool is_explained(const struct frame_rules *rules, const struct frame_res
     if (may_be_shifted) /* as WordFit.is_clear */
         return (double)spread < CLEARLY * rules->clear_spread &&
                left < CLEARLY * (rules->carried_noise * noise + rules->carried_misfit * (double)power) &&
-               most_left(rules, rows, amplitude) < 2 * a_chip * weakest * weakest;
-    if (!rules->scrambled && (left >= a_chip * words || most_left(rules, rows, amplitude) >= a_chip / 2 * words))
+               words_most_left(frame, rows, amplitude) < 2 * a_chip * weakest * weakest;
+    if (!rules->scrambled && (left >= a_chip * words || words_most_left(frame, rows, amplitude) >= a_chip / 2 * words))
         return false;
     return (double)spread < CLEARLY * rules->spread &&
            left < CLEARLY * (rules->left * noise + rules->misfit * (double)power);

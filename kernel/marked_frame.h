@@ -18,11 +18,8 @@
 
 /* ---- samples → chips: the sums of tactile_cdma/base/sums.py and framing/fit.py ------------------- */
 
-/* Counts of a converter as volts: (count − zero)·per_count. */
-void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts);
-
-/* Copies samples; those that are not within ±most, V, become NaN. */
-void samples_copy(const float *volts, size_t size, double most, double *copy);
+/* Counts of a converter as volts: (count − zero)·per_count, in float; those not within ±most, V, become NaN. */
+void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, double most, double *volts);
 
 /* What samples add up to: their sum and the sum of their squares. */
 struct samples_sums {

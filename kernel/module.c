@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 21 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 22 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -296,20 +296,6 @@ FUNCTION(word_noise, SETTINGS(words_frame), SIZE("spare"), SIZE("spare_count"),
 
 /* ---- samples ----------------------------------------------------------------------------------- */
 
-FUNCTION(to_volts, NUMBER("zero"), NUMBER("per_count"), ARRAY("counts", 'h', "m"),
-         OUT("volts", 'f', "m"))
-{
-    samples_volts(call->value[2].data, axis(call, 'm'), (float)call->value[0].number,
-                  (float)call->value[1].number, call->value[3].data);
-    Py_RETURN_NONE;
-}
-
-FUNCTION(copy_samples, NUMBER("most_v"), ARRAY("volts", 'f', "m"), OUT("copy", 'd', "m"))
-{
-    samples_copy(call->value[1].data, axis(call, 'm'), call->value[0].number, call->value[2].data);
-    Py_RETURN_NONE;
-}
-
 FUNCTION(add_samples, ARRAY("volts", 'd', "m"))
 {
     struct samples_sums sums = samples_add(call->value[0].data, axis(call, 'm'));
@@ -339,8 +325,8 @@ FUNCTION(mean_chips, NUMBER("level_v"), ARRAY("received", 'd', "m"), ARRAY("whol
 }
 
 static PyMethodDef functions[] = {
-    ENTRY(read_packets), ENTRY(fit_words),   ENTRY(word_noise),    ENTRY(to_volts),
-    ENTRY(copy_samples), ENTRY(add_samples), ENTRY(count_outside), ENTRY(mean_chips),
+    ENTRY(read_packets), ENTRY(fit_words),     ENTRY(word_noise),
+    ENTRY(add_samples),  ENTRY(count_outside), ENTRY(mean_chips),
     {0},
 };
 

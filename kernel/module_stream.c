@@ -113,7 +113,8 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
     FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
     FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
-    FIELD(stream_rules, gaps),                      FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, gaps),                      FIELD(stream_rules, interval_s),
+    FIELD(stream_rules, most_device_us),
     FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
 };
 
@@ -296,7 +297,12 @@ FUNCTION(end)
     Py_RETURN_NONE;
 }
 
-/* (index, device_time_us, count, sequence, t_host, backlog) of every packet that passed. */
+static PyObject *flag(bool is)
+{
+    return is ? Py_True : Py_False;
+}
+
+/* (index, device_time_us, count, sequence, t_host, backlog, samples) of packets that passed. */
 static PyObject *passed_list(struct stream *stream)
 {
     const struct stream_passed *passed;
@@ -305,19 +311,14 @@ static PyObject *passed_list(struct stream *stream)
 
     for (size_t i = 0; list && i < count; i++) {
         const struct stream_passed *one = &passed[i];
-        PyObject *tuple = Py_BuildValue("(LKkHdO)", (long long)one->index,
+        PyObject *tuple = Py_BuildValue("(LKkHdOK)", (long long)one->index,
                                         (unsigned long long)one->device_time_us,
                                         (unsigned long)one->count, one->sequence, one->t_host,
-                                        one->backlog ? Py_True : Py_False);
+                                        flag(one->backlog), (unsigned long long)one->samples);
         if (!tuple || PyList_SetItem(list, (Py_ssize_t)i, tuple))
             Py_CLEAR(list);
     }
     return list;
-}
-
-static PyObject *flag(bool is)
-{
-    return is ? Py_True : Py_False;
 }
 
 /* What an event is about. */

@@ -233,23 +233,23 @@ static void add_samples(struct input *input)
 {
     size_t size = 1 + input_u16(input) % 400, edges = 1 + input_u8(input), chips = input_u8(input) % edges;
     int16_t *counts = malloc(size * sizeof *counts);
-    float *volts = malloc(size * sizeof *volts), *levels = malloc((chips + 1) * sizeof *levels);
-    double *copy = malloc(size * sizeof *copy), *spans = malloc(2 * edges * sizeof *spans);
+    float *levels = malloc((chips + 1) * sizeof *levels), zero = (float)(int16_t)input_u16(input);
+    double *volts = malloc(size * sizeof *volts), *spans = malloc(2 * edges * sizeof *spans);
     int32_t *whole = malloc((edges + chips) * sizeof *whole), at = 0;
     double sum = 0;
     size_t outside = 0;
 
     for (size_t i = 0; i < size; i++)
         counts[i] = (int16_t)input_u16(input);
-    samples_volts(counts, size, (float)(int16_t)input_u16(input), 0.5f, volts);
-    samples_copy(volts, size, 20000, copy);
+    samples_volts(counts, size, zero, 0.5f, 20000, volts);
     for (size_t i = 0; i < size; i++) {
-        MUST(isnan(copy[i]) ? fabsf(volts[i]) >= 20000 : copy[i] == (double)volts[i], WRONG_VALUE);
-        outside += copy[i] <= -100 || copy[i] >= 100;
-        sum += copy[i];
+        float level = ((float)counts[i] - zero) * 0.5f;
+        MUST(isnan(volts[i]) ? fabsf(level) >= 20000 : volts[i] == (double)level, WRONG_VALUE);
+        outside += volts[i] <= -100 || volts[i] >= 100;
+        sum += volts[i];
     }
-    MUST(samples_outside(copy, size, -100, 100) == outside, WRONG_VALUE);
-    struct samples_sums sums = samples_add(copy, size);
+    MUST(samples_outside(volts, size, -100, 100) == outside, WRONG_VALUE);
+    struct samples_sums sums = samples_add(volts, size);
     MUST(isnan(sum) ? isnan(sums.sum) : sums.sum == sum && !(sums.squares < 0), WRONG_VALUE);
     for (size_t edge = 0; edge < edges; edge++) {
         at += (int8_t)(input_u8(input) % 32) - 1;
@@ -260,11 +260,10 @@ static void add_samples(struct input *input)
     for (size_t chip = 0; chip < chips; chip++)
         whole[edges + chip] = input_u8(input);
     struct samples_edges all = {edges, whole, spans, spans + edges};
-    samples_chips(copy, size, 1, &all, whole + edges, chips, levels);
+    samples_chips(volts, size, 1, &all, whole + edges, chips, levels);
     free(counts);
     free(volts);
     free(levels);
-    free(copy);
     free(spans);
     free(whole);
 }

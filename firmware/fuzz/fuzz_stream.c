@@ -302,6 +302,7 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
         .volts_per_count = 1, .most_volts = 1e6, .gap_size = 8, .least_rest = 4, .gap_weight = 0.25,
         .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
         .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
+        .interval_s = NAN, /* all packets are told of */
         .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
     struct frame_code code = {transform, kind & 32 ? flips : NULL};
     MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);

@@ -34,6 +34,7 @@ from ..wire._protocol import TAIL_CHIPS
 from ..wire.messages import Quiet, Received, Samples
 from ..wire.packets import PacketParser
 from ..wire.reader import NO_FILE
+from .clock import INTERVAL_S
 from .description import Description
 from .stream import Decisions, Event
 from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer, Placement, Step
@@ -317,6 +318,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         slack=CLOCK_TOLERANCE,
         gap_s=pace.gap_s,
         gaps=pace.gaps,
+        interval_s=INTERVAL_S,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,

@@ -90,12 +90,13 @@ class StuckNodes:
         if readings is self._seen:
             return
         self._seen = readings
-        self._move(readings, t_s)
-        expected_pa = self._expected(readings, contact_pa)
-        self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))
+        still = ~self._move(readings, t_s)
+        if still.any():
+            expected_pa = self._expected(readings, still, contact_pa)
+            self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))
 
-    def _move(self, readings: Readings, t_s: float) -> None:
-        """Start over with taxels whose word has changed; uncertain words are ignored."""
+    def _move(self, readings: Readings, t_s: float) -> Bools:
+        """Start over with taxels whose word has changed, (t,); uncertain words are ignored."""
         certain = (readings.status & _LOW_SNR) == 0
         moved = certain & (readings.voltage_v != self._voltage_v)  # NaN differs always
         np.copyto(self._changed_s, t_s, where=moved & np.isfinite(self._voltage_v))
@@ -104,18 +105,20 @@ class StuckNodes:
         self._swings[moved] = 0
         self._rising[moved] = False
         self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
+        return moved
 
-    def _expected(self, readings: Readings, contact_pa: float) -> Floats32:
-        """(t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
+    def _expected(self, readings: Readings, still: Bools, contact_pa: float) -> Floats32:
+        """(t,) pressure expected of still taxels from their neighbours, Pa; NaN: unknown."""
         pressure_pa = readings.pressure_pa
         sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
         self._update_sound(sound)
-        around_pa = np.where(sound, pressure_pa, np.float32(0))[self._beside]
+        around_pa = np.where(sound, pressure_pa, np.float32(0)).take(self._beside)
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
-        expected_pa[self._enough & (most_pa < contact_pa)] = 0
-        at = np.flatnonzero(self._enough & (least_pa > contact_pa))
+        known = self._enough & still
+        expected_pa[known & (most_pa < contact_pa)] = 0
+        at = np.flatnonzero(known & (least_pa > contact_pa))
         unmoved = self._heard[:, at] & (self._changed_s[self._beside[:, at]] <= self._since_s[at])
         at = at[np.count_nonzero(unmoved, axis=0) <= self._may_rest[at]]
         low_pa, high_pa = least_pa[at], most_pa[at]
