@@ -68,7 +68,7 @@ struct stream {
     struct stream_passed passed[STREAM_MOST_PASSED];
     size_t passed_count;
 
-    double *store; /* samples: `kept` of them, the last one before `end` */
+    float *store; /* samples: `kept` of them, the last one before `end` */
     size_t room, first, kept;
 };
 
@@ -103,7 +103,7 @@ static bool make_room(struct stream *stream, size_t samples)
 
     if (room <= stream->room)
         return true;
-    double *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
+    float *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
     if (!store)
         return false;
     if (stream->kept)
@@ -116,7 +116,7 @@ static bool make_room(struct stream *stream, size_t samples)
 }
 
 /* Samples from index `begin` on, as far as they are kept, up to `end`. */
-static const double *samples_from(const struct stream *stream, int64_t begin, int64_t end,
+static const float *samples_from(const struct stream *stream, int64_t begin, int64_t end,
                                   size_t *count)
 {
     int64_t first = stream->end - (int64_t)stream->kept;
@@ -144,7 +144,7 @@ static void fill(struct stream *stream)
 {
     const struct arrival *now = stream->now;
     double zero = stream->rules.zero_count, per_count = stream->rules.volts_per_count;
-    double most = stream->rules.most_volts;
+    float most = (float)stream->rules.most_volts;
     size_t count = now->count - stream->filled;
 
     count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
@@ -152,13 +152,13 @@ static void fill(struct stream *stream)
         memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
         stream->first = 0;
     }
-    double *volts = stream->store + stream->first + stream->kept;
+    float *volts = stream->store + stream->first + stream->kept;
     if (now->quiet) {
         float mean = (float)((now->mean - zero) * per_count);
         float deviation = (float)sqrt(now->variance * (per_count * per_count));
-        const double levels[2] = {(double)(mean + deviation), (double)(mean - deviation)};
+        const float levels[2] = {mean + deviation, mean - deviation};
         for (size_t i = 0; i < count; i++)
-            volts[i] = fabs(levels[i % 2]) < most ? levels[i % 2] : (double)NAN;
+            volts[i] = fabsf(levels[i % 2]) < most ? levels[i % 2] : NAN;
     } else
         samples_volts(now->counts, count, (float)zero, (float)per_count, most, volts);
     stream->kept += count;
@@ -189,7 +189,7 @@ static void learn_gap(struct stream *stream)
     int64_t earliest = stream->end - (int64_t)stream->rules.gap_size;
     int64_t begin = stream->gap_begin > earliest ? stream->gap_begin : earliest;
     size_t count;
-    const double *volts = samples_from(stream, begin, stream->end, &count);
+    const float *volts = samples_from(stream, begin, stream->end, &count);
 
     if (!count)
         return;
@@ -323,42 +323,20 @@ static bool continues(const struct stream *stream)
     return -slack_s <= ahead_s && ahead_s <= slack_s + gap_s;
 }
 
-/* Notes the packet at hand, in place of one before it that was read with it: that one tells less of the
- * clocks, as DeviceClock.observe says, and of frames nothing, unless they begin with it. */
-static void note(struct stream *stream)
-{
-    const struct stream_rules *rules = &stream->rules;
-    const struct arrival *now = stream->now;
-    struct stream_passed *last = &stream->passed[stream->passed_count];
-    struct stream_passed noted = {
-        .index = stream->end,
-        .device_time_us = now->device_us,
-        .count = now->count,
-        .sequence = now->sequence,
-        .backlog = now->backlog,
-        .begins = now->sync,
-        .t_host = now->t_host,
-        .interval = floor(((double)now->device_us * 1e-6 + now->count / rules->rate_hz) / rules->interval_s),
-        .samples = now->count,
-    };
-
-    if (rules->marked && stream->passed_count && !now->sync && !last[-1].begins &&
-        last[-1].t_host == noted.t_host && last[-1].interval == noted.interval) {
-        noted.samples += last[-1].samples;
-        last[-1] = noted;
-        return;
-    }
-    *last = noted;
-    stream->passed_count++;
-}
-
 /* Accepts the packet at hand. */
 static void pass(struct stream *stream)
 {
     const struct stream_rules *rules = &stream->rules;
     const struct arrival *now = stream->now;
 
-    note(stream);
+    stream->passed[stream->passed_count++] = (struct stream_passed){
+        .index = stream->end,
+        .device_time_us = now->device_us,
+        .count = now->count,
+        .sequence = now->sequence,
+        .backlog = now->backlog,
+        .t_host = now->t_host,
+    };
     stream->began = true;
     stream->last_us = now->device_us;
     stream->last_count = now->count;
@@ -487,11 +465,9 @@ static enum stream_event sum_up(struct stream *stream)
     }
     tell(stream, look, true);
     subject->summed_up = true;
+    subject->mean = mean;
     subject->variance = variance;
-    stream->store[0] = mean; /* nothing else is kept from the mark on */
-    stream->first = 0;
-    subject->volts = stream->store;
-    subject->count = 1;
+    subject->count = 0;
     return STREAM_DOUBT;
 }
 

@@ -37,7 +37,6 @@ struct stream_rules {
     double gap_weight, rise, rise_v2;   /* as GAP_WEIGHT, Limits.rise; V² that it may rise besides */
     size_t silent_over;                 /* samples from the mark to the end of a silent frame */
     double rate_hz, slack_s, slack, gap_s, gaps; /* device time and count may part; see Pace.fits */
-    double interval_s; /* device time from which one arrival is kept */
     uint64_t most_device_us;
     double most_quiet, most_quiet_v2; /* samples; variance, V² */
 };
@@ -51,15 +50,14 @@ struct stream_timing {
     struct frame_timing frame;
 };
 
-/* A packet that was accepted; begins: a frame. interval: of the device's clock, in which it ended. samples:
- * its own and those of packets before it that are not told of. */
+/* A packet that was accepted. */
 struct stream_passed {
     int64_t index; /* of its first sample, in the stream */
-    uint64_t device_time_us, samples;
+    uint64_t device_time_us;
     uint32_t count;
     uint16_t sequence;
-    bool backlog, begins;
-    double t_host, interval;
+    bool backlog;
+    double t_host;
 };
 
 enum stream_event {
@@ -86,8 +84,8 @@ struct stream_subject {
     int64_t since;             /* samples since the mark before; -1 after a hole */
     bool called, final;        /* of a roll call; no more samples will follow */
     bool summed_up;            /* only mean and variance of the frame are known, V and V² */
-    double variance;
-    const double *volts;       /* NaN where absurd; until the stream goes on */
+    double mean, variance;
+    const float *volts;        /* NaN where absurd; until the stream goes on */
     size_t count;
     size_t marks, uses, ended; /* frames opened, timing used, ends seen at rest: since last asked */
     enum frame_look look;      /* why it is in doubt; FRAME_SILENT: it is asked about in any case */

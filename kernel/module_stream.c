@@ -113,8 +113,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
     FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
     FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
-    FIELD(stream_rules, gaps),                      FIELD(stream_rules, interval_s),
-    FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, gaps),                      FIELD(stream_rules, most_device_us),
     FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
 };
 
@@ -302,7 +301,7 @@ static PyObject *flag(bool is)
     return is ? Py_True : Py_False;
 }
 
-/* (index, device_time_us, count, sequence, t_host, backlog, samples) of packets that passed. */
+/* (index, device_time_us, count, sequence, t_host, backlog) of every packet that passed. */
 static PyObject *passed_list(struct stream *stream)
 {
     const struct stream_passed *passed;
@@ -311,10 +310,10 @@ static PyObject *passed_list(struct stream *stream)
 
     for (size_t i = 0; list && i < count; i++) {
         const struct stream_passed *one = &passed[i];
-        PyObject *tuple = Py_BuildValue("(LKkHdOK)", (long long)one->index,
+        PyObject *tuple = Py_BuildValue("(LKkHdO)", (long long)one->index,
                                         (unsigned long long)one->device_time_us,
                                         (unsigned long)one->count, one->sequence, one->t_host,
-                                        flag(one->backlog), (unsigned long long)one->samples);
+                                        flag(one->backlog));
         if (!tuple || PyList_SetItem(list, (Py_ssize_t)i, tuple))
             Py_CLEAR(list);
     }
@@ -339,11 +338,11 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
         return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
                              (long long)about->since);
     case STREAM_DOUBT:
-        return Py_BuildValue("(iLy#OnnnOd(ddO))", about->look, (long long)about->start,
+        return Py_BuildValue("(iLy#OnnnO(dd)(ddO))", about->look, (long long)about->start,
                              (const char *)about->volts,
                              (Py_ssize_t)(about->count * sizeof *about->volts), flag(about->final),
                              (Py_ssize_t)about->marks, (Py_ssize_t)about->uses,
-                             (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
+                             (Py_ssize_t)about->ended, flag(about->summed_up), about->mean, about->variance,
                              rest->level, rest->noise, flag(rest->known));
     case STREAM_BLOCK:
         return Py_BuildValue("(LN)", (long long)about->start, /* not copied: until stream_look is called */

@@ -14,6 +14,7 @@
 
 /* Values of an array, of any alignment, that go through the same operations at once. Sums in arrays of as many
  * floats would do the same, but compilers take those apart. */
+typedef float floats4 __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float floats8 __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double doubles4 __attribute__((vector_size(32), aligned(8), may_alias));
 

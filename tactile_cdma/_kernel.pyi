@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from .base.arrays import Bools, Counts, Floats, Floats32, Int32s
+from .base.arrays import Bools, Floats, Floats32, Int32s
 from .driver.clock import PassedPacket
 from .wire.packets import Found
 
@@ -67,13 +67,7 @@ class Readout:
         pressure, voltage (2, t); status (t,); of nodes: V, Pa before the tare (2, n); valid (n,).
         """
 
-def to_volts(zero: float, per_count: float, counts: Counts, volts: Floats32, /) -> None:
-    """As numpy_volts in base/sums.py."""
-
-def mean_chips(level_v: float, received: Floats, whole: Int32s, *more: NDArray[Any]) -> None:
-    """As numpy_mean_chips in framing/fit.py, into chips; whole must rise within the samples."""
-
-# add_samples, copy_samples, count_outside and read_packets are taken by kernel.either.
+# add_samples and read_packets are taken by kernel.either.
 
 @final
 class Scanner:

@@ -234,7 +234,8 @@ static void add_samples(struct input *input)
     size_t size = 1 + input_u16(input) % 400, edges = 1 + input_u8(input), chips = input_u8(input) % edges;
     int16_t *counts = malloc(size * sizeof *counts);
     float *levels = malloc((chips + 1) * sizeof *levels), zero = (float)(int16_t)input_u16(input);
-    double *volts = malloc(size * sizeof *volts), *spans = malloc(2 * edges * sizeof *spans);
+    float *volts = malloc(size * sizeof *volts);
+    double *spans = malloc(2 * edges * sizeof *spans);
     int32_t *whole = malloc((edges + chips) * sizeof *whole), at = 0;
     double sum = 0;
     size_t outside = 0;
@@ -244,9 +245,9 @@ static void add_samples(struct input *input)
     samples_volts(counts, size, zero, 0.5f, 20000, volts);
     for (size_t i = 0; i < size; i++) {
         float level = ((float)counts[i] - zero) * 0.5f;
-        MUST(isnan(volts[i]) ? fabsf(level) >= 20000 : volts[i] == (double)level, WRONG_VALUE);
+        MUST(isnan(volts[i]) ? fabsf(level) >= 20000 : volts[i] == level, WRONG_VALUE);
         outside += volts[i] <= -100 || volts[i] >= 100;
-        sum += volts[i];
+        sum += (double)volts[i];
     }
     MUST(samples_outside(volts, size, -100, 100) == outside, WRONG_VALUE);
     struct samples_sums sums = samples_add(volts, size);

@@ -107,13 +107,13 @@ static int64_t latest(void)
     return run.has_timing && seen > run.due ? seen : run.due;
 }
 
-static void compare(int64_t start, const double *volts, size_t count)
+static void compare(int64_t start, const float *volts, size_t count)
 {
     MUST(start >= 0 && start + (int64_t)count <= run.end, WRONG_VALUE);
     for (size_t i = 0; i < count && start + (int64_t)i < MOST_INDEX; i++) {
         double expected = run.volts[(size_t)start + i];
-        MUST(isnan(expected) || volts[i] == expected, WRONG_VALUE);
-        add((uint64_t)(int64_t)(volts[i] * 1e3));
+        MUST(isnan(expected) || (double)volts[i] == expected, WRONG_VALUE);
+        add((uint64_t)(int64_t)((double)volts[i] * 1e3));
     }
 }
 
@@ -203,7 +203,7 @@ static void answer_doubt(struct stream *stream)
 
     MUST(start == run.open, WRONG_VALUE);
     if (about->summed_up) {
-        MUST(about->final && about->count == 1, WRONG_VALUE);
+        MUST(about->final && !about->count, WRONG_VALUE);
         stop = run.end;
     } else {
         MUST(about->final || (stop >= run.due && stop <= latest()), WRONG_VALUE);
@@ -302,7 +302,6 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
         .volts_per_count = 1, .most_volts = 1e6, .gap_size = 8, .least_rest = 4, .gap_weight = 0.25,
         .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
         .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
-        .interval_s = NAN, /* all packets are told of */
         .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
     struct frame_code code = {transform, kind & 32 ? flips : NULL};
     MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);

@@ -23,7 +23,7 @@ def numpy_sums(volts: Floats) -> tuple[float, float]:
     return float(volts.sum()), dot(volts, volts)
 
 
-def numpy_outside(low_v: float, high_v: float, volts: Floats) -> int:
+def outside(low_v: float, high_v: float, volts: Floats) -> int:
     """How many of the samples (m,) are not between two levels: at either, or beyond."""
     return int(np.count_nonzero((volts <= low_v) | (volts >= high_v)))
 
@@ -42,4 +42,3 @@ def to_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> 
 
 
 sums = kernel.either("add_samples", numpy_sums)
-outside = kernel.either("count_outside", numpy_outside)

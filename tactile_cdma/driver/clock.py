@@ -63,9 +63,9 @@ class AcceptedPacket(NamedTuple):
     sequence: int
 
 
-PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool, int]
-"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; as of an
-Arrival t_host (s) and backlog; and the number of samples accepted since the one told of before."""
+PassedPacket: TypeAlias = tuple[int, int, int, int, float, bool]
+"""An accepted packet: index in the stream, device time (µs), number of samples, sequence; and as of
+an Arrival t_host (s) and backlog."""
 
 
 class Stamp(NamedTuple):
@@ -131,13 +131,13 @@ class FrameTimes:
 
     def passed(self, packets: list[PassedPacket], rate_hz: float) -> None:
         """Enter packets that the stream has accepted, one at least."""
-        clock, total = self.clock, 0
-        for _, device_time_us, count, _, t_host, backlog, samples in packets:
-            total += samples
+        clock, samples = self.clock, 0
+        for _, device_time_us, count, _, t_host, backlog in packets:
+            samples += count
             t_device = device_time_us * 1e-6 + count / rate_hz
             if not (clock.from_s <= t_device < clock.to_s and t_host - t_device >= clock.lead_s):
                 clock.observe(t_device, t_host, backlog)
-        self._counters.samples += total
+        self._counters.samples += samples
         self._anchors.extend(packets)
         self._arrival = t_device, t_host
         index, device_time_us, count, sequence, *_ = packets[-1]

@@ -34,7 +34,6 @@ from ..wire._protocol import TAIL_CHIPS
 from ..wire.messages import Quiet, Received, Samples
 from ..wire.packets import PacketParser
 from ..wire.reader import NO_FILE
-from .clock import INTERVAL_S
 from .description import Description
 from .stream import Decisions, Event
 from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer, Placement, Step
@@ -210,16 +209,17 @@ class CompiledStream:
         carried: int,
         ended: int,
         summed_up: bool,
-        variance_v2: float,
+        sums: tuple[float, float],
         rest: tuple[float, float, bool],
     ) -> FrameLevels | None:
         """Answer whether samples are a frame, which it returns."""
-        timing, samples = self._marked, np.frombuffer(volts)
+        timing = self._marked
         line = timing.line
         line.level_v, line.noise, line.level_known = rest
         if summed_up:
-            verdict = timing.summed_up(start, float(samples[0]), variance_v2)
+            verdict = timing.summed_up(start, *sums)
         else:
+            samples = np.frombuffer(volts, np.float32).astype(np.float64)
             frame = MarkedFrame(start, samples, final, opened, carried, ended)
             verdict = timing.recognise(frame)
         reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
@@ -237,7 +237,8 @@ class CompiledStream:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        self._add(timing.feed(SampleBlock(start, np.frombuffer(volts))))
+        samples = np.frombuffer(volts, np.float32).astype(np.float64)
+        self._add(timing.feed(SampleBlock(start, samples)))
         self._kernel.look(timing.due)
 
     def _conclude(self) -> None:
@@ -318,7 +319,6 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         slack=CLOCK_TOLERANCE,
         gap_s=pace.gap_s,
         gaps=pace.gaps,
-        interval_s=INTERVAL_S,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,

@@ -65,8 +65,8 @@ class Decisions:
 class Event(NamedTuple):
     """What a stream has come to.
 
-    passed: packets of samples that were accepted since the event before, the last one among them;
-    others may be left out, of which times do not depend. frame: one that they completed. packet: one that is for others; one of samples has to be answered by `place`.
+    passed: packets of samples that were accepted since the event before. frame: one that they
+    completed. packet: one that is for others; one of samples has to be answered by `place`.
     needs_bytes: there is nothing else in the bytes so far.
     t_host, backlog: when the last bytes were read, s, host's monotonic clock; whether they waited.
     """
@@ -203,9 +203,8 @@ class NumpyStream:
         packet, description = arrival.packet, self._description
         assert description is not None, "packets of an unknown digitizer are not accepted"
         index, self._last = packet.first_index - self._origin, packet
-        samples = sample_count(packet)
-        entry = (index, packet.device_time_us, samples, packet.sequence)
-        self._passed.append((*entry, arrival.t_host, arrival.backlog, samples))
+        entry = (index, packet.device_time_us, sample_count(packet), packet.sequence)
+        self._passed.append((*entry, arrival.t_host, arrival.backlog))
         if self._frames_wanted:
             block, timing = description.block(index, packet), description.timing
             self._add(timing.feed(block) if isinstance(block, SampleBlock) else timing.quiet(block))

@@ -23,9 +23,9 @@ from ..places.mesh import tangents
 from .status import Status
 from .taxels import Readings
 
-LOOK_S = 0.2
-"""Interval between the readings that are compared, s; chosen: touches last longer, and a look at
-4096 taxels takes as long as reading five frames' bytes."""
+LOOK_S = 0.5
+"""Interval between the readings that are compared, s; chosen: loads of a hand stay as long, and a
+look at 4096 taxels takes nearly as long as decoding a frame."""
 LEAST_NEIGHBOURS = 3
 """Fewest neighbours that give an expectation: as many as a corner of a grid has."""
 MANY_NEIGHBOURS, UNMOVED = 6, 2
@@ -90,13 +90,12 @@ class StuckNodes:
         if readings is self._seen:
             return
         self._seen = readings
-        still = ~self._move(readings, t_s)
-        if still.any():
-            expected_pa = self._expected(readings, still, contact_pa)
-            self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))
+        self._move(readings, t_s)
+        expected_pa = self._expected(readings, contact_pa)
+        self._count(expected_pa, np.float32(SWING_CONTACTS * contact_pa))
 
-    def _move(self, readings: Readings, t_s: float) -> Bools:
-        """Start over with taxels whose word has changed, (t,); uncertain words are ignored."""
+    def _move(self, readings: Readings, t_s: float) -> None:
+        """Start over with taxels whose word has changed; uncertain words are ignored."""
         certain = (readings.status & _LOW_SNR) == 0
         moved = certain & (readings.voltage_v != self._voltage_v)  # NaN differs always
         np.copyto(self._changed_s, t_s, where=moved & np.isfinite(self._voltage_v))
@@ -105,10 +104,9 @@ class StuckNodes:
         self._swings[moved] = 0
         self._rising[moved] = False
         self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
-        return moved
 
-    def _expected(self, readings: Readings, still: Bools, contact_pa: float) -> Floats32:
-        """(t,) pressure expected of still taxels from their neighbours, Pa; NaN: unknown."""
+    def _expected(self, readings: Readings, contact_pa: float) -> Floats32:
+        """(t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
         pressure_pa = readings.pressure_pa
         sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
         self._update_sound(sound)
@@ -116,9 +114,8 @@ class StuckNodes:
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
-        known = self._enough & still
-        expected_pa[known & (most_pa < contact_pa)] = 0
-        at = np.flatnonzero(known & (least_pa > contact_pa))
+        expected_pa[self._enough & (most_pa < contact_pa)] = 0
+        at = np.flatnonzero(self._enough & (least_pa > contact_pa))
         unmoved = self._heard[:, at] & (self._changed_s[self._beside[:, at]] <= self._since_s[at])
         at = at[np.count_nonzero(unmoved, axis=0) <= self._may_rest[at]]
         low_pa, high_pa = least_pa[at], most_pa[at]

@@ -188,8 +188,9 @@ def test_misuse_is_refused_and_says_of_which_argument() -> None:
             kernel.compiled.fit_words(*sound[:place], wrong, *sound[place + 1 :])
     with pytest.raises(TypeError, match="fit_words: 8 arguments expected, not 7"):
         kernel.compiled.fit_words(*sound[:-1])
-    with pytest.raises(TypeError, match="count_outside: low_v: must be real number, not str"):
-        kernel.compiled.count_outside("0", 1.0, np.zeros(1))
+    stream = kernel.compiled.Stream(kernel.compiled.Scanner(0))
+    with pytest.raises(TypeError, match="give: t_host: must be real number, not str"):
+        stream.give(b"", "0", False)
 
 
 @needs_kernel

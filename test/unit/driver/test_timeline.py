@@ -83,9 +83,8 @@ class Line:
             taken = held
         packet = taken.packet
         index = packet.first_index - origin
-        samples = sample_count(packet)
-        entry = (index, packet.device_time_us, samples, packet.sequence)
-        self.timeline.times.passed([(*entry, taken.t_host, taken.backlog, samples)], RATE_HZ)
+        entry = (index, packet.device_time_us, sample_count(packet), packet.sequence)
+        self.timeline.times.passed([(*entry, taken.t_host, taken.backlog)], RATE_HZ)
         again = self.hears_at(arrival) if answer is Answer.TAKE_HELD else []
         return [Accepted(index, step), *again]
 

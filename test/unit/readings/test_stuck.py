@@ -136,8 +136,7 @@ def test_what_neighbours_tell_does_not_depend_on_who_was_unreadable_before(
     for skin in (old, fresh):
         skin.show(last_pa)
     last = Readings(last_pa.astype(np.float32), last_pa.astype(np.float32), old.status)
-    still = np.ones(len(GRID), bool)
-    told_pa = [skin.stuck._expected(last, still, CONTACT_PA) for skin in (old, fresh)]
+    told_pa = [skin.stuck._expected(last, CONTACT_PA) for skin in (old, fresh)]
     np.testing.assert_array_equal(*told_pa)
     assert unreadable[-1] or np.isfinite(told_pa[0]).any()
 
