@@ -165,7 +165,7 @@ def test_the_viewer_passes_on_what_the_driver_complains_of() -> None:
     assert done.returncode == 0
     assert "0/16 taxels valid" in done.stdout
     complaint = "driver: frames arrive, but no node was heard: is the skin powered, "
-    complaint += "is threshold too high?"
+    complaint += "is active_share too high?"
     assert done.stderr.splitlines().count(complaint) == 1
 
 

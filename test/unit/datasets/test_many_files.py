@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.commands.cli import main
+from tactile_cdma.sim.options import SimOptions
 from test.support.bags import BagMaker
 from test.support.command_line import Refused
 from test.support.simulated import recording

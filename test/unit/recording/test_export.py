@@ -37,10 +37,11 @@ RECORDED = Source("touch.skin", recorded=True)
 def skin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFrame]]:
     """A recording with a node that never speaks, and its frames."""
     path = tmp_path_factory.mktemp("export") / "touch.skin"
-    options = SimOptions(scene="moving", seed=2, dead="5")
-    recording(path, options, 1.5, amplitude_mv=300.0, frame_id="palm")
-    frames = list(RawCapture(path, {}).frames())
-    assert len(frames) > 80
+    asked = {"amplitude_mv": 300.0, "frame_id": "palm", "threshold": 0.45}  # its earlier name
+    recording(path, SimOptions(scene="moving", seed=2, dead="5"), 1.5, **asked)
+    capture = RawCapture(path, {})
+    frames = list(capture.frames())
+    assert len(frames) > 80 and capture.config.active_share == 0.45
     return path, frames
 
 
