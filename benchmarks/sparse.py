@@ -39,7 +39,12 @@ from tactile_cdma.code.transform import chips_of
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
-from tactile_cdma.framing.sparse_timing import LEARNT, SparseRecogniser, capacity
+from tactile_cdma.framing.sparse_timing import (
+    LEARNT,
+    SparseRecogniser,
+    capacity,
+    certificate,
+)
 from tactile_cdma.words.decode import Words, decode, silent
 
 BOOKS = [(64, 32, 10), (256, 64, 10), (1000, 128, 10), (4000, 912, 10)]
@@ -237,7 +242,7 @@ def add(tally: Tally, other: Tally) -> None:
 def times() -> dict[int, float]:
     """Median time of detection by how many speak, of 4,000 nodes on 912 chips, s."""
     skin = Skin(4000, 912, 10, 100)
-    spec, detector = skin.spec, Detector(skin.spec)
+    spec, detector = skin.spec, Detector(skin.spec, certificate(skin.spec))
     frames = {}
     for speakers in (0, 1, 20, 100, 320, 550):
         level = np.zeros(spec.nodes, np.float32)

@@ -370,10 +370,11 @@ static void tell(struct stream *stream, enum frame_look look, bool final)
 }
 
 /* The frame in progress is over; the line is at rest from `over` on. */
-static void settle(struct stream *stream, int64_t over, double level)
+static void settle(struct stream *stream, int64_t over, double level, double noise)
 {
     stream->start = -1;
     stream->rest.level = level;
+    stream->rest.noise = noise;
     stream->gap_begin = stream->rules.frame.integrated ? -1 : over; /* then no gap is sent */
 }
 
@@ -384,7 +385,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
 
     if (look == FRAME_SILENT) {
         tell(stream, look, final);
-        settle(stream, start + (int64_t)stream->rules.silent_over, found->level);
+        settle(stream, start + (int64_t)stream->rules.silent_over, found->level, found->rest);
         return STREAM_SILENT;
     }
     stream->uses += !stream->rules.frame.integrated;
@@ -394,7 +395,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
     }
     stream->ended += found->ended;
     tell(stream, look, final);
-    settle(stream, start + (int64_t)stream->timing.over, found->level);
+    settle(stream, start + (int64_t)stream->timing.over, found->level, found->rest);
     return STREAM_HEARD;
 }
 
@@ -464,6 +465,8 @@ static enum stream_event sum_up(struct stream *stream)
     enum frame_look look =
         frame_summed_up(&stream->rules.frame, &stream->rest, mean, variance, &subject->found);
     if (look == FRAME_SILENT) {
+        if (stream->code.sparse)
+            sparse_learn(stream->code.sparse, variance, &subject->found.rest);
         decided(stream, look, true);
         pass_by(stream);
         return STREAM_SILENT;
@@ -572,6 +575,21 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     return stream->described = make_room(stream, rules->frame.size);
 }
 
+bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke)
+{
+    const struct sparse_book *book = sparse_book(sparse);
+    const struct words_frame *frame = &stream->rules.frame.frame;
+
+    if (!stream->described || book->bits != frame->bits || book->rows != frame->order ||
+        book->nodes != frame->nodes || book->order > frame->order ||
+        frame->first != 1 || !stream->rules.frame.integrated ||
+        stream->rules.frame.size < book->bits * book->order)
+        return false;
+    stream->code.sparse = sparse;
+    stream->code.spoke = spoke;
+    return true;
+}
+
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
 {
     stream->bytes = bytes;
@@ -654,12 +672,12 @@ bool stream_open(struct stream *stream, size_t due)
     return true;
 }
 
-bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level)
+bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level, double noise)
 {
     if (!answers(stream, STREAM_DOUBT))
         return false;
     if (stream->stage == SUMMED) { /* which says nothing of the frames before */
-        settle(stream, over, level);
+        settle(stream, over, level, noise);
         pass_by(stream);
         return due < 0;
     }
@@ -670,7 +688,7 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
         stream->due = due;
         return true;
     }
-    settle(stream, over, level);
+    settle(stream, over, level, noise);
     return true;
 }
 

@@ -154,6 +154,7 @@ def _curve(get: Values) -> PressureCurve:
         range_pa=get["range_kpa"] * 1e3,
         stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
         stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
+        vref_v=get["vref_v"],
     )
 
 

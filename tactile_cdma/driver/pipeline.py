@@ -90,7 +90,7 @@ class Pipeline:
         self.timeline = Timeline(self.counters, clocks)
         self.health = NodeHealth(config.spec)
         nodes = config.spec.nodes
-        tracker = DriftTracker(config.adc.lsb_v, nodes_beside(config.layout, nodes), config.rest)
+        tracker = DriftTracker(config.adc, nodes_beside(config.layout, nodes), config.rest)
         chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self._background, self._most_repeated = background, most_repeated

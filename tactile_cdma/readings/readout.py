@@ -22,6 +22,8 @@ from .status import Status
 
 ODD, LEFT, DOUBTFUL = 0, 1, 2
 """As enum readout_look of the kernel."""
+NOBODY = np.empty(0, np.int32)
+"""The kernel's list of those who spoke, where nothing is known of that."""
 
 
 class Conditions(NamedTuple):
@@ -111,7 +113,7 @@ def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
         "least_squares": spec.line_bits * LEAST_SHARE**2,
         "moved_share": MOVED_SHARE,
         "tone_share": tones.least_left(spec),
-        "hiding_rho": hiding_rho(spec.line_bits, spec.order),
+        "hiding_rho": hiding_rho(spec.line_bits, 0 if spec.sparse else spec.order),
         "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),
         "sound_share": limits.SOUND_SHARE,
         "most_square": most_square(spec.line_bits),

@@ -24,7 +24,7 @@ from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
-from .readout import DOUBTFUL, LEFT, ODD, Conditions, Readout
+from .readout import DOUBTFUL, LEFT, NOBODY, ODD, Conditions, Readout
 from .stages import Kept, Trust, finish, hear
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
@@ -263,10 +263,11 @@ class Taxels:
         floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
         readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
         floor_v = AUTO_FLOOR * noise_v / threshold if health.swing_v is None else math.nan
+        spoke = (NOBODY, False) if levels.spoke is None else (levels.spoke, True)
         in_place, baseline = False, chain.baseline
         while True:
             look = readout.kernel.read(
-                levels.rows, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
+                levels.rows, *spoke, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
                 self.stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
                 doubts, readings, status, readout.rest, readout.valid,
             )  # fmt: skip
@@ -327,7 +328,7 @@ class Taxels:
             self.stale_after_s,
         )  # fmt: skip
         self._stale_from_s = heard.stale_from_s
-        pressure_pa, saturated, off_rest = self.chain.update(heard.raised_v, heard.valid, t_device)
+        pressure_pa, saturated, off_rest = self.chain.update(heard.meant_v, heard.valid, t_device)
         uncalibrated = self.chain.calibration.uncalibrated
         finish(heard, saturated, off_rest, uncalibrated, self._masked, pressure_pa)
         return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))

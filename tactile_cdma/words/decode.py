@@ -158,7 +158,9 @@ def decode(
     noise, bits = levels.noise_v, spec.line_bits
     measures = measure(levels.values)
     expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
-    active, faint, any_faint = find_active(measures, expected, threshold, noise, bits, spec.order)
+    active, faint, any_faint = find_active(
+        measures, expected, threshold, noise, bits, 0 if spec.sparse else spec.order
+    )
     astray, hidden = np.zeros((2, len(active)), np.bool_)
     noise_may_be_node = False
     weak = nobody(len(active))

@@ -198,20 +198,6 @@ def test_the_viewer_passes_on_what_the_driver_complains_of() -> None:
     assert done.stderr.splitlines().count(complaint) == 1
 
 
-def test_a_parameter_file_with_a_wrong_key_is_reported_and_the_node_lives(tmp_path: Path) -> None:
-    path = tmp_path / "wrong.yaml"
-    path.write_text("/**:\n  ros__parameters:\n    chip_uss: 40.0\n")
-    command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
-    command += ["--params-file", str(path)]
-    node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    with ended(node):
-        read_until(node, "did you mean 'chip_us'")
-        time.sleep(1.0)
-        assert node.poll() is None
-        node.send_signal(signal.SIGINT)
-        assert node.wait(PATIENCE_S) == 0
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [("/**: [", "line"), ("/**: {ros_parameters: {nodes: 9}}", "no 'ros__parameters' section")],

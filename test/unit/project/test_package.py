@@ -36,6 +36,8 @@ LOAD_SERIAL = {
     "sim.pressing",
     "sim.protocol_sim",
     "skin",
+    "body",
+    "live_observation",
     "wire.discovery",
     "wire.introduction",
     "wire.port",

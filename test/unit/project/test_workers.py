@@ -2,6 +2,7 @@
 
 """A worker of pytest that dies, or hangs, fails the test that it was at; nothing waits for it."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -38,7 +39,7 @@ def test_hung():
     time.sleep(3600)
 """
 LAST = LETHAL.split("@pytest.mark")[0] + "def test_last(dying):\n    pass\n"
-PLUGINS = ("-p", "test.support.workers", "-p", "no:cacheprovider")
+PLUGINS = ("-p", "xdist.plugin", "-p", "test.support.workers", "-p", "no:cacheprovider")
 
 
 def run(folder: Path, text: str, *options: str) -> subprocess.CompletedProcess[str]:
@@ -47,6 +48,7 @@ def run(folder: Path, text: str, *options: str) -> subprocess.CompletedProcess[s
     return subprocess.run(
         [*command, "-c", "/dev/null", folder],
         cwd=ROOT,
+        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
