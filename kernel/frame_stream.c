@@ -24,6 +24,7 @@ struct arrival {
     uint32_t count;
     uint16_t sequence;
     bool sync, called, quiet, is_exact, backlog;
+    uint8_t turn;
     double mean, variance, t_host;
     int16_t counts[TP_MAX_SAMPLES];
 };
@@ -239,6 +240,7 @@ static bool read_quiet(const struct scanner_packet *packet, struct arrival *arri
     arrival->count = quiet.count;
     arrival->sync = quiet.flags & TP_FLAG_SYNC;
     arrival->called = quiet.flags & TP_FLAG_CALLED;
+    arrival->turn = (uint8_t)(quiet.flags >> TP_TURN_SHIFT);
     arrival->quiet = true;
     arrival->is_exact = false;
     /* What does not fit, or cannot be, is asked about. */
@@ -267,6 +269,7 @@ static bool read_packet(const struct scanner_packet *packet, struct arrival *arr
     arrival->count = (uint32_t)count;
     arrival->sync = head.flags & TP_FLAG_SYNC;
     arrival->called = head.flags & TP_FLAG_CALLED;
+    arrival->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
     arrival->quiet = false;
     return true;
 }
@@ -430,6 +433,7 @@ static enum stream_event begin_frame(struct stream *stream)
     stream->subject.since = stream->mark < 0 ? -1 : stream->end - stream->mark;
     stream->subject.start = stream->start = stream->mark = stream->end;
     stream->subject.called = stream->now->called;
+    stream->subject.turn = stream->now->turn;
     stream->marks++;
     stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
     if (stream->is_asked)

@@ -83,6 +83,7 @@ struct stream_subject {
     int64_t start;             /* of the frame or block */
     int64_t since;             /* samples since the mark before; -1 after a hole */
     bool called, final;        /* of a roll call; no more samples will follow */
+    uint8_t turn;              /* whose, as the frame's packet says */
     bool summed_up;            /* only mean and variance of the frame are known, V and V² */
     double variance;
     const double *volts;       /* NaN where absurd; until the stream goes on */

@@ -350,9 +350,9 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
     switch (event) {
     case STREAM_HEARD:
     case STREAM_SILENT:
-        return Py_BuildValue("(LdddOn)", (long long)about->start, about->found.noise,
+        return Py_BuildValue("(LdddOnB)", (long long)about->start, about->found.noise,
                              about->found.level, about->found.clipped, flag(rest->known),
-                             (Py_ssize_t)about->found.speakers);
+                             (Py_ssize_t)about->found.speakers, about->turn);
     case STREAM_PACKET:
     case STREAM_FOREIGN:
         return packet_tuple(&about->packet);
@@ -360,12 +360,12 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
         return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
                              (long long)about->since);
     case STREAM_DOUBT:
-        return Py_BuildValue("(iLy#OnnnOd(ddO))", about->look, (long long)about->start,
+        return Py_BuildValue("(iLy#OnnnOd(ddO)B)", about->look, (long long)about->start,
                              (const char *)about->volts,
                              (Py_ssize_t)(about->count * sizeof *about->volts), flag(about->final),
                              (Py_ssize_t)about->marks, (Py_ssize_t)about->uses,
                              (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
-                             rest->level, rest->noise, flag(rest->known));
+                             rest->level, rest->noise, flag(rest->known), about->turn);
     case STREAM_BLOCK:
         return Py_BuildValue("(LN)", (long long)about->start, /* not copied: until stream_look is called */
                              PyMemoryView_FromMemory((char *)about->volts,

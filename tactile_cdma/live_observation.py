@@ -36,7 +36,15 @@ LAG_S = 0.1
 """An observation is as of the moment that every stream has passed, but at most this old, s, or two
 frame periods of the slowest skin. Chosen: above what a frame takes from its middle on the wire."""
 _READING = (
-    *(*FRAME_PARAMETERS, "chip_us", "sign_seed", "amplitude_mv", "timing", "vref_v", "threshold"),
+    *(
+        *FRAME_PARAMETERS,
+        "chip_us",
+        "sign_seed",
+        "amplitude_mv",
+        "timing",
+        "vref_v",
+        "active_share",
+    ),
     *(*sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "drift_pa_per_min"),
     *("contact_kpa", "release_kpa"),
 )

@@ -175,7 +175,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("sensitivity2_v_per_kpa", 0.0059,
         "voltage drop per pressure in the second stage, of the same sign",
         "V/kPa", (-100.0, 100.0), live=True),
-    Parameter("threshold", 0.5,
+    Parameter("active_share", 0.5,
         "a node is active if its amplitude exceeds this fraction of amplitude_mv",
         "", (0.1, 0.9), live=True),
     Parameter("stale_after_s", 3.0,
@@ -234,6 +234,10 @@ def _shown(value: object) -> str:
     return reprlib.repr(list(value) if isinstance(value, array | tuple) else value)
 
 
+RENAMED = {"threshold": "active_share"}
+"""Parameters' names of earlier versions."""
+
+
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
     """Convert values to their parameters' types; raises ParameterError for a bad name or value."""
     for name in values:
@@ -243,7 +247,9 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
 
 
 def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
-    """The message for an unknown name, with the closest known one."""
+    """The message for an unknown name, with the closest known one, or its present name."""
+    if name in RENAMED and RENAMED[name] in known:
+        return f"the {kind} {name} is called {RENAMED[name]} now"
     return f"unknown {kind} {name!r}{suggestion(name, known)}"
 
 

@@ -179,6 +179,7 @@ class CompiledStream:
         clipped: float,
         known: bool,
         speakers: int,
+        turn: int,
     ) -> FrameLevels:
         """A frame that the kernel has decided."""
         line = self._line
@@ -201,7 +202,7 @@ class CompiledStream:
             fit = self._fit or fit
             noise_v *= self._chip_noise
         begin = float(start) if line.integrated else start + fit.start
-        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)
+        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped, turn=turn)
 
     def _ask(self, packet: Received | None) -> Samples | Quiet | None:
         """A packet of samples that is to be asked about; none if no samples can be those."""
@@ -229,6 +230,7 @@ class CompiledStream:
         summed_up: bool,
         variance_v2: float,
         rest: tuple[float, float, bool],
+        turn: int,
     ) -> FrameLevels | None:
         """Answer whether samples are a frame, which it returns."""
         timing, samples = self._marked, np.frombuffer(volts)
@@ -248,7 +250,7 @@ class CompiledStream:
             if reason not in (REFINED, self._reason):
                 _log.debug("frames are decided in Python from sample %d on: %s", start, reason)
                 self._reason = reason
-        return verdict.frame
+        return verdict.frame.in_turn(turn) if verdict.frame else None
 
     def _look(self, start: int, volts: memoryview) -> None:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""

@@ -305,6 +305,7 @@ class MarkedTiming(Timing):
         self.line, self.recogniser = line, recogniser
         self.gap_size = math.ceil(line.spec.order * line.chip)  # most that is learnt from
         self._start: int | None = None  # the mark of the frame in progress
+        self._turn = 0  # whose it is
         self._due = 0
         self._mark: int | None = None  # the last mark, if no hole followed
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
@@ -389,7 +390,7 @@ class MarkedTiming(Timing):
             self.line.add_gap(self._samples.take(gap_begin, index))
         self._samples.drop(index)
         since = None if self._mark is None else index - self._mark
-        self._start = self._mark = index
+        self._start, self._mark, self._turn = index, index, block.turn
         self._opened += 1
         self._due = index + self.recogniser.open(index, block.called, since)
         return frames
@@ -413,4 +414,4 @@ class MarkedTiming(Timing):
         self._start = None
         # Where chips are integrated no gap is sent: what follows is words, and no noise.
         self._gap_begin = None if self.line.integrated else verdict.over
-        return [] if verdict.frame is None else [verdict.frame]
+        return [] if verdict.frame is None else [verdict.frame.in_turn(self._turn)]

@@ -29,14 +29,14 @@ NOBODY = np.empty(0, np.int32)
 class Conditions(NamedTuple):
     """What a readout is made for: another one is needed where any of it is another object.
 
-    swing_v, state: see NodeHealth. calibration, bounds: of the nodes. threshold: see decode.
+    swing_v, state: see NodeHealth. calibration, bounds: of the nodes. active_share: see decode.
     """
 
     swing_v: Floats32 | None
     state: NDArray[np.uint8]
     calibration: Calibration
     bounds: Bounds
-    threshold: float
+    active_share: float
 
 
 class Readout:
@@ -75,7 +75,7 @@ class Readout:
             kernel.settings(
                 "readout_settings",
                 **frame_fields(spec),
-                **_word_limits(spec, conditions.threshold),
+                **_word_limits(spec, conditions.active_share),
                 silent=Status.SILENT,
                 low_snr=Status.LOW_SNR,
                 stale=Status.STALE,
@@ -104,11 +104,11 @@ class Readout:
         )
 
 
-def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
+def _word_limits(spec: FrameSpec, active_share: float) -> dict[str, float]:
     """What words are told by: the members of the kernel's words_reading and words_lateness."""
     spare = spec.spare_rows
     return {
-        "threshold": threshold,
+        "threshold": active_share,
         "faint_share": FAINT_SHARE,
         "least_squares": spec.line_bits * LEAST_SHARE**2,
         "moved_share": MOVED_SHARE,

@@ -6,11 +6,12 @@ import importlib.util
 import os
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from test.support.programs import run_program, run_python
 
 pytestmark = pytest.mark.slow
 
@@ -21,15 +22,8 @@ IGNORED = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__",
 
 
 def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> str:
-    done = subprocess.run(
-        [str(part) for part in command],
-        cwd=cwd,
-        env=env,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout[-4000:]
+    done = run_program(*command, cwd=cwd, env=env, timeout=600)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     return done.stdout
 
 
@@ -86,7 +80,7 @@ serialize_message(message)
 
 @pytest.mark.skipif(not Path(sys.prefix, "setup.json").exists(), reason="not built by make setup")
 def test_the_tests_run_with_the_assertions_of_a_plain_build() -> None:
-    done = subprocess.run([sys.executable, "-c", WRONG_FIELD], capture_output=True, text=True)
+    done = run_python("-c", WRONG_FIELD)
     assert done.returncode == -signal.SIGABRT and "Assertion" in done.stderr
 
 

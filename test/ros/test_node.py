@@ -112,12 +112,13 @@ def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
     with running() as (_, client):
         wait_for(lambda: client.arrays)
         for values, reason in (
-            ({"threshold": 5.0}, "0.9"),
-            ({"threshold": "high"}, "must be a number"),
+            ({"active_share": 5.0}, "0.9"),
+            ({"active_share": "high"}, "must be a number"),
             ({"colour_max_kpa": -1.0}, "0.1…"),
             ({"nodes": 17}, "cannot change while configured"),
             ({"autostart": False}, "only when the node starts"),
-            ({"thresold": 0.4}, "did you mean 'threshold'"),
+            ({"activ_share": 0.4}, "did you mean 'active_share'"),
+            ({"threshold": 0.4}, "the parameter threshold is called active_share now"),
             ({"mount_xyz_m": [1.0, 2.0]}, "must be 3 numbers"),
             ({"mount_rpy_rad": [0.0, 0.0, float("nan")]}, "mount_rpy_rad[2] is nan"),
         ):
@@ -133,11 +134,11 @@ def test_live_parameters_take_effect_at_once() -> None:
         wait_for(lambda: client.arrays)
         assert client.set(publish_voltage=True) == (True, "")
         assert client.set(chip_us=50.0) == (True, "")  # as it is: no change
-        assert client.set(threshold=0.6) == (True, "")
+        assert client.set(active_share=0.6) == (True, "")
         assert client.set(stale_after_s=9.0) == (True, "")
         wait_for(lambda: len(client.arrays[-1].voltage) == 16)
         assert node._driver is not None
-        assert node._driver.pipeline.config.threshold == 0.6
+        assert node._driver.pipeline.config.active_share == 0.6
         assert node._driver.pipeline.taxels.stale_after_s == 9.0
     assert np.nanmax(client.arrays[-1].voltage) <= 3.3
 

@@ -29,6 +29,7 @@ from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
+from test.support.programs import run_python
 from test.support.skin_client import running
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -250,10 +251,7 @@ def test_a_line_of_a_body_says_what_is_unknown(fields: dict[str, Any], text: str
 
 
 def test_a_patch_that_is_not_there_is_answered_with_those_that_are() -> None:
-    command = [sys.executable, "-m", "tactile_cdma.ros.viewers.view", "palm", "--seconds", "1"]
     with running(port="sim://"):
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE_S
-        )
+        done = run_python("-m", "tactile_cdma.ros.viewers.view", "palm", "--seconds", "1")
     assert done.returncode == 1
     assert "no frame on /palm/skin/tactile: there is /skin/tactile" in done.stderr

@@ -17,6 +17,7 @@ import pytest
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
+from test.support.programs import run_program
 from test.support.simulated import scope_capture
 from test.support.waiting import PATIENCE_S
 
@@ -144,10 +145,9 @@ def test_what_the_system_refuses_is_one_clear_error(
 
 def test_a_terminal_of_another_alphabet_is_served() -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    words = [*COMMAND, "decode", "--help"]
-    run = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True)
+    run = run_program(*COMMAND, "decode", "--help", cwd=ROOT, env=environment)
     assert run.returncode == 0
-    assert b"\\xb5s" in run.stdout and run.stderr == b""
+    assert "\\xb5s" in run.stdout and run.stderr == ""
 
 
 @pytest.mark.parametrize(
@@ -244,7 +244,7 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
 def test_a_shell_that_asks_is_told_what_can_follow(line: str, completions: set[str]) -> None:
     pytest.importorskip("argcomplete")
     asks = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
-    command = ["sh", "-c", f"{sys.executable} -m tactile_cdma 8>&1 9>&2"]  # it answers on 8
+    command = f"{sys.executable} -m tactile_cdma 8>&1 9>&2"  # it answers on 8
     environment = os.environ | asks | {"COMP_POINT": str(len(line))}
-    answer = subprocess.run(command, capture_output=True, text=True, env=environment)
+    answer = run_program("sh", "-c", command, env=environment)
     assert set(answer.stdout.split()) == completions
