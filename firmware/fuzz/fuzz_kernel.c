@@ -310,11 +310,11 @@ static void read_frames(struct input *input)
     float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
     float *rows = malloc(bits * order * sizeof *rows), *edges = malloc(4 * order * sizeof *edges);
     float *offset = malloc(bits * order * sizeof *offset);
-    float *floats = calloc((16 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
+    float *floats = calloc((17 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
     int32_t *ints = calloc(3 * nodes + taxels, sizeof *ints);
     uint8_t *flags = calloc(10 * nodes + taxels, 1);
     double *heard_s = malloc(nodes * sizeof *heard_s);
-    float *pieces = floats + 16 * nodes, *of_taxels = pieces + 3 * PIECES * nodes;
+    float *sign = floats + 16 * nodes, *pieces = floats + 17 * nodes, *of_taxels = pieces + 3 * PIECES * nodes;
     float *table = of_taxels + 2 * taxels;
     const struct readout_settings settings = {
         .frame = {bits, order, first, nodes, false, swing, 0.25f, 0.5f, 2.2},
@@ -349,6 +349,7 @@ static void read_frames(struct input *input)
                                       flags + nodes,
                                       flags + 2 * nodes,
                                       flags + 3 * nodes,
+                                      sign,
                                       floats + nodes,
                                       floats + 15 * nodes,
                                       floats + 2 * nodes,
@@ -390,6 +391,7 @@ static void read_frames(struct input *input)
             flags[f * nodes + i] = some >> f & 1;
         floats[nodes + i] = (float)some * 0.01f;
         floats[15 * nodes + i] = (float)(some >> 3) * 0.01f;
+        sign[i] = some & 1 ? 1 : -1;
         drift_v[i] = level_of(some);
         for (size_t f = 0; f < 3 * PIECES; f++)
             pieces[f * nodes + i] = (float)(some >> f & 7);
