@@ -35,12 +35,12 @@ static bool fits(const struct tp_node_record *record, const struct node_limits *
     uint64_t used_ns = (uint64_t)span * record->chip_ns +
                        1000ul * (TP_SYNC_LEAD * TP_SYNC_UNIT_US + limits->measuring_us);
     uint32_t guard_ns = record->guard_chips * record->chip_ns;
-    uint16_t least_ns = record->digits     ? limits->sparse_chip_ns
-                        : record->scramble ? limits->scrambled_chip_ns
-                                           : limits->chip_ns;
+    uint16_t least_ns = record->scramble ? limits->scrambled_chip_ns : limits->chip_ns;
 
-    return (record->digits ? limits->sparse_chip_ns > 0 : record->order <= limits->order) && record->chip_ns >= least_ns &&
-           record->chip_ns <= limits->longest_chip_ns &&
+    if (record->digits)
+        least_ns = limits->sparse_chip_ns;
+    return (record->digits ? limits->sparse_chip_ns > 0 : record->order <= limits->order) &&
+           record->chip_ns >= least_ns && record->chip_ns <= limits->longest_chip_ns &&
            record->chip_ns % limits->chip_step_ns == 0 &&
            (limits->bits_restart ? record->resync_chips == record->order && record->order % 2 == 0
                                  : !record->digits || !record->resync_chips) &&
