@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The kernel as a Python module; see tactile_cdma/_kernel.pyi for what it offers. */
+/* The kernel as a Python module: each FUNCTION, as binding.h explains, lists its arguments. */
 #include "binding.h"
 
 #include <errno.h>
