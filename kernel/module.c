@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 23 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 24 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -80,7 +80,8 @@ static const struct field rules_fields[] = {
     FIELD(gap_rules, faint),         FIELD(gap_rules, near),          FIELD(gap_rules, far),
     FIELD(gap_rules, beside),        FIELD(gap_rules, perhaps),       FIELD(gap_rules, inner),
     FIELD(gap_rules, turned),        FIELD(gap_rules, scatter),       FIELD(gap_rules, stray_left),
-    FIELD(gap_rules, clear),         FIELD(gap_rules, most_turned),   FIELD(gap_rules, spare),        FIELD(gap_rules, spare_count),   FIELD(gap_rules, twins),
+    FIELD(gap_rules, clear),         FIELD(gap_rules, most_turned),   FIELD(gap_rules, spare),
+    FIELD(gap_rules, spare_count),   FIELD(gap_rules, twins),
 };
 
 static const struct layout layouts[] = {
