@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 23 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 24 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -77,7 +77,11 @@ static const struct field rules_fields[] = {
     FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
     FIELD(gap_rules, still_misfit),  FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),
     FIELD(gap_rules, spread),        FIELD(gap_rules, left),          FIELD(gap_rules, misfit),
-    FIELD(gap_rules, spare),         FIELD(gap_rules, spare_count),
+    FIELD(gap_rules, faint),         FIELD(gap_rules, near),          FIELD(gap_rules, far),
+    FIELD(gap_rules, beside),        FIELD(gap_rules, perhaps),       FIELD(gap_rules, inner),
+    FIELD(gap_rules, turned),        FIELD(gap_rules, scatter),       FIELD(gap_rules, stray_left),
+    FIELD(gap_rules, clear),         FIELD(gap_rules, most_turned),   FIELD(gap_rules, spare),
+    FIELD(gap_rules, spare_count),   FIELD(gap_rules, twins),
 };
 
 static const struct layout layouts[] = {
