@@ -180,7 +180,10 @@ def decode(
         measures, active, expected, spec.sign_mask, noise, bits, spec.parity
     )
     if uneven:
-        doubtful |= _disturbed(np.abs(levels.values), amplitude, active) & active
+        # Rows without a level show no noise, by which others could be told.
+        rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
+        own, spoke = np.abs(levels.values[:, rows]), active[rows]
+        doubtful[rows] |= _disturbed(own, amplitude[rows], spoke) & spoke
     for node in levels.unresolved:
         doubtful[node] = active[node]
     astray[list(levels.late)] = True
