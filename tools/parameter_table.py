@@ -22,6 +22,8 @@ def row(parameter: Parameter) -> str:
         default = default.lower()
     elif isinstance(parameter.default, tuple):
         default = str(list(parameter.default))
+    elif parameter.default == "":
+        default = '""'
     allowed = ", ".join(f"`{choice}`" for choice in parameter.choices)
     if parameter.limits:
         low, high = parameter.limits

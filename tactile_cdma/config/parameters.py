@@ -128,18 +128,17 @@ PARAMETERS: tuple[Parameter, ...] = (
         "the frame and the nodes' measuring allow", "ms", (0.0, 1e5)),
     Parameter("codes", ORTHOGONAL,
         "code book: orthogonal, with as many chips per bit as nodes; or sparse, with fewer, for "
-        "nodes of which few speak in a frame: up to about half as many as chips (diagnostics "
-        "tell the capacity)",
+        "nodes of which few speak in a frame",
         choices=(ORTHOGONAL, SPARSE)),
     Parameter("order", 0,
-        "code order (chips per bit); 0: the smallest possible, or one slightly larger if it is "
-        "faster to decode", "", (0, 65_536)),
+        "chips per bit; 0: the fewest possible, or slightly more if faster to decode",
+        "", (0, 65_536)),
     Parameter("first_row", 1, "code row of node 1; the paper uses 0", "", (0, 65_535)),
     Parameter("sign_seed", 1,
         "seed of the random row signs; -1: natural signs, as in the paper", "", (-1, 2**32 - 1)),
     Parameter("scramble", False,
-        "all nodes flip their chips by one sequence made from sign_seed, so that late nodes and "
-        "shifted frames look like no other"),
+        "all nodes flip their chips by one sequence, so that late nodes and shifted frames look "
+        "like no other"),
     Parameter("resync_chips", 0,
         "chips between the sync edges at which nodes restart their chip timers; 0: at the "
         "frame's start only", "", (0, 65_535)),
@@ -160,8 +159,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "for nodes with clocks of their own: at start each node transmits alone once, and its "
         "delay and clock error are measured"),
     Parameter("nodes_repeat", False,
-        "nodes transmit in every frame while they are not at rest, as those of firmware/ do: one "
-        "that is silent before and after a lost frame then rests, and is not unheard"),
+        "nodes transmit in every frame while they are not at rest, as those of firmware/ do"),
     Parameter("vref_v", 3.3,
         "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
     Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.0, 100.0), live=True),
@@ -184,8 +182,8 @@ PARAMETERS: tuple[Parameter, ...] = (
         "name of this individual skin; files made for another skin are refused; empty: not "
         "checked"),
     Parameter("calibration_file", "",
-        "curves of individual taxels, from tactile-cdma calibrate; setting it again, even to "
-        "the same path, reads the file again; empty: the two-stage curve for all", live=True),
+        "curves of individual taxels, from tactile-cdma calibrate; setting it again reads the "
+        "file again; empty: the two-stage curve for all", live=True),
     Parameter("drift_pa_per_min", 60.0,
         "fastest drift of a taxel at rest that is followed; 0: drift is not followed",
         "Pa/min", (0.0, 1e5), live=True),
