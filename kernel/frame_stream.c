@@ -24,6 +24,7 @@ struct arrival {
     uint32_t count;
     uint16_t sequence;
     bool sync, called, quiet, is_exact, backlog;
+    uint8_t turn;
     double mean, variance, t_host;
     int16_t counts[TP_MAX_SAMPLES];
 };
@@ -68,8 +69,7 @@ struct stream {
     struct stream_passed passed[STREAM_MOST_PASSED];
     size_t passed_count;
 
-    float volts[TP_MAX_SAMPLES];
-    double *store; /* samples: `kept` of them, the last one before `end` */
+    float *store; /* samples: `kept` of them, the last one before `end` */
     size_t room, first, kept;
 };
 
@@ -104,7 +104,7 @@ static bool make_room(struct stream *stream, size_t samples)
 
     if (room <= stream->room)
         return true;
-    double *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
+    float *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
     if (!store)
         return false;
     if (stream->kept)
@@ -117,7 +117,7 @@ static bool make_room(struct stream *stream, size_t samples)
 }
 
 /* Samples from index `begin` on, as far as they are kept, up to `end`. */
-static const double *samples_from(const struct stream *stream, int64_t begin, int64_t end,
+static const float *samples_from(const struct stream *stream, int64_t begin, int64_t end,
                                   size_t *count)
 {
     int64_t first = stream->end - (int64_t)stream->kept;
@@ -135,40 +135,36 @@ static void forget_before(struct stream *stream, int64_t index)
     if (count > (int64_t)stream->kept)
         count = (int64_t)stream->kept;
     if (count > 0) {
-        stream->first += (size_t)count;
         stream->kept -= (size_t)count;
+        stream->first = stream->kept ? stream->first + (size_t)count : 0; /* memory that is cached */
     }
 }
 
-static void append(struct stream *stream, size_t count)
-{
-    if (stream->first + stream->kept + count > stream->room) {
-        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
-        stream->first = 0;
-    }
-    samples_copy(stream->volts, count, stream->rules.most_volts,
-                 stream->store + stream->first + stream->kept);
-    stream->kept += count;
-    stream->end += (int64_t)count;
-    stream->filled += (uint32_t)count;
-}
-
-/* The next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
+/* Takes in the next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
 static void fill(struct stream *stream)
 {
     const struct arrival *now = stream->now;
     double zero = stream->rules.zero_count, per_count = stream->rules.volts_per_count;
+    float most = (float)stream->rules.most_volts;
     size_t count = now->count - stream->filled;
 
+    count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+    if (stream->first + stream->kept + count > stream->room) {
+        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
+        stream->first = 0;
+    }
+    float *volts = stream->store + stream->first + stream->kept;
     if (now->quiet) {
         float mean = (float)((now->mean - zero) * per_count);
         float deviation = (float)sqrt(now->variance * (per_count * per_count));
-        count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+        const float levels[2] = {mean + deviation, mean - deviation};
         for (size_t i = 0; i < count; i++)
-            stream->volts[i] = i % 2 ? mean - deviation : mean + deviation;
+            volts[i] = fabsf(levels[i % 2]) < most ? levels[i % 2] : NAN;
     } else
-        samples_volts(now->counts, count, (float)zero, (float)per_count, stream->volts);
-    append(stream, count);
+        samples_volts(now->counts, count, (float)zero, (float)per_count, most, volts);
+    stream->kept += count;
+    stream->end += (int64_t)count;
+    stream->filled += (uint32_t)count;
 }
 
 /* ---- the line at rest -------------------------------------------------------------------------- */
@@ -194,7 +190,7 @@ static void learn_gap(struct stream *stream)
     int64_t earliest = stream->end - (int64_t)stream->rules.gap_size;
     int64_t begin = stream->gap_begin > earliest ? stream->gap_begin : earliest;
     size_t count;
-    const double *volts = samples_from(stream, begin, stream->end, &count);
+    const float *volts = samples_from(stream, begin, stream->end, &count);
 
     if (!count)
         return;
@@ -239,6 +235,7 @@ static bool read_quiet(const struct scanner_packet *packet, struct arrival *arri
     arrival->count = quiet.count;
     arrival->sync = quiet.flags & TP_FLAG_SYNC;
     arrival->called = quiet.flags & TP_FLAG_CALLED;
+    arrival->turn = (uint8_t)(quiet.flags >> TP_TURN_SHIFT);
     arrival->quiet = true;
     arrival->is_exact = false;
     /* What does not fit, or cannot be, is asked about. */
@@ -267,6 +264,7 @@ static bool read_packet(const struct scanner_packet *packet, struct arrival *arr
     arrival->count = (uint32_t)count;
     arrival->sync = head.flags & TP_FLAG_SYNC;
     arrival->called = head.flags & TP_FLAG_CALLED;
+    arrival->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
     arrival->quiet = false;
     return true;
 }
@@ -370,10 +368,11 @@ static void tell(struct stream *stream, enum frame_look look, bool final)
 }
 
 /* The frame in progress is over; the line is at rest from `over` on. */
-static void settle(struct stream *stream, int64_t over, double level)
+static void settle(struct stream *stream, int64_t over, double level, double noise)
 {
     stream->start = -1;
     stream->rest.level = level;
+    stream->rest.noise = noise;
     stream->gap_begin = stream->rules.frame.integrated ? -1 : over; /* then no gap is sent */
 }
 
@@ -384,7 +383,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
 
     if (look == FRAME_SILENT) {
         tell(stream, look, final);
-        settle(stream, start + (int64_t)stream->rules.silent_over, found->level);
+        settle(stream, start + (int64_t)stream->rules.silent_over, found->level, found->rest);
         return STREAM_SILENT;
     }
     stream->uses += !stream->rules.frame.integrated;
@@ -394,7 +393,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
     }
     stream->ended += found->ended;
     tell(stream, look, final);
-    settle(stream, start + (int64_t)stream->timing.over, found->level);
+    settle(stream, start + (int64_t)stream->timing.over, found->level, found->rest);
     return STREAM_HEARD;
 }
 
@@ -429,6 +428,7 @@ static enum stream_event begin_frame(struct stream *stream)
     stream->subject.since = stream->mark < 0 ? -1 : stream->end - stream->mark;
     stream->subject.start = stream->start = stream->mark = stream->end;
     stream->subject.called = stream->now->called;
+    stream->subject.turn = stream->now->turn;
     stream->marks++;
     stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
     if (stream->is_asked)
@@ -464,17 +464,17 @@ static enum stream_event sum_up(struct stream *stream)
     enum frame_look look =
         frame_summed_up(&stream->rules.frame, &stream->rest, mean, variance, &subject->found);
     if (look == FRAME_SILENT) {
+        if (stream->code.sparse)
+            sparse_learn(stream->code.sparse, variance, &subject->found.rest);
         decided(stream, look, true);
         pass_by(stream);
         return STREAM_SILENT;
     }
     tell(stream, look, true);
     subject->summed_up = true;
+    subject->mean = mean;
     subject->variance = variance;
-    stream->store[0] = mean; /* nothing else is kept from the mark on */
-    stream->first = 0;
-    subject->volts = stream->store;
-    subject->count = 1;
+    subject->count = 0;
     return STREAM_DOUBT;
 }
 
@@ -572,6 +572,21 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     return stream->described = make_room(stream, rules->frame.size);
 }
 
+bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke)
+{
+    const struct sparse_book *book = sparse_book(sparse);
+    const struct words_frame *frame = &stream->rules.frame.frame;
+
+    if (!stream->described || book->bits != frame->bits || book->rows != frame->order ||
+        book->nodes != frame->nodes || book->order > frame->order ||
+        frame->first != 1 || !stream->rules.frame.integrated ||
+        stream->rules.frame.size < book->bits * book->order)
+        return false;
+    stream->code.sparse = sparse;
+    stream->code.spoke = spoke;
+    return true;
+}
+
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
 {
     stream->bytes = bytes;
@@ -654,12 +669,12 @@ bool stream_open(struct stream *stream, size_t due)
     return true;
 }
 
-bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level)
+bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level, double noise)
 {
     if (!answers(stream, STREAM_DOUBT))
         return false;
     if (stream->stage == SUMMED) { /* which says nothing of the frames before */
-        settle(stream, over, level);
+        settle(stream, over, level, noise);
         pass_by(stream);
         return due < 0;
     }
@@ -670,7 +685,7 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
         stream->due = due;
         return true;
     }
-    settle(stream, over, level);
+    settle(stream, over, level, noise);
     return true;
 }
 

@@ -8,6 +8,7 @@
 #include "vectors.h"
 
 #define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
+#define PART 1024 /* values that are added up in floats */
 
 /* ---- measure ----------------------------------------------------------------------------------- */
 
@@ -49,6 +50,35 @@ VECTORS static void measure(const float *levels, size_t step, size_t bits, size_
         measure_block(levels + first, step, bits, BLOCK, measures, first);
     if (first < nodes)
         measure_block(levels + first, step, bits, nodes - first, measures, first);
+}
+
+/* The same, where only some nodes have levels, and those of all others are 0. */
+static void measure_some(const float *levels, size_t step, size_t bits, size_t nodes, const int32_t *spoke,
+                         size_t speakers, const struct words_measures *measures)
+{
+    float *all[] = {measures->amplitude, measures->weakest, measures->strongest, measures->squares};
+
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        memset(all[i], 0, nodes * sizeof *all[i]);
+    memset(measures->signs, 0, nodes * sizeof *measures->signs);
+    memset(measures->weakest_bit, 0, nodes * sizeof *measures->weakest_bit);
+    for (size_t begin = 0; begin < speakers; begin += BLOCK) {
+        float some[WORDS_MOST_BITS][BLOCK], found[4][BLOCK];
+        int32_t signs[BLOCK], weakest_bit[BLOCK];
+        const struct words_measures block = {found[0], found[1], found[2], found[3], signs, weakest_bit};
+        size_t size = speakers - begin < BLOCK ? speakers - begin : BLOCK;
+        for (size_t bit = 0; bit < bits; bit++)
+            for (size_t i = 0; i < size; i++)
+                some[bit][i] = levels[bit * step + (size_t)spoke[begin + i]];
+        measure(some[0], BLOCK, bits, size, &block);
+        for (size_t i = 0; i < size; i++) {
+            size_t node = (size_t)spoke[begin + i];
+            for (size_t j = 0; j < 4; j++)
+                all[j][node] = found[j][i];
+            measures->signs[node] = signs[i];
+            measures->weakest_bit[node] = weakest_bit[i];
+        }
+    }
 }
 
 /* ---- decide ------------------------------------------------------------------------------------ */
@@ -151,42 +181,55 @@ VECTORS static bool decide(size_t nodes, const struct words_measures *measures, 
 
 /* ---- fit --------------------------------------------------------------------------------------- */
 
-/* Sum of squares; many partial sums keep its error at that of a few additions. */
-INLINE double power_of(const float *values, size_t size)
+/* Of all lanes: many partial sums keep their error at that of a few additions. */
+INLINE double all_lanes(const floats8 *sums, size_t count)
 {
-    float partial[16];
-    double power = 0;
+    double sum = 0;
 
-    for (size_t begin = 0; begin < size; begin += 1024) {
-        size_t end = size - begin < 1024 ? size : begin + 1024, i = begin;
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] = 0;
-        for (; i + 16 <= end; i += 16)
-            for (size_t lane = 0; lane < 16; lane++)
-                partial[lane] += values[i + lane] * values[i + lane];
-        for (; i < end; i++)
-            partial[0] += values[i] * values[i];
-        for (size_t lane = 0; lane < 16; lane++)
-            power += (double)partial[lane];
-    }
-    return power;
+    for (size_t i = 0; i < count; i++)
+        for (size_t lane = 0; lane < 8; lane++)
+            sum += (double)sums[i][lane];
+    return sum;
 }
 
-/* Sum of a block of squares, the same way. */
+/* Sum of products. */
+INLINE double dot(const float *some, const float *others, size_t size)
+{
+    double sum = 0;
+
+    for (size_t begin = 0; begin < size; begin += PART) {
+        size_t end = size - begin < PART ? size : begin + PART, i = begin;
+        floats8 sums[2] = {{0}, {0}};
+        for (; i + 16 <= end; i += 16) {
+            const floats8 *a = (const floats8 *)(some + i), *b = (const floats8 *)(others + i);
+            sums[0] += a[0] * b[0];
+            sums[1] += a[1] * b[1];
+        }
+        for (; i < end; i++)
+            sums[0][0] += some[i] * others[i];
+        sum += all_lanes(sums, 2);
+    }
+    return sum;
+}
+
+INLINE double power_of(const float *values, size_t size)
+{
+    return dot(values, values, size);
+}
+
+/* Sum of a block of squares. */
 INLINE double sum_of(const float *squares, size_t size)
 {
-    float partial[16] = {0};
-    double sum = 0;
+    floats8 sums[2] = {{0}, {0}};
     size_t i = 0;
 
-    for (; i + 16 <= size; i += 16)
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] += squares[i + lane];
+    for (; i + 16 <= size; i += 16) {
+        sums[0] += ((const floats8 *)(squares + i))[0];
+        sums[1] += ((const floats8 *)(squares + i))[1];
+    }
     for (; i < size; i++)
-        partial[0] += squares[i];
-    for (size_t lane = 0; lane < 16; lane++)
-        sum += (double)partial[lane];
-    return sum;
+        sums[0][0] += squares[i];
+    return all_lanes(sums, 2);
 }
 
 /* Means of |r| and of r² of each node. */
@@ -214,11 +257,11 @@ VECTORS static double frame_power(const struct words_frame *frame, const float *
 {
     /* A free row 0 holds nothing but what is left of the offset. */
     size_t from = !frame->unipolar && frame->first > 0;
-    double total = 0;
+    double power = 0;
 
     for (size_t bit = 0; bit < frame->bits; bit++)
-        total += power_of(rows + bit * frame->order + from, frame->order - from);
-    return total;
+        power += power_of(rows + bit * frame->order + from, frame->order - from);
+    return power;
 }
 
 /* The loudest word's amplitude, and through `usual` that of a sound node: see usual_amplitude in
@@ -288,6 +331,27 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     float bits_power = (float)frame->bits * *power, words = (float)word_power;
     *spread = (float)uneven_power / (words < tiny ? tiny : words);
     *misfit = (float)frame_power(frame, rows) / (bits_power < tiny ? tiny : bits_power) - 1.0f;
+}
+
+VECTORS double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude)
+{
+    const size_t from = frame->first > 0, end = frame->first + frame->nodes;
+    double sum = 0, most = -INFINITY;
+    float off[PART];
+
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
+        double left = power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
+        for (size_t begin = 0; begin < frame->nodes; begin += PART) {
+            size_t size = frame->nodes - begin < PART ? frame->nodes - begin : PART;
+            const float *levels = rows + frame->first + begin;
+            for (size_t i = 0; i < size; i++)
+                off[i] = fabsf(levels[i]) - amplitude[begin + i];
+            left += power_of(off, size);
+        }
+        sum += left;
+        most = most > left ? most : left;
+    }
+    return most - (sum - most) / (double)(frame->bits - 1);
 }
 
 /* ---- noise ------------------------------------------------------------------------------------- */
@@ -385,21 +449,6 @@ INLINE float sign_of(float level)
     return (float)((level > 0) - (level < 0));
 }
 
-INLINE float dot(const float *some, const float *others, size_t size)
-{
-    float partial[16] = {0}, sum = 0;
-    size_t i = 0;
-
-    for (; i + 16 <= size; i += 16)
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] += some[i + lane] * others[i + lane];
-    for (; i < size; i++)
-        partial[0] += some[i] * others[i];
-    for (size_t lane = 0; lane < 16; lane++)
-        sum += partial[lane];
-    return sum;
-}
-
 /* Energy per bit of what one offset of all chips leaves over, V²; offset: (k, N), rows of an offset of 1 V;
  * as common_energy in lateness.py. */
 static double common_energy(const struct words_frame *frame, const float *rows, const float *offset,
@@ -453,6 +502,7 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
+                           const int32_t *spoke, size_t speakers,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active)
@@ -460,7 +510,10 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     const float *amplitude = measures->amplitude;
     float threshold = reading->threshold;
 
-    measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
+    if (spoke)
+        measure_some(rows + frame->first, frame->order, frame->bits, frame->nodes, spoke, speakers, measures);
+    else
+        measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
     if (!isnan(least_usual)) {
         float usual;
         loudest_of(amplitude, frame->nodes, frame->loudest_share, &usual);
@@ -486,32 +539,39 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
  * by its last and its first one. */
 enum chip { LEFT_END, LEFT_LAST, LEFT_FIRST, LEFT_SECOND, MEANT_LAST, MEANT_FIRST, CHIPS };
 
-/* Chips of all bits, and the power of what is left in all rows. */
+/* Chips of all bits, and the power of what is left in all rows but that of the line's offset. */
 INLINE double find_chips(const struct words_frame *frame, const float *rows, const float *meant,
                          const float *edges, float (*chips)[CHIPS])
 {
-    size_t order = frame->order;
+    const size_t order = frame->order;
     double power = 0;
 
     for (size_t bit = 0; bit < frame->bits; bit++, rows += order) {
-        double sums[CHIPS] = {0};
-        for (size_t begin = 0; begin < order; begin += 512) {
-            float spoken[512], left[512];
-            size_t size = order - begin < 512 ? order - begin : 512;
-            for (size_t i = 0; i < size; i++) {
-                spoken[i] = sign_of(rows[begin + i]) * meant[begin + i];
-                left[i] = rows[begin + i] - spoken[i];
+        floats8 sums[CHIPS + 1] = {{0}}; /* the last one: power */
+        size_t i = frame->first > 0;
+        for (; i + 8 <= order; i += 8) {
+            floats8 level = *(const floats8 *)(rows + i), edge[4];
+            ints8 sign = (ints8)level & INT32_MIN;
+            floats8 spoken = (floats8)(*(const ints8 *)(meant + i) | sign), left = level - spoken;
+            for (size_t e = 0; e < 4; e++) {
+                edge[e] = *(const floats8 *)(edges + e * order + i);
+                sums[e] += left * edge[e];
             }
-            if (begin == 0 && frame->first > 0)
-                left[0] = 0; /* the line's offset */
-            for (size_t edge = 0; edge < 4; edge++)
-                sums[edge] += (double)dot(left, edges + edge * order + begin, size);
-            sums[MEANT_LAST] += (double)dot(spoken, edges + order + begin, size);
-            sums[MEANT_FIRST] += (double)dot(spoken, edges + 2 * order + begin, size);
-            power += (double)dot(left, left, size);
+            sums[MEANT_LAST] += spoken * edge[1];
+            sums[MEANT_FIRST] += spoken * edge[2];
+            sums[CHIPS] += left * left;
+        }
+        for (; i < order; i++) {
+            float spoken = sign_of(rows[i]) * meant[i], left = rows[i] - spoken;
+            for (size_t e = 0; e < 4; e++)
+                sums[e][0] += left * edges[e * order + i];
+            sums[MEANT_LAST][0] += spoken * edges[order + i];
+            sums[MEANT_FIRST][0] += spoken * edges[2 * order + i];
+            sums[CHIPS][0] += left * left;
         }
         for (size_t chip = 0; chip < CHIPS; chip++)
-            chips[bit][chip] = (float)sums[chip];
+            chips[bit][chip] = (float)all_lanes(&sums[chip], 1);
+        power += all_lanes(&sums[CHIPS], 1);
     }
     return power;
 }

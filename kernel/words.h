@@ -42,6 +42,10 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
+/* What the bit of which words leave the most leaves more than the others, V²: as WordFit._most_left; amplitude: (n,)
+ * V, of the words. */
+double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude);
+
 /* Noise of one correlation, V RMS: of `count` spare rows from `spare` on, or of the words where fewer
  * than two rows are spare; see node_levels in separate.py. */
 double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count);
@@ -64,10 +68,11 @@ enum words_look {
 };
 
 /* The words of a frame, as decode_in_stages in decode.py reads them. per_noise: 1/V. rows: (k, N).
- * offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
+ * spoke: nodes whose rows are not 0, `speakers` of them; NULL: any may be. offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
  * written to unless least_usual (V, of the usual amplitude) is NaN. */
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
+                           const int32_t *spoke, size_t speakers,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active);

@@ -107,13 +107,13 @@ static int64_t latest(void)
     return run.has_timing && seen > run.due ? seen : run.due;
 }
 
-static void compare(int64_t start, const double *volts, size_t count)
+static void compare(int64_t start, const float *volts, size_t count)
 {
     MUST(start >= 0 && start + (int64_t)count <= run.end, WRONG_VALUE);
     for (size_t i = 0; i < count && start + (int64_t)i < MOST_INDEX; i++) {
         double expected = run.volts[(size_t)start + i];
-        MUST(isnan(expected) || volts[i] == expected, WRONG_VALUE);
-        add((uint64_t)(int64_t)(volts[i] * 1e3));
+        MUST(isnan(expected) || (double)volts[i] == expected, WRONG_VALUE);
+        add((uint64_t)(int64_t)((double)volts[i] * 1e3));
     }
 }
 
@@ -203,7 +203,7 @@ static void answer_doubt(struct stream *stream)
 
     MUST(start == run.open, WRONG_VALUE);
     if (about->summed_up) {
-        MUST(about->final && about->count == 1, WRONG_VALUE);
+        MUST(about->final && !about->count, WRONG_VALUE);
         stop = run.end;
     } else {
         MUST(about->final || (stop >= run.due && stop <= latest()), WRONG_VALUE);
@@ -213,12 +213,13 @@ static void answer_doubt(struct stream *stream)
     add(about->marks);
     if (needs_more) {
         run.due = stop + 1 + draw(30);
-        MUST(stream_decide(stream, run.due, -1, 0), WRONG_VALUE);
+        MUST(stream_decide(stream, run.due, -1, 0, 0), WRONG_VALUE);
     } else {
         bool is_known = draw(3);
         bool final = about->final;
         double level = about->rest->level;
-        MUST(stream_decide(stream, -1, is_known ? stop : -1, level), WRONG_VALUE);
+        MUST(stream_decide(stream, -1, is_known ? stop : -1, level,
+                           about->rest->noise), WRONG_VALUE);
         carry(stream);
         decide(start, final);
     }
@@ -303,7 +304,7 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
         .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
         .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
         .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
-    struct frame_code code = {transform, kind & 32 ? flips : NULL};
+    struct frame_code code = {.transform = transform, .flips = kind & 32 ? flips : NULL};
     MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);
     carry(stream);
     for (size_t begin = 0; begin < size; begin += piece) {

@@ -140,12 +140,12 @@ def _zeros(nodes: int) -> tuple[Bools, NDArray[np.int32], Floats32]:
 def decode(
     levels: NodeLevels,
     spec: FrameSpec,
-    threshold: float = ACTIVE_SHARE,
+    active_share: float = ACTIVE_SHARE,
     swing_v: ArrayLike | None = None,
 ) -> Words:
     """Read the words of one frame.
 
-    threshold: share of the expected amplitude above which a word counts as spoken. swing_v: that
+    active_share: share of the expected amplitude above which a word counts as spoken. swing_v: that
     amplitude, scalar or (n,), V; the specification's by default, and where that has none, the
     usual one of the frame. Activity is decided per word and not per bit: k levels average out the
     noise, which takes lost words from 0.32 to 1e-4 at ρ = 4. A word that louder ones explain by
@@ -157,8 +157,10 @@ def decode(
     """
     noise, bits = levels.noise_v, spec.line_bits
     measures = measure(levels.values)
-    expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
-    active, faint, any_faint = find_active(measures, expected, threshold, noise, bits, spec.order)
+    expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
+    active, faint, any_faint = find_active(
+        measures, expected, active_share, noise, bits, 0 if spec.sparse else spec.order
+    )
     astray, hidden = np.zeros((2, len(active)), np.bool_)
     noise_may_be_node = False
     weak = nobody(len(active))
@@ -166,7 +168,7 @@ def decode(
         loud = active & ~faint
         rest, rest_noise = unexplained(levels, loud, faint, spec)
         measures = _without_leakage(measures, rest, faint)
-        spoke = measures.amplitude > np.float32(threshold) * expected
+        spoke = measures.amplitude > np.float32(active_share) * expected
         astray = _out_of_step(measures.amplitude, active, spoke, expected)
         hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
         if not spec.sparse:  # there it is the certificate that says what noise may hide
@@ -178,7 +180,10 @@ def decode(
         measures, active, expected, spec.sign_mask, noise, bits, spec.parity
     )
     if uneven:
-        doubtful |= _disturbed(np.abs(levels.values), amplitude, active) & active
+        # Rows without a level show no noise, by which others could be told.
+        rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
+        own, spoke = np.abs(levels.values[:, rows]), active[rows]
+        doubtful[rows] |= _disturbed(own, amplitude[rows], spoke) & spoke
     for node in levels.unresolved:
         doubtful[node] = active[node]
     astray[list(levels.late)] = True
@@ -200,7 +205,7 @@ def decode(
     if _moves(levels, float(expected.min()), spec):
         doubtful |= ~active
     # The margin of what is not even faint says nothing, and would look like a doubt.
-    margin *= amplitude > np.float32(min(threshold, FAINT_SHARE)) * expected
+    margin *= amplitude > np.float32(min(active_share, FAINT_SHARE)) * expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = noise * math.sqrt(spec.order)
     return Words(
@@ -209,13 +214,17 @@ def decode(
 
 
 def _expected(
-    amplitude: Floats32, noise: float, threshold: float, swing_v: ArrayLike | None, spec: FrameSpec
+    amplitude: Floats32,
+    noise: float,
+    active_share: float,
+    swing_v: ArrayLike | None,
+    spec: FrameSpec,
 ) -> Floats32:
     """The amplitude of each node, (n,), V: as told to decode, specified, or the frame's usual."""
     if swing_v is None:
         swing_v = spec.node_swing_v
     if swing_v is None:
-        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
+        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / active_share)
     if isinstance(swing_v, np.ndarray) and swing_v.dtype == np.float32:
         return swing_v
     return np.full(spec.nodes, swing_v, dtype=np.float32)
