@@ -38,7 +38,8 @@ def main() -> int:
     try:
         values = read_file(arguments.params)
         port = arguments.port or str(values.get("port", ""))
-        with Skin(**{**values, "port": port}) as skin, suppress(KeyboardInterrupt):
+        # A slow machine that is also the simulator takes its time to begin.
+        with Skin(**{**values, "port": port}, timeout_s=30.0) as skin, suppress(KeyboardInterrupt):
             return watch(skin, arguments.seconds)
     except TactileError as error:
         print(f"make run: {error}", file=sys.stderr)

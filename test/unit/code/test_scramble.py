@@ -19,7 +19,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
