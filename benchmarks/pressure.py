@@ -235,7 +235,7 @@ def chain_of(
         calibration = Calibration.default(PressureCurve.two_stage(), nodes)
     tracker = None
     if name == TARED:
-        tracker = DriftTracker(ADC.lsb_v, nodes_beside(layout, nodes), rules)
+        tracker = DriftTracker(ADC, nodes_beside(layout, nodes), rules)
     return PressureChain(calibration, Baseline(nodes), tracker)
 
 

@@ -2,18 +2,11 @@
 
 """Grips until 5 kPa, and holds; closes further on slip; stops while it cannot feel.
 
-The gripper closes a little with every frame until a contact reaches 5 kPa, and then holds. While an
-object slips, it closes further and the arm is told to stop. It closes only while it can feel: where
-a taxel in service has no reading, messages stop, or the fingers have travelled MOST_MM, it holds,
-tells the arm to stop, and claims no grip. docs/programs.md has its limits.
-
 Start it beside a driver (make run):  .venv/bin/python examples/grip.py
 It publishes /gripper/close_mm, /gripper/gripped and /arm/stop, one of each per frame. Without a cue
-for slip: --ros-args -p slip_m_s:=1.0e9
+for slip: --ros-args -p slip_m_s:=1.0e9. docs/programs.md has its limits.
 """
 
-import math
-import time
 from contextlib import suppress
 
 import rclpy
@@ -21,9 +14,9 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
-from tactile_cdma.msg import TactileContacts
+from tactile_cdma.ros.client import SkinClient, Touch
 
-GRIP_PA, STEP_MM, SLIP_M_S, SETTLED_S = 5e3, 0.01, 5e-3, 0.3
+GRIP_PA, STEP_MM, SLIP_M_S = 5e3, 0.01, 5e-3
 MOST_MM, SILENT_S = 5.0, 0.5
 
 
@@ -34,32 +27,20 @@ class Grip(Node):
         self.closing = self.create_publisher(Float64, "/gripper/close_mm", 10)
         self.gripped = self.create_publisher(Bool, "/gripper/gripped", 10)
         self.stop = self.create_publisher(Bool, "/arm/stop", 10)
-        self.closed_mm, self.fast_frames, self.heard_s = 0.0, 0, -math.inf
-        self.create_subscription(TactileContacts, "/skin/contacts", self.feel, 10)
-        self.create_timer(SILENT_S / 2, self.watch)
+        self.closed_mm, self.fast_frames = 0.0, 0
+        self.skin = SkinClient(self, on_touch=self.feel, silent_after_s=SILENT_S)
         print("waiting for /skin/contacts …", flush=True)
 
-    def watch(self) -> None:
-        if time.monotonic() - self.heard_s > SILENT_S:
-            self.command(stop=True)  # no skin
-
-    def feel(self, message: TactileContacts) -> None:
-        self.heard_s = time.monotonic()
-        if not 0 < message.taxels_in_service == message.taxels_valid:
-            self.command(stop=True)  # blind, if only in part: what is not felt may be crushed
+    def feel(self, touch: Touch) -> None:
+        if not touch.is_sure:
+            self.command(stop=True)  # silent, or blind in part: what is not felt may be crushed
             return
-        felt_pa = max((contact.pressure_max for contact in message.contacts), default=0.0)
-        speeds = [
-            math.hypot(contact.velocity.x, contact.velocity.y, contact.velocity.z)
-            for contact in message.contacts
-            if contact.age > SETTLED_S
-        ]
-        self.fast_frames = self.fast_frames + 1 if max(speeds, default=0.0) > self.slip_m_s else 0
-        slips = self.fast_frames >= 2
-        wanted_mm = self.closed_mm + (STEP_MM if felt_pa < GRIP_PA or slips else 0.0)
+        self.fast_frames = self.fast_frames + 1 if touch.speed_m_s > self.slip_m_s else 0
+        slips, grips = self.fast_frames >= 2, touch.pressure_pa >= GRIP_PA
+        wanted_mm = self.closed_mm + (STEP_MM if slips or not grips else 0.0)
         self.closed_mm = min(wanted_mm, MOST_MM)
         stop = slips or wanted_mm > MOST_MM
-        self.command(stop, gripped=felt_pa >= GRIP_PA and not stop)
+        self.command(stop, gripped=grips and not stop)
 
     def command(self, stop: bool, gripped: bool = False) -> None:
         self.closing.publish(Float64(data=self.closed_mm))

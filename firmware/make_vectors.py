@@ -28,6 +28,7 @@ from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
     GetInfo,
+    Groups,
     Info,
     Message,
     Pack,
@@ -118,6 +119,11 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "pack": (4, Pack()),
     "touch": (5, Touch(Scene.HOST, 16, 1023)),
     "bootsel": (6, Bootsel()),
+    "groups": (7, Groups(3)),
+    "samples, of the last of eight groups": (
+        265,
+        Samples(9, 10, np.array([1, 2], dtype=np.int16), sync=True, turn=15),
+    ),
     "configure": (2, Configure(PAPER, SyncMode.HEAR, integrated=True, quiet_uv=135_000)),
 }
 
@@ -245,8 +251,8 @@ def book_table() -> str:
 
 def sign_table() -> str:
     """The row signs of docs/protocol.md."""
-    rows = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 1000, 65_535)
-    table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * 13 + "|"]
+    rows = (0, 1, 2, 3, 1000, 65_535)
+    table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * 7 + "|"]
     for seed in (0, 1, 0xFFFFFFFF):
         signs = plus_minus(row_signs(np.array(rows), seed)).replace("-", "−")
         table.append(f"| {seed} | {' | '.join(signs)} |")

@@ -178,6 +178,9 @@ PyObject *file_error(int failure);
 /* Whether correlations (k, N) are those of such frames; if not, with an exception. */
 bool are_of(const struct call *call, const struct words_frame *frame);
 
+/* What an object of the class Sparse holds. */
+struct sparse *sparse_of(void *held);
+
 /* The types of the module, each in a file of its own or in module.c. */
 extern PyType_Spec stream_spec, readout_spec, code_spec, sparse_spec;
 #define STREAM_LAYOUTS 2

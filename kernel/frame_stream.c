@@ -24,6 +24,7 @@ struct arrival {
     uint32_t count;
     uint16_t sequence;
     bool sync, called, quiet, is_exact, backlog;
+    uint8_t turn;
     double mean, variance, t_host;
     int16_t counts[TP_MAX_SAMPLES];
 };
@@ -239,6 +240,7 @@ static bool read_quiet(const struct scanner_packet *packet, struct arrival *arri
     arrival->count = quiet.count;
     arrival->sync = quiet.flags & TP_FLAG_SYNC;
     arrival->called = quiet.flags & TP_FLAG_CALLED;
+    arrival->turn = (uint8_t)(quiet.flags >> TP_TURN_SHIFT);
     arrival->quiet = true;
     arrival->is_exact = false;
     /* What does not fit, or cannot be, is asked about. */
@@ -267,6 +269,7 @@ static bool read_packet(const struct scanner_packet *packet, struct arrival *arr
     arrival->count = (uint32_t)count;
     arrival->sync = head.flags & TP_FLAG_SYNC;
     arrival->called = head.flags & TP_FLAG_CALLED;
+    arrival->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
     arrival->quiet = false;
     return true;
 }
@@ -370,10 +373,11 @@ static void tell(struct stream *stream, enum frame_look look, bool final)
 }
 
 /* The frame in progress is over; the line is at rest from `over` on. */
-static void settle(struct stream *stream, int64_t over, double level)
+static void settle(struct stream *stream, int64_t over, double level, double noise)
 {
     stream->start = -1;
     stream->rest.level = level;
+    stream->rest.noise = noise;
     stream->gap_begin = stream->rules.frame.integrated ? -1 : over; /* then no gap is sent */
 }
 
@@ -384,7 +388,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
 
     if (look == FRAME_SILENT) {
         tell(stream, look, final);
-        settle(stream, start + (int64_t)stream->rules.silent_over, found->level);
+        settle(stream, start + (int64_t)stream->rules.silent_over, found->level, found->rest);
         return STREAM_SILENT;
     }
     stream->uses += !stream->rules.frame.integrated;
@@ -394,7 +398,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
     }
     stream->ended += found->ended;
     tell(stream, look, final);
-    settle(stream, start + (int64_t)stream->timing.over, found->level);
+    settle(stream, start + (int64_t)stream->timing.over, found->level, found->rest);
     return STREAM_HEARD;
 }
 
@@ -429,6 +433,7 @@ static enum stream_event begin_frame(struct stream *stream)
     stream->subject.since = stream->mark < 0 ? -1 : stream->end - stream->mark;
     stream->subject.start = stream->start = stream->mark = stream->end;
     stream->subject.called = stream->now->called;
+    stream->subject.turn = stream->now->turn;
     stream->marks++;
     stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
     if (stream->is_asked)
@@ -464,6 +469,8 @@ static enum stream_event sum_up(struct stream *stream)
     enum frame_look look =
         frame_summed_up(&stream->rules.frame, &stream->rest, mean, variance, &subject->found);
     if (look == FRAME_SILENT) {
+        if (stream->code.sparse)
+            sparse_learn(stream->code.sparse, variance, &subject->found.rest);
         decided(stream, look, true);
         pass_by(stream);
         return STREAM_SILENT;
@@ -572,6 +579,21 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     return stream->described = make_room(stream, rules->frame.size);
 }
 
+bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke)
+{
+    const struct sparse_book *book = sparse_book(sparse);
+    const struct words_frame *frame = &stream->rules.frame.frame;
+
+    if (!stream->described || book->bits != frame->bits || book->rows != frame->order ||
+        book->nodes != frame->nodes || book->order > frame->order ||
+        frame->first != 1 || !stream->rules.frame.integrated ||
+        stream->rules.frame.size < book->bits * book->order)
+        return false;
+    stream->code.sparse = sparse;
+    stream->code.spoke = spoke;
+    return true;
+}
+
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog)
 {
     stream->bytes = bytes;
@@ -654,12 +676,12 @@ bool stream_open(struct stream *stream, size_t due)
     return true;
 }
 
-bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level)
+bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level, double noise)
 {
     if (!answers(stream, STREAM_DOUBT))
         return false;
     if (stream->stage == SUMMED) { /* which says nothing of the frames before */
-        settle(stream, over, level);
+        settle(stream, over, level, noise);
         pass_by(stream);
         return due < 0;
     }
@@ -670,7 +692,7 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
         stream->due = due;
         return true;
     }
-    settle(stream, over, level);
+    settle(stream, over, level, noise);
     return true;
 }
 

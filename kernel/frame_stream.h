@@ -83,6 +83,7 @@ struct stream_subject {
     int64_t start;             /* of the frame or block */
     int64_t since;             /* samples since the mark before; -1 after a hole */
     bool called, final;        /* of a roll call; no more samples will follow */
+    uint8_t turn;              /* whose, as the frame's packet says */
     bool summed_up;            /* only mean and variance of the frame are known, V and V² */
     double variance;
     const double *volts;       /* NaN where absurd; until the stream goes on */
@@ -102,6 +103,10 @@ void stream_free(struct stream *stream);
  * of the line is forgotten. code, rows (k, N): are kept. False: no memory. */
 bool stream_describe(struct stream *stream, const struct stream_rules *rules,
                      const struct frame_code *code, float *rows);
+
+/* Frames are of sparse codes, taken apart by this; false if they are others. Of those it reads, `rows` are 0 but for
+ * nodes that spoke, which `spoke` (n) lists. All are kept. */
+bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke);
 
 /* Bytes to go on with, kept until they are used up; read at t_host, s. backlog: they had waited. */
 void stream_give(struct stream *stream, const uint8_t *bytes, size_t size, double t_host, bool backlog);
@@ -126,8 +131,8 @@ bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t ori
 /* due: samples from the mark on. */
 bool stream_open(struct stream *stream, size_t due);
 /* due: stream index up to which samples are needed to decide, or -1 where it is decided. over: index from
- * which on the line is at rest, or -1. level: of the line at rest, V. */
-bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level);
+ * which on the line is at rest, or -1. level, noise: of the line at rest; see frame_rest. */
+bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level, double noise);
 /* due: index up to which samples are gathered for the next block. */
 bool stream_look(struct stream *stream, int64_t due);
 

@@ -112,7 +112,8 @@ static enum frame_look silent(const struct frame_rules *rules, const struct fram
 enum frame_look frame_summed_up(const struct frame_rules *rules, const struct frame_rest *rest,
                                 double mean, double variance, struct frame_found *found)
 {
-    *found = (struct frame_found){.level = rest->level, .clipped = share_clipped(rules, &mean, 1)};
+    *found = (struct frame_found){
+        .level = rest->level, .clipped = share_clipped(rules, &mean, 1), .rest = rest->noise};
     return silent(rules, rest, variance, found);
 }
 
@@ -238,6 +239,20 @@ static bool chip_stands_out(const struct frame_rules *rules, const double *volts
     return most > CLEARLY * rules->rest * (double)rules->frame.swing;
 }
 
+/* A frame of sparse codes, of chips that are samples. */
+static enum frame_look read_sparse(const struct frame_code *code, const double *volts, float *rows,
+                                   struct frame_found *found)
+{
+    struct sparse_told told;
+
+    if (!sparse_read(code->sparse, volts, &found->rest, rows, code->spoke, &told))
+        return FRAME_UNEXPLAINED;
+    found->level = told.level;
+    found->noise = told.noise;
+    found->speakers = told.speakers;
+    return FRAME_HEARD;
+}
+
 enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
                            const struct frame_timing *timing, const struct frame_edges *edges,
                            const struct frame_rest *rest, const double *volts, size_t count,
@@ -245,15 +260,20 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
 {
     const struct words_frame *frame = &rules->frame;
 
-    *found = (struct frame_found){.level = rest->level};
+    const size_t order = code->sparse ? sparse_book(code->sparse)->order : frame->order;
+    const size_t chips = frame->bits * order;
+
+    *found = (struct frame_found){.level = rest->level, .rest = rest->noise};
     if (count < rules->size)
         return FRAME_CUT_SHORT;
     double power = power_of(rules, rest, volts, &found->level);
     if (isnan(power))
         return FRAME_ABSURD;
-    if (power <= rules->silent_power) {
-        if (rules->integrated && chip_stands_out(rules, volts, found->level))
+    if (power <= rules->silent_power + rules->noise_share * rest->noise) {
+        if (rules->integrated && !code->sparse && chip_stands_out(rules, volts, found->level))
             return FRAME_UNEXPLAINED;
+        if (code->sparse)
+            sparse_learn(code->sparse, power, &found->rest);
         found->clipped = share_clipped(rules, volts, rules->size);
         return silent(rules, rest, power, found);
     }
@@ -263,15 +283,17 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         return FRAME_NO_TIMING;
     /* All edges of chips lie within more samples than the frame has. */
     size_t heard = rules->integrated ? rules->whole_size : timing->heard;
-    if (rules->integrated ? count < frame->bits * frame->order : count <= heard)
+    if (rules->integrated ? count < chips : count <= heard)
         return FRAME_CUT_SHORT;
-    if (rules->integrated && count > frame->bits * frame->order)
+    if (rules->integrated && count > chips)
         return FRAME_UNEXPLAINED;
     if (heard > count) /* pauses between bits have no samples, if these are chips */
         heard = count;
     found->clipped = share_clipped(rules, volts, heard);
     if (found->clipped > rules->deafened)
         return FRAME_CLIPPED;
+    if (code->sparse)
+        return read_sparse(code, volts, rows, found);
     if (!find_chips(rules, code, edges, found->level, volts, count, rows))
         return FRAME_NO_TIMING;
     double outermost = INFINITY;

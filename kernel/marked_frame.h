@@ -13,6 +13,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "sparse.h"
 #include "transform.h"
 #include "words.h"
 
@@ -66,6 +67,7 @@ struct frame_rules {
     bool integrated;     /* samples are chips; there is no timing, and no gap */
     bool mean_is_offset; /* of a frame, until a gap has shown it */
     bool scrambled;
+    double noise_share;              /* of the noise, which is no node either; see MarkedLine.gate */
     double silent_rise, silent_more; /* by which noise may exceed that of the gap, if scrambled; V² */
 };
 
@@ -73,6 +75,8 @@ struct frame_rules {
 struct frame_code {
     const struct transform *transform; /* from chips to rows; NULL: none of this order */
     const float *flips;                /* (k, N), of a scrambled frame's chips */
+    struct sparse *sparse;             /* what takes sparse codes apart; NULL: codes are orthogonal */
+    int32_t *spoke;                    /* (n) nodes that spoke, of sparse codes */
 };
 
 /* The timing of an earlier frame. */
@@ -100,6 +104,8 @@ struct frame_found {
     double clipped; /* share of its samples */
     bool ended;     /* the line was seen at rest after it */
     size_t more;    /* samples that show the line at rest after it */
+    double rest;    /* noise of the line, as in frame_rest, after it */
+    size_t speakers; /* of sparse codes */
 };
 
 enum frame_look {

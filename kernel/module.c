@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The kernel as a Python module; see tactile_cdma/_kernel.pyi for what it offers. */
+/* The kernel as a Python module: each FUNCTION, as binding.h explains, lists its arguments. */
 #include "binding.h"
 
 #include <errno.h>
@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 22 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 23 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */

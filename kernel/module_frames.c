@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The class Code of the Python module, which looks for frames: see fit.h, judge.h and gap.h, and
- * tactile_cdma/_kernel.pyi. */
+/* The class Code of the Python module, which looks for frames: see fit.h, judge.h and gap.h. */
 #include "binding.h"
 
 #include <math.h>

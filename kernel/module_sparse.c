@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The class Sparse of the Python module: see sparse.h and tactile_cdma/_kernel.pyi. */
+/* The class Sparse of the Python module: see sparse.h. */
 #include "binding.h"
 
 #include "sparse.h"
@@ -8,8 +8,12 @@
 #define OF_RULES(member) FIELD(sparse_rules, member)
 
 static const struct field sparse_fields[] = {
-    OF_RULES(swing),      OF_RULES(least),   OF_RULES(soft_noise), OF_RULES(slope), OF_RULES(log_odds),
-    OF_RULES(hard_share), OF_RULES(settled), OF_RULES(negligible), OF_RULES(stalled),    OF_RULES(turns),
+    OF_RULES(swing),      OF_RULES(least),     OF_RULES(soft_noise),    OF_RULES(slope),
+    OF_RULES(log_odds),   OF_RULES(hard_share), OF_RULES(settled),      OF_RULES(negligible),
+    OF_RULES(stalled),    OF_RULES(turns),     OF_RULES(capacity),      OF_RULES(most_noise),
+    OF_RULES(more),       OF_RULES(tolerance), OF_RULES(chance),        OF_RULES(chance_of_bit),
+    OF_RULES(hiding),     OF_RULES(weight),    OF_RULES(silent_square), OF_RULES(silent_power),
+    OF_RULES(alike),      OF_RULES(near),
 };
 
 const struct layout sparse_layout = LAYOUT(sparse_rules, sparse_fields);
@@ -33,6 +37,11 @@ static void drop_owned(void *held)
     PyMem_Free(owned);
 }
 
+struct sparse *sparse_of(void *held)
+{
+    return ((struct owned *)held)->sparse;
+}
+
 CONSTRUCTOR(Sparse, SETTINGS(sparse_rules), OBJECT("walsh", "Transform"), ARRAY("flips", 'f', "kN"),
             ARRAY("places", 'i', "kN"), ARRAY("codes", 'i', "M"), SIZE("nodes"))
 {
@@ -40,7 +49,7 @@ CONSTRUCTOR(Sparse, SETTINGS(sparse_rules), OBJECT("walsh", "Transform"), ARRAY(
                                call->value[5].size, call->value[1].data, call->value[3].data,
                                call->value[4].data, call->value[2].data};
 
-    if (!(book.bits && book.order && book.nodes && book.nodes < book.rows &&
+    if (!(book.bits && book.bits <= WORDS_MOST_BITS && book.order && book.nodes && book.nodes < book.rows &&
           transform_order(book.walsh) == book.rows))
         return refuse(call, "codes: more than nodes, and as many as the transform's rows, expected");
     for (size_t i = 0; i < book.bits * book.order; i++)
@@ -49,6 +58,9 @@ CONSTRUCTOR(Sparse, SETTINGS(sparse_rules), OBJECT("walsh", "Transform"), ARRAY(
     for (size_t i = 0; i < book.rows; i++)
         if (book.codes[i] < 0 || (size_t)book.codes[i] >= book.rows)
             return refuse(call, "codes: beyond the rows");
+    const struct sparse_rules *rules = call->value[0].data;
+    if (rules->capacity > book.nodes)
+        return refuse(call, "capacity: more than nodes");
     struct owned *owned = PyMem_Calloc(1, sizeof *owned);
     if (!owned)
         return PyErr_NoMemory();

@@ -73,9 +73,9 @@ enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 struct owner {
     struct stream *stream;
     struct scanner *scanner;
-    PyObject *scanner_object, *transform;
+    PyObject *scanner_object, *transform, *sparse;
     Py_buffer given; /* the bytes that are used up next */
-    Py_buffer rows, flips, edges[EDGE_ARRAYS];
+    Py_buffer rows, flips, spoke, edges[EDGE_ARRAYS];
     size_t chips; /* of a frame */
     double t_host; /* of the bytes used last */
     bool backlog;
@@ -105,6 +105,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, frame.tail_scatter),        FIELD(stream_rules, frame.tail_level),
     FIELD(stream_rules, frame.least_tail),          FIELD(stream_rules, frame.integrated),
     FIELD(stream_rules, frame.mean_is_offset),      FIELD(stream_rules, frame.scrambled),
+    FIELD(stream_rules, frame.noise_share),
     FIELD(stream_rules, frame.silent_rise),         FIELD(stream_rules, frame.silent_more),
     FIELD(stream_rules, marked),                    FIELD(stream_rules, in_blocks),
     FIELD(stream_rules, heeds_calls),               FIELD(stream_rules, zero_count),
@@ -163,8 +164,10 @@ static void drop_owner(void *held)
         release(&owner->edges[i]);
     release(&owner->rows);
     release(&owner->flips);
+    release(&owner->spoke);
     Py_XDECREF(owner->scanner_object);
     Py_XDECREF(owner->transform);
+    Py_XDECREF(owner->sparse);
     release(&owner->given);
     if (owner->stream)
         stream_free(owner->stream);
@@ -210,7 +213,7 @@ FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARR
 
     if (!owner)
         return NULL;
-    struct frame_code code = {call->value[1].data, NULL};
+    struct frame_code code = {.transform = call->value[1].data};
     size_t bits = axis(call, 'k'), order = axis(call, 'n');
     if (!(is_possible(rules, bits, order) && transform_order(code.transform) == order))
         return refuse(call, "rows: those of no frame of this code and these rules");
@@ -226,6 +229,24 @@ FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARR
     owner->chips = bits * order;
     PyObject *before = owner->transform;
     owner->transform = Py_NewRef(call->given[1]);
+    Py_XDECREF(before);
+    Py_RETURN_NONE;
+}
+
+/* Frames are of sparse codes, which this takes apart. */
+FUNCTION(detect_by, OBJECT("sparse", "Sparse"), OUT("spoke", 'i', "n"))
+{
+    struct owner *owner = free_one(call);
+
+    if (!owner)
+        return NULL;
+    struct sparse *sparse = sparse_of(call->value[0].data);
+    if (!(axis(call, 'n') == sparse_book(sparse)->nodes &&
+          stream_detect_by(owner->stream, sparse, call->value[1].data)))
+        return refuse(call, "sparse, spoke: of no frame that was described");
+    exchange(&owner->spoke, call, 1);
+    PyObject *before = owner->sparse;
+    owner->sparse = Py_NewRef(call->given[0]);
     Py_XDECREF(before);
     Py_RETURN_NONE;
 }
@@ -330,8 +351,9 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
     switch (event) {
     case STREAM_HEARD:
     case STREAM_SILENT:
-        return Py_BuildValue("(LdddO)", (long long)about->start, about->found.noise,
-                             about->found.level, about->found.clipped, flag(rest->known));
+        return Py_BuildValue("(LdddOnB)", (long long)about->start, about->found.noise,
+                             about->found.level, about->found.clipped, flag(rest->known),
+                             (Py_ssize_t)about->found.speakers, about->turn);
     case STREAM_PACKET:
     case STREAM_FOREIGN:
         return packet_tuple(&about->packet);
@@ -339,12 +361,12 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
         return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
                              (long long)about->since);
     case STREAM_DOUBT:
-        return Py_BuildValue("(iLy#OnnnOd(ddO))", about->look, (long long)about->start,
+        return Py_BuildValue("(iLy#OnnnOd(ddO)B)", about->look, (long long)about->start,
                              (const char *)about->volts,
                              (Py_ssize_t)(about->count * sizeof *about->volts), flag(about->final),
                              (Py_ssize_t)about->marks, (Py_ssize_t)about->uses,
                              (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
-                             rest->level, rest->noise, flag(rest->known));
+                             rest->level, rest->noise, flag(rest->known), about->turn);
     case STREAM_BLOCK:
         return Py_BuildValue("(LN)", (long long)about->start, /* not copied: until stream_look is called */
                              PyMemoryView_FromMemory((char *)about->volts,
@@ -440,12 +462,12 @@ static int64_t index_of(const struct call *call, size_t argument)
     return index >= 0 && index < (double)(1LL << 53) ? (int64_t)index : -1;
 }
 
-FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"))
+FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"), NUMBER("noise"))
 {
     struct owner *owner = free_one(call);
 
     return owner ? answered(call, stream_decide(owner->stream, index_of(call, 0), index_of(call, 1),
-                                                call->value[2].number))
+                                                call->value[2].number, call->value[3].number))
                  : NULL;
 }
 
@@ -457,8 +479,8 @@ FUNCTION(look, NUMBER("due"))
 }
 
 static PyMethodDef methods[] = {
-    ENTRY(describe), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end), ENTRY(next),
-    ENTRY(place),    ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
+    ENTRY(describe), ENTRY(detect_by), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end),
+    ENTRY(next),     ENTRY(place),     ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
 };
 
 static PyType_Slot slots[] = {
@@ -477,7 +499,7 @@ PyType_Spec stream_spec = {
 
 /* ---- Readout ----------------------------------------------------------------------------------- */
 
-enum { SKIN_ARRAYS = 18 };
+enum { SKIN_ARRAYS = 19 };
 
 struct reader_of_skin {
     struct readout *readout;
@@ -499,7 +521,7 @@ static void drop_readout(void *held)
 CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
             ARRAY("offset", 'f', "o"), OUT("expected_v", 'f', "n"), ARRAY("edges", 'f', "4N"), ARRAY("table_v", 'f', "c"),
             ARRAY("state", 'B', "n"), ARRAY("invalid", '?', "n"), ARRAY("uncalibrated", '?', "n"),
-            ARRAY("masked", '?', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("margin_v", 'f', "n"),
+            ARRAY("masked", '?', "n"), ARRAY("sign", 'f', "n"), ARRAY("rest_v", 'f', "n"), ARRAY("margin_v", 'f', "n"),
             ARRAY("end_v", 'f', "n"), ARRAY("pieces", 'f', "p3n"), ARRAY("source", 'i', "t"), OUT("kept_codes", 'i', "n"),
             OUT("kept_flags", 'B', "n"), OUT("heard_s", 'd', "n"), OUT("sums", 'f', "5n"))
 {
@@ -508,7 +530,8 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
     const union value *v = call->value;
     struct readout_skin skin = {v[1].data,  v[2].data,  v[3].data,  v[4].data,  v[5].data,  v[6].data,
                                 v[7].data,  v[8].data,  v[9].data,  v[10].data, v[11].data, v[12].data,
-                                v[13].data, v[14].data, v[15].data, v[16].data, v[17].data, v[18].data};
+                                v[13].data, v[14].data, v[15].data, v[16].data, v[17].data, v[18].data,
+                                v[19].data};
     const int32_t *source = skin.source;
     bool in_range = true;
 
@@ -541,7 +564,8 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
     return PyErr_NoMemory();
 }
 
-FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
+/* spoke: see words_read; not meant unless only_these. */
+FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_these"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
          NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
          ARRAY("tare_pa", 'f', "n"), OUT("active", '?', "n"), OUT("codes", 'i', "n"),
          OUT("floats", 'f', "3n"), OUT("doubts", '?', "3n"), OUT("readings", 'f', "2t"),
@@ -551,31 +575,38 @@ FUNCTION(read, ARRAY("rows", 'f', "kN"), NUMBER("per_noise"), NUMBER("least_usua
     const struct readout_settings *settings = readout_settings(reader->readout);
     const union value *v = call->value;
     size_t nodes = axis(call, 'n');
-    uint8_t *doubts = v[11].data;
-    float *words = v[10].data, *readings = v[12].data, *rest = v[14].data;
-    struct readout_frame frame = {v[8].data,
+    uint8_t *doubts = v[13].data;
+    float *words = v[12].data, *readings = v[14].data, *rest = v[16].data;
+    const int32_t *spoke = v[1].data;
+    bool in_range = true;
+    struct readout_frame frame = {v[10].data,
                                   doubts,
                                   doubts + nodes,
                                   doubts + 2 * nodes,
-                                  v[9].data,
+                                  v[11].data,
                                   words,
                                   words + nodes,
                                   words + 2 * nodes,
                                   readings,
                                   readings + settings->taxels,
-                                  v[13].data,
+                                  v[15].data,
                                   rest,
                                   rest + nodes,
-                                  v[15].data};
+                                  v[17].data};
 
     if (!are_of(call, &settings->frame))
         return NULL;
     if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
         return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,
                       settings->taxels, nodes, axis(call, 't'));
-    return PyLong_FromLong(readout_read(reader->readout, v[0].data, (float)v[1].number,
-                                        (float)v[2].number, v[3].size, v[4].number, v[5].number,
-                                        v[6].data, v[7].data, &frame));
+    for (size_t i = 0; i < axis(call, 'm'); i++)
+        in_range = in_range && spoke[i] >= 0 && (size_t)spoke[i] < nodes;
+    if (!in_range)
+        return refuse(call, "spoke: beyond the nodes");
+    return PyLong_FromLong(readout_read(reader->readout, v[0].data, v[2].size ? spoke : NULL,
+                                        axis(call, 'm'), (float)v[3].number, (float)v[4].number,
+                                        v[5].size, v[6].number, v[7].number, v[8].data, v[9].data,
+                                        &frame));
 }
 
 static PyMethodDef readout_methods[] = {ENTRY(read), {0}};

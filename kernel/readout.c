@@ -152,8 +152,8 @@ VECTORS static void keep_words(const struct readout_skin *skin, const struct rea
         stale[i] = now_s - heard_s[i] > stale_after_s;
 }
 
-/* Looks up voltages; raised_v: at rest at least, for the highest code, which may hide a contact. */
-static void look_up(const struct readout_skin *skin, int32_t highest, float *raised_v,
+/* Looks up voltages; meant_v: at rest, for a code at the converter's end that may hide a contact. */
+static void look_up(const struct readout_skin *skin, int32_t highest, float *meant_v,
                     struct block *block)
 {
     const size_t size = block->size;
@@ -161,35 +161,37 @@ static void look_up(const struct readout_skin *skin, int32_t highest, float *rai
     for (size_t i = 0; i < size; i++) {
         int32_t code = skin->kept_codes[block->at + i];
         float volts = skin->table_v[code], rest_v = skin->rest_v[block->at + i];
+        float sign = skin->sign[block->at + i], pulled_v = sign * (rest_v - volts);
+        bool at_end = code == (sign > 0 ? highest : 0);
         block->volts[i] = volts;
-        block->hiding[i] = code == highest && rest_v - volts > skin->margin_v[block->at + i];
-        raised_v[block->at + i] = code == highest && volts < rest_v ? rest_v : volts;
+        block->hiding[i] = at_end && pulled_v > skin->margin_v[block->at + i];
+        meant_v[block->at + i] = at_end && pulled_v > 0 ? rest_v : volts;
     }
 }
 
 /* Pressures, which are beyond the curves' range, and which are off rest: `convert` there, and
  * PressureChain.update. */
-VECTORS static void convert(const struct readout *readout, const float *restrict raised_v,
+VECTORS static void convert(const struct readout *readout, const float *restrict meant_v,
                             const float *restrict drift_v, float *restrict node_pa, struct block *block)
 {
     const size_t at = block->at, size = block->size, nodes = readout->settings.frame.nodes;
     const float *restrict pieces = readout->skin.pieces + at, *restrict end_v = readout->skin.end_v + at;
     const float *restrict rest_v = readout->skin.rest_v + at;
-    const float *restrict margin_v = readout->skin.margin_v + at;
+    const float *restrict margin_v = readout->skin.margin_v + at, *restrict sign = readout->skin.sign + at;
     float *restrict pressure_pa = block->pressure_pa;
     uint8_t *restrict beyond = block->beyond, *restrict off_rest = block->off_rest;
 
     for (size_t i = 0; i < size; i++) {
         pressure_pa[i] = 0;
-        beyond[i] = raised_v[at + i] + drift_v[at + i] < end_v[i];
-        off_rest[i] = raised_v[at + i] + drift_v[at + i] - rest_v[i] > margin_v[i];
+        beyond[i] = (meant_v[at + i] + drift_v[at + i] - end_v[i]) * sign[i] < 0;
+        off_rest[i] = (meant_v[at + i] + drift_v[at + i] - rest_v[i]) * sign[i] > margin_v[i];
     }
     for (size_t piece = 0; piece < readout->settings.pieces; piece++, pieces += 3 * nodes)
         for (size_t i = 0; i < size; i++) {
-            float fall_v = pieces[i] - (raised_v[at + i] + drift_v[at + i]), width_v = pieces[nodes + i];
-            fall_v = fall_v < 0 ? 0 : fall_v;
-            fall_v = fall_v > width_v ? width_v : fall_v;
-            pressure_pa[i] += fall_v * pieces[2 * nodes + i];
+            float below_v = pieces[i] - (meant_v[at + i] + drift_v[at + i]);
+            float passed_pa = below_v * pieces[nodes + i], width_pa = pieces[2 * nodes + i];
+            passed_pa = passed_pa < 0 ? 0 : passed_pa;
+            pressure_pa[i] += passed_pa > width_pa ? width_pa : passed_pa;
         }
     for (size_t i = 0; i < size; i++)
         node_pa[at + i] = pressure_pa[i];
@@ -236,7 +238,8 @@ VECTORS static void finish(const struct readout *readout, const struct readout_f
     }
 }
 
-enum readout_look readout_read(struct readout *readout, const float *rows, float per_noise,
+enum readout_look readout_read(struct readout *readout, const float *rows, const int32_t *spoke,
+                               size_t speakers, float per_noise,
                                float least_usual, bool in_place, double now_s, double stale_after_s,
                                const float *drift_v, const float *tare_pa,
                                const struct readout_frame *out)
@@ -250,7 +253,7 @@ enum readout_look readout_read(struct readout *readout, const float *rows, float
     struct words_decided decided = {out->codes,    out->rho,     out->margin,
                                     out->doubtful, out->doubled, out->odd};
     enum words_look look =
-        words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, skin->sign_mask,
+        words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, spoke, speakers, skin->sign_mask,
                    skin->offset, skin->expected, &measures, &decided, out->active);
     if (look == WORDS_NEED_STAGES || is_disturbed(readout, out))
         return READOUT_ODD;

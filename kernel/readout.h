@@ -40,8 +40,8 @@ struct readout_skin {
     const float *table_v; /* (codes,) */
     const uint8_t *state; /* status by health */
     const uint8_t *invalid, *uncalibrated, *masked;
-    const float *rest_v, *margin_v, *end_v; /* V; see Bounds in readings/stages.py */
-    const float *pieces;         /* (p, 3, n) begin, width, V, gain, Pa/V, of the curves */
+    const float *sign, *rest_v, *margin_v, *end_v; /* V; see Bounds in readings/stages.py */
+    const float *pieces;         /* (p, 3, n) begin, V, gain, Pa/V, width, Pa, of the curves */
     const int32_t *source;       /* (t,) node of every taxel, -1 for none; NULL: taxels are nodes */
     int32_t *kept_codes;         /* the last word, what was uncertain about it, when it came, s */
     uint8_t *kept_flags;
@@ -76,9 +76,10 @@ enum readout_look {
 };
 
 /* Reads the words of a frame, counts them, and converts them to readings. rows: (k, N) V. per_noise,
- * least_usual: see words_read. in_place: what they leave over is not asked. drift_v, tare_pa: added to
+ * spoke, least_usual: see words_read. in_place: what they leave over is not asked. drift_v, tare_pa: added to
  * voltages, taken off pressures. */
-enum readout_look readout_read(struct readout *readout, const float *rows, float per_noise,
+enum readout_look readout_read(struct readout *readout, const float *rows, const int32_t *spoke,
+                               size_t speakers, float per_noise,
                                float least_usual, bool in_place, double now_s, double stale_after_s,
                                const float *drift_v, const float *tare_pa,
                                const struct readout_frame *frame);

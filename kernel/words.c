@@ -51,6 +51,35 @@ VECTORS static void measure(const float *levels, size_t step, size_t bits, size_
         measure_block(levels + first, step, bits, nodes - first, measures, first);
 }
 
+/* The same, where only some nodes have levels, and those of all others are 0. */
+static void measure_some(const float *levels, size_t step, size_t bits, size_t nodes, const int32_t *spoke,
+                         size_t speakers, const struct words_measures *measures)
+{
+    float *all[] = {measures->amplitude, measures->weakest, measures->strongest, measures->squares};
+
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        memset(all[i], 0, nodes * sizeof *all[i]);
+    memset(measures->signs, 0, nodes * sizeof *measures->signs);
+    memset(measures->weakest_bit, 0, nodes * sizeof *measures->weakest_bit);
+    for (size_t begin = 0; begin < speakers; begin += BLOCK) {
+        float some[WORDS_MOST_BITS][BLOCK], found[4][BLOCK];
+        int32_t signs[BLOCK], weakest_bit[BLOCK];
+        const struct words_measures block = {found[0], found[1], found[2], found[3], signs, weakest_bit};
+        size_t size = speakers - begin < BLOCK ? speakers - begin : BLOCK;
+        for (size_t bit = 0; bit < bits; bit++)
+            for (size_t i = 0; i < size; i++)
+                some[bit][i] = levels[bit * step + (size_t)spoke[begin + i]];
+        measure(some[0], BLOCK, bits, size, &block);
+        for (size_t i = 0; i < size; i++) {
+            size_t node = (size_t)spoke[begin + i];
+            for (size_t j = 0; j < 4; j++)
+                all[j][node] = found[j][i];
+            measures->signs[node] = signs[i];
+            measures->weakest_bit[node] = weakest_bit[i];
+        }
+    }
+}
+
 /* ---- decide ------------------------------------------------------------------------------------ */
 
 /* Whether any word is faint: find_active in stages.py. */
@@ -451,6 +480,7 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
+                           const int32_t *spoke, size_t speakers,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active)
@@ -458,7 +488,10 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     const float *amplitude = measures->amplitude;
     float threshold = reading->threshold;
 
-    measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
+    if (spoke)
+        measure_some(rows + frame->first, frame->order, frame->bits, frame->nodes, spoke, speakers, measures);
+    else
+        measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
     if (!isnan(least_usual)) {
         float usual;
         loudest_of(amplitude, frame->nodes, frame->loudest_share, &usual);

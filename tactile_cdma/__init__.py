@@ -11,25 +11,34 @@ from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any
 
 from .base.errors import (
+    BodyError,
     CalibrationError,
     CaptureError,
+    ObservationError,
     ParameterError,
     PortError,
     RecordingEndError,
+    Refusal,
     RestError,
     SpecError,
     TactileError,
 )
 
 __all__ = [
+    "Body",
+    "BodyError",
+    "BodyFrame",
     "CalibrationError",
     "CaptureError",
     "Decoder",
     "Frame",
+    "LiveObservation",
+    "ObservationError",
     "Origin",
     "ParameterError",
     "PortError",
     "RecordingEndError",
+    "Refusal",
     "RestError",
     "Skin",
     "SpecError",
@@ -45,7 +54,9 @@ __path__ = extend_path(__path__, __name__)
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
+    from .body import Body, BodyFrame
     from .driver.digitizer import Origin
+    from .live_observation import LiveObservation
     from .readings.status import Status
     from .skin import Decoder, Frame, Skin, read_parameters, read_recording
 else:
@@ -54,7 +65,13 @@ else:
         """Load what needs numpy when it is first used: `tactile-cdma doctor` runs without."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        homes = {"Origin": ".driver.digitizer", "Status": ".readings.status"}
+        homes = {
+            "Body": ".body",
+            "BodyFrame": ".body",
+            "LiveObservation": ".live_observation",
+            "Origin": ".driver.digitizer",
+            "Status": ".readings.status",
+        }
         return getattr(import_module(homes.get(name, ".skin"), __name__), name)
 
 

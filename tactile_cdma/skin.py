@@ -7,29 +7,31 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .base.arrays import Bools, Floats32, Int32s
-from .base.errors import ParameterError, PortError, RecordingEndError, RestError
+from .base.arrays import Bools, Floats, Floats32, Int32s
+from .base.errors import ParameterError, PortError, RecordingEndError, Refusal, RestError
 from .config.parameters import BY_NAME, REPLAY, Value, Values, check_values, read_file
 from .config.skin_config import SkinConfig
 from .driver.digitizer import Source
 from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
 from .places.layout import Layout
+from .readings.contact import Contacts, ContactTracker
 from .recording.capture import read_bytes
 from .sim.indenters import Indenter
 from .sim.pressing import press
@@ -40,6 +42,12 @@ BUFFER_S = 1.0
 TIMEOUT_S = 5.0
 """Without a frame for longer, s, something is wrong: a port opens and its digitizer starts within
 2 s (driver.RETRY_S)."""
+LATEST_S = 0.5
+"""A frame that arrived longer ago, s, and two frame periods at least, is not the present one unless
+the program says so; chosen as datasets.alignment.STALE_S."""
+LOOK_S = 0.1
+"""Interval of looks at the driver's thread, which may end without a word, and of attempts to tare,
+s; chosen."""
 Setting: TypeAlias = Value | list[float]
 """A parameter's value."""
 
@@ -59,11 +67,13 @@ class Frame:
     voltage_v: (t,) float32, V, of the taxels' sensors; NaN likewise.
     status: (t,) uint8, bits of tactile_cdma.Status; 0 is a fresh, valid reading.
     positions_m: (t, 3) float32, centres of the taxels in the frame of the skin, m.
+    shape: rows and columns of the taxels, which are row-major; an irregular skin has one row.
     nodes: (t,) int32, number of the node behind each taxel, from 1; 0: none.
     active: (n,) bool, which nodes spoke in this frame; node i + 1 is element i.
     codes: (n,) int32, their ADC codes; 0 where a node did not speak.
     doubtful: (n,) bool, words that may be wrong.
     noise_rms_v: noise of the line, V.
+    contacts: the contacts, as in TactileContacts; None unless contacts=True was asked for.
     """
 
     sequence: int
@@ -74,11 +84,50 @@ class Frame:
     voltage_v: Floats32
     status: NDArray[np.uint8]
     positions_m: Floats32
+    shape: tuple[int, int]
     nodes: Int32s
     active: Bools
     codes: Int32s
     doubtful: Bools
     noise_rms_v: float
+    contacts: Contacts | None
+
+    def __repr__(self) -> str:
+        valid = np.count_nonzero(np.isfinite(self.pressure_pa))
+        most = f", at most {np.nanmax(self.pressure_pa) / 1e3:.1f} kPa" if valid else ""
+        return f"Frame({self.sequence}: {valid} of {len(self.nodes)} taxels valid{most})"
+
+    @property
+    def grid(self) -> Floats32:
+        """(rows, columns) the pressure, Pa."""
+        return self.pressure_pa.reshape(self.shape)
+
+    @property
+    def touched(self) -> bool:
+        """Whether there is a contact, by certain readings; False does not say that there is none.
+
+        Raises ParameterError, as the following, unless contacts were asked for.
+        """
+        return self._found.touched
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing touches the skin, and all taxels surely say so."""
+        return self._found.untouched
+
+    @property
+    def wrench(self) -> Floats:
+        """(6,) resultant force on the skin, N, and torque about its frame's origin, N·m.
+
+        NaN while it is not known, as in ~/wrench.
+        """
+        return self._found.wrench
+
+    @property
+    def _found(self) -> Contacts:
+        if self.contacts is None:
+            raise ParameterError("contacts are found only with Skin(…, contacts=True)")
+        return self.contacts
 
 
 class Skin:
@@ -96,10 +145,11 @@ class Skin:
     automatically.
 
     port: a device path, `usb://SERIAL`, `replay://FILE`, `sim://` or another pyserial URL.
+    contacts: also find contacts, from the first frame on; see Frame.contacts.
     timeout_s: after this time without a frame, and two frame periods at least, read() raises
         PortError with the likely cause; None: it waits for ever.
     parameters: by the names, units and limits of docs/parameters.md, as nodes=64, chip_us=50.0.
-    config: SkinConfig, what these parameters say.
+    parameters, config: as given, and as SkinConfig with the defaults of the others.
 
     ParameterError: raised for an unknown parameter, or a value of another type or out of range.
     SpecError: raised for parameters, or a layout file, that contradict each other.
@@ -108,15 +158,22 @@ class Skin:
     """
 
     def __init__(
-        self, port: str, *, timeout_s: float | None = TIMEOUT_S, **parameters: Setting
+        self,
+        port: str,
+        *,
+        contacts: bool = False,
+        timeout_s: float | None = TIMEOUT_S,
+        **parameters: Setting,
     ) -> None:
         values: Values = _checked({"port": port, **parameters})
         if timeout_s is not None and not (isinstance(timeout_s, float | int) and timeout_s > 0):
             raise ParameterError(f"timeout_s is {timeout_s!r}; it must be above 0 s, or None")
         self.config, self.port, self.timeout_s = SkinConfig.of(values), values["port"], timeout_s
+        self.parameters = values
+        self.contacts = contacts
         self._baud: int = values.get("baud", BY_NAME["baud"].default)
         self._opening = threading.Lock()  # one thread opens, closes or tares
-        self._inbox = _Inbox(self.config, self.port)
+        self._inbox = self._new_inbox()
         self._driver: Driver | None = None
         self._end: weakref.finalize[..., Skin] | None = None
 
@@ -149,12 +206,33 @@ class Skin:
         driver = self._running()
         return None if self._inbox.frames else driver.problem
 
-    def open(self) -> Skin:
-        """Open the port and begin to decode; raises PortError if the port cannot be opened."""
+    @property
+    def silence(self) -> str:
+        """Why no frame comes, if none does, in one sentence."""
+        return self._running().silence.removeprefix(f"{self.port}: ")
+
+    @property
+    def ended(self) -> bool:
+        """Whether a recording was replayed to its end, and every frame of it was taken."""
+        return self._running().ended and not self._inbox.frames
+
+    def telling(self, listener: Callable[[], None]) -> AbstractContextManager[object]:
+        """While the context lasts, listener is called whenever a frame, or silence, has come.
+
+        From another thread, which must not be held up: a listener sets an event, say.
+        """
+        self._running()
+        return self._inbox.telling(listener)
+
+    def open(self, patiently: bool = False) -> Skin:
+        """Open the port and begin to decode.
+
+        Raises PortError if the port cannot be opened; patiently: it is tried again then.
+        """
         with self._opening:
             if self._driver is None:
-                port = Port(self.port, self._baud)
-                inbox = self._inbox = _Inbox(self.config, self.port)
+                port = None if patiently else Port(self.port, self._baud)
+                inbox = self._inbox = self._new_inbox()
                 driver = Driver(self.config, self.port, self._baud, inbox.take, inbox.wake)
                 # Nothing of the driver refers to this object, so that one that is forgotten, and
                 # the interpreter's exit, end the stream as well.
@@ -178,30 +256,68 @@ class Skin:
 
     def __iter__(self) -> Iterator[Frame]:
         """Every frame in order, until a recording ends; raises PortError as read() does."""
-        while True:
-            try:
-                frame = self.read()
-            except RecordingEndError:
-                return
-            yield frame
+        with suppress(RecordingEndError):
+            while True:
+                yield self.read()
+
+    async def __aiter__(self) -> AsyncIterator[Frame]:
+        """As `for`, without holding up other tasks meanwhile."""
+        self._running()
+        loop, news = asyncio.get_running_loop(), asyncio.Event()
+
+        def tell() -> None:
+            with suppress(RuntimeError):  # the loop was closed
+                loop.call_soon_threadsafe(news.set)
+
+        inbox, begun_s = self._inbox, time.monotonic()
+        with inbox.telling(tell), suppress(RecordingEndError):
+            while True:
+                news.clear()
+                with inbox.changed:
+                    frame = inbox.first() if self._look(inbox, begun_s) else None
+                if frame is not None:
+                    yield frame
+                    begun_s = time.monotonic()
+                    continue
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(news.wait(), LOOK_S)
 
     def read(self) -> Frame:
         """The next frame in order, waited for.
 
         Raises PortError after timeout_s without one, RecordingEndError at the end of a recording.
         """
-        with self._awaited() as frames:
-            return _frame(frames.popleft(), self.layout)
+        with self._awaited() as inbox:
+            return inbox.first()
 
     def newest(self) -> Frame:
         """The newest frame that was not returned yet, waited for; older ones are skipped.
 
         Raises as read().
         """
-        with self._awaited() as frames:
-            newest = frames[-1]
-            frames.clear()
-            return _frame(newest, self.layout)
+        with self._awaited() as inbox:
+            return inbox.all()[-1]
+
+    def latest(self, max_age_s: float | None = LATEST_S) -> Frame | None:
+        """The newest frame, at once, also if it was returned before; older ones are skipped.
+
+        None if none arrived within max_age_s and two frame periods (None: at any time), so that a
+        skin that fell silent is not taken for one that feels what it felt last.
+        """
+        self._running()
+        inbox = self._inbox
+        with inbox.changed:
+            inbox.all()
+            age_s = time.monotonic() - inbox.heard_s
+            if max_age_s is not None and age_s > max(max_age_s, 2 * inbox.period_s):
+                return None
+            return inbox.latest
+
+    def waiting(self) -> list[Frame]:
+        """The frames that wait, in order, at once; perhaps none."""
+        self._running()
+        with self._inbox.changed:
+            return self._inbox.all()
 
     def press(self, *objects: Indenter) -> None:
         """Let these objects, and no others, touch a simulated skin from its next frame on.
@@ -221,18 +337,30 @@ class Skin:
         press(self._running(), objects, frames=1)
         return self.read()
 
-    def tare(self, force: bool = False) -> Floats32:
+    def tare(self, force: bool = False, wait_s: float = 0.0) -> Floats32:
         """Take the present reading as zero until the skin is closed.
 
-        Returns the pressure taken off, (t,) float32, Pa. force: even under load. The next frame
-        that is returned has the tare; a replay is decoded up to BUFFER_S ahead of the program, and
-        is tared there. Raises RestError if no frames arrive and, without force, while something
-        touches or moves the skin; PortError if the skin is not open.
+        Returns the pressure taken off, (t,) float32, Pa. force: even under load. wait_s: how long a
+        tare that is refused for what may pass, such as too few frames or a touch, is tried again.
+        The next frame that is returned has the tare; a replay is decoded up to BUFFER_S ahead of
+        the program, and is tared there. Raises RestError, with its reason, if no frames arrive and,
+        without force, while something touches or moves the skin; PortError if the skin is not open.
         """
+        end_s = time.monotonic() + wait_s
+        while True:
+            try:
+                return self._tare(force)
+            except RestError as error:
+                if not error.reason.may_pass or time.monotonic() >= end_s:
+                    raise
+            time.sleep(LOOK_S)
+
+    def _tare(self, force: bool) -> Floats32:
         with self._opening:
             driver, inbox = self._running(), self._inbox
             if driver.problem not in NOT_YET:  # the first frames may be on their way
-                raise RestError(f"not tared: no frames arrive: {driver.problem}")
+                reason = f"not tared: no frames arrive: {driver.problem}"
+                raise RestError(reason, Refusal.NO_FRAMES)
             with inbox.unbounded(), driver.between_frames() as pipeline:
                 taxels = pipeline.taxels
                 taxels.tare(pipeline.config.rest.contact_pa, force)
@@ -249,68 +377,134 @@ class Skin:
             raise PortError(f"{self.port}: not open; use `with Skin(...) as skin:` or skin.open()")
         return driver
 
+    def _new_inbox(self) -> _Inbox:
+        return _Inbox(_Framing(self.config, self.contacts), self.config, self.port)
+
     @contextmanager
-    def _awaited(self) -> Iterator[deque[TactileFrame]]:
-        """The frames that wait, at least one, while none is added."""
+    def _awaited(self) -> Iterator[_Inbox]:
+        """The inbox, with a frame at least, while none is added."""
         self._running()
         inbox, begun_s = self._inbox, time.monotonic()
-        limit_s = math.inf
-        if self.timeout_s is not None:
-            limit_s = max(self.timeout_s, 2 * self.config.spec.frame_period_s)
         with inbox.changed:
-            while not inbox.frames:
-                driver = self._running()
-                reason = driver.silence.removeprefix(f"{self.port}: ")
-                if driver.ended:
-                    problem = driver.pipeline.problem
-                    if problem and not driver.pipeline.counters.frames:
-                        raise PortError(f"{self.port}: no frame in it: {problem}")
-                    raise RecordingEndError(f"{self.port}: {reason}")
-                if time.monotonic() - begun_s >= limit_s:
-                    raise PortError(f"{self.port}: no frame for {limit_s:g} s: {reason}")
-                inbox.changed.wait(0.1)  # the driver's thread may end without a word
-            yield inbox.frames
-            inbox.changed.notify_all()
+            while not self._look(inbox, begun_s):
+                inbox.changed.wait(LOOK_S)
+            yield inbox
+
+    def _look(self, inbox: _Inbox, begun_s: float) -> bool:
+        """Whether a frame waits; raises as read(), which waits since begun_s (monotonic)."""
+        if inbox.frames:
+            return True
+        driver, limit_s = self._running(), math.inf
+        if self.timeout_s is not None:
+            limit_s = max(self.timeout_s, 2 * inbox.period_s)
+        reason = self.silence
+        if driver.ended:
+            problem = driver.pipeline.problem
+            if problem and not driver.pipeline.counters.frames:
+                raise PortError(f"{self.port}: no frame in it: {problem}")
+            raise RecordingEndError(f"{self.port}: {reason}")
+        if time.monotonic() - begun_s >= limit_s:
+            raise PortError(f"{self.port}: no frame for {limit_s:g} s: {reason}")
+        return False
+
+
+class _Found(NamedTuple):
+    """A frame, and its contacts if they were asked for."""
+
+    frame: TactileFrame
+    contacts: Contacts | None
+
+
+class _Framing:
+    """Makes the frames that programs get."""
+
+    def __init__(self, config: SkinConfig, contacts: bool) -> None:
+        self._layout = config.layout
+        self._tracker = ContactTracker(config.layout, config.contact) if contacts else None
+
+    def find(self, frame: TactileFrame) -> _Found:
+        """The contacts of every frame, in order: their ages and speeds rest on those before."""
+        found = self._tracker.update(frame.readings, frame.t_middle) if self._tracker else None
+        return _Found(frame, found)
+
+    def shown(self, found: _Found) -> Frame:
+        return _frame(found.frame, found.contacts, self._layout)
 
 
 class _Inbox:
     """Frames on their way from the driver's thread to the program.
 
     lossless: the driver waits while too many frames wait, which holds its lock; else the oldest
-    frame is dropped.
+    frame is dropped. latest, heard_s: the newest that was taken out, and when one last arrived.
     """
 
-    def __init__(self, config: SkinConfig, port: str) -> None:
-        self.frames: deque[TactileFrame] = deque()
+    def __init__(self, framing: _Framing, config: SkinConfig, port: str) -> None:
+        self.frames: deque[_Found] = deque()
         self.changed = threading.Condition()
+        self.latest: Frame | None = None
+        self.heard_s = -math.inf
+        self.period_s = config.spec.frame_period_s
+        self._framing = framing
+        self._listeners: set[Callable[[], None]] = set()
         self.dropped = 0
         self.closed = False
         self.lossless = port.lower().startswith(REPLAY)
-        self._most = max(2, round(BUFFER_S / config.spec.frame_period_s))
+        self._most = max(2, round(BUFFER_S / self.period_s))
         self._unbounded = False
 
     def take(self, frame: TactileFrame) -> None:
         """Called by the driver's thread for every frame."""
+        found = self._framing.find(frame)
         with self.changed:
             while self.lossless and len(self.frames) >= self._most:
                 if self.closed or self._unbounded:
                     break
                 self.changed.wait()
-            self.frames.append(frame)
+            self.frames.append(found)
+            self.heard_s = time.monotonic()
             if len(self.frames) > self._most and not self.lossless:
                 self.frames.popleft()
                 self.dropped += 1
-            self.changed.notify_all()
+            self.wake()
+
+    def first(self) -> Frame:
+        """The frame that waits longest, taken out, while self.changed is held."""
+        frame = self._framing.shown(self.frames.popleft())
+        self.latest = frame if not self.frames else self.latest
+        self.changed.notify_all()
+        return frame
+
+    def all(self) -> list[Frame]:
+        """All frames that wait, taken out, while self.changed is held."""
+        frames = [self._framing.shown(found) for found in self.frames]
+        self.frames.clear()
+        self.latest = frames[-1] if frames else self.latest
+        self.changed.notify_all()
+        return frames
 
     def wake(self, problem: str | None = None) -> None:
-        """Let all threads that wait look again."""
+        """Let all who wait look again."""
         with self.changed:
             self.changed.notify_all()
+            for tell in self._listeners:
+                tell()
+
+    @contextmanager
+    def telling(self, listener: Callable[[], None]) -> Iterator[None]:
+        """Meanwhile listener is called, in any thread, whenever there is something to look at."""
+        with self.changed:
+            self._listeners.add(listener)
+        try:
+            yield
+        finally:
+            with self.changed:
+                self._listeners.discard(listener)
 
     def clear(self) -> None:
         """Discard the frames that wait; never between another thread's look and its taking one."""
         with self.changed:
             self.frames.clear()
+            self.latest = None
 
     @contextmanager
     def unbounded(self) -> Iterator[None]:
@@ -341,13 +535,15 @@ class Decoder:
 
     Any split of the bytes gives the same frames; line noise raises nothing.
 
-    parameters: as those of Skin; port and baud have no effect.
+    contacts, parameters: as those of Skin; port and baud have no effect.
 
     Raises ParameterError, SpecError and CalibrationError as Skin does.
     """
 
-    def __init__(self, **parameters: Setting) -> None:
-        self._pipeline = Pipeline(SkinConfig.of(_checked(parameters)), background=False)
+    def __init__(self, *, contacts: bool = False, **parameters: Setting) -> None:
+        config = SkinConfig.of(_checked(parameters))
+        self._pipeline = Pipeline(config, background=False)
+        self._framing = _Framing(config, contacts)
 
     @property
     def layout(self) -> Layout:
@@ -370,12 +566,14 @@ class Decoder:
         """Frames that these bytes complete; t_host: when they were read, monotonic, s."""
         if not math.isfinite(t_host):
             raise ValueError(f"t_host is {t_host}; it must be a time in s, as of time.monotonic()")
-        frames = self._pipeline.feed(memoryview(data).tobytes(), t_host)
-        return [_frame(frame, self.layout) for frame in frames]
+        return self._shown(self._pipeline.feed(memoryview(data).tobytes(), t_host))
 
     def flush(self) -> list[Frame]:
         """Frames that still waited for what follows them: call it where the bytes end."""
-        return [_frame(frame, self.layout) for frame in self._pipeline.flush()]
+        return self._shown(self._pipeline.flush())
+
+    def _shown(self, frames: Iterable[TactileFrame]) -> list[Frame]:
+        return [self._framing.shown(self._framing.find(frame)) for frame in frames]
 
 
 def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
@@ -413,7 +611,7 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _frame(frame: TactileFrame, layout: Layout) -> Frame:
+def _frame(frame: TactileFrame, contacts: Contacts | None, layout: Layout) -> Frame:
     words, readings = frame.words, frame.readings
     return Frame(
         sequence=frame.sequence,
@@ -424,9 +622,11 @@ def _frame(frame: TactileFrame, layout: Layout) -> Frame:
         voltage_v=_read_only(readings.voltage_v),
         status=_read_only(readings.status),
         positions_m=_read_only(layout.positions_m),
+        shape=(layout.rows, layout.columns),
         nodes=_read_only(layout.nodes),
         active=_read_only(words.active),
         codes=_read_only(words.codes),
         doubtful=_read_only(words.doubtful),
         noise_rms_v=words.noise_rms_v,
+        contacts=contacts,
     )

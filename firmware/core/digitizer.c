@@ -104,11 +104,22 @@ static enum tp_result call_roll(struct dg *dg)
     return TP_RESULT_OK;
 }
 
+static enum tp_result divide(struct dg *dg, const struct tp_groups *asked)
+{
+    if (!tp_groups_in_range(asked))
+        return TP_RESULT_OUT_OF_RANGE;
+    if (!dg->running || dg->board->layout || !setup_has_turns(&dg->setup))
+        return TP_RESULT_UNSUPPORTED;
+    pulses_divide(&dg->pulses, asked->log2_groups);
+    return TP_RESULT_OK;
+}
+
 /* Executes the command just read. */
 static enum tp_result obey(struct dg *dg)
 {
     uint8_t type = dg->reader.header.type;
     struct tp_configure asked;
+    struct tp_groups groups;
 
     switch (type) {
     case TP_GET_INFO:
@@ -124,6 +135,11 @@ static enum tp_result obey(struct dg *dg)
             return TP_RESULT_BAD_LENGTH;
         memcpy(&asked, dg->reader.payload, sizeof asked);
         return configure(dg, &asked);
+    case TP_GROUPS:
+        if (dg->reader.payload_size != sizeof groups)
+            return TP_RESULT_BAD_LENGTH;
+        memcpy(&groups, dg->reader.payload, sizeof groups);
+        return divide(dg, &groups);
     default:
         return dg->board->command
                    ? dg->board->command(type, dg->reader.payload, dg->reader.payload_size)

@@ -9,6 +9,7 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
     pulses->setup = setup;
     pulses->mark = setup->first_mark;
     pulses->frame = pulses->chip = pulses->turns = 0;
+    pulses->log2_groups = pulses->group = pulses->announced = pulses->digits = 0;
     __asm__ volatile("" ::: "memory"); /* an interrupt may use the above once `on` is set */
     pulses->on = setup->marked;
 }
@@ -17,6 +18,7 @@ void pulses_end(struct pulses *pulses)
 {
     pulses->on = false;
     pulses->call_asked = false;
+    pulses->log2_asked = 0;
     __asm__ volatile("" ::: "memory"); /* the caller may change the setup from here on */
 }
 
@@ -35,9 +37,37 @@ bool pulses_called(const struct pulses *pulses, uint32_t frame)
     return pulses->called & bit(frame);
 }
 
-static uint8_t begin_frame(struct pulses *pulses)
+void pulses_divide(struct pulses *pulses, uint8_t log2_groups)
+{
+    pulses->log2_asked = log2_groups;
+}
+
+uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame)
+{
+    return pulses->turn[frame % PULSES_AHEAD];
+}
+
+/* The turn of the next frame, if it is of no roll call. */
+static uint8_t take_turn(struct pulses *pulses)
+{
+    uint8_t asked = pulses->log2_asked;
+
+    if (asked != pulses->log2_groups) {
+        pulses->log2_groups = asked;
+        pulses->group = 0;
+    }
+    if (asked == 0)
+        return 0;
+    uint8_t groups = (uint8_t)(1u << asked), group = pulses->group;
+    pulses->group = (uint8_t)((group + 1u) & (groups - 1u));
+    return groups | group;
+}
+
+/* Decides what the next frame's pulses say. */
+static void announce_frame(struct pulses *pulses)
 {
     bool begins = pulses->call_asked;
+    uint8_t turn = take_turn(pulses);
 
     if (begins) {
         pulses->call_asked = false;
@@ -46,10 +76,24 @@ static uint8_t begin_frame(struct pulses *pulses)
     if (pulses->turns) {
         pulses->turns--;
         pulses->called |= bit(pulses->frame);
+        turn = 0;
     } else {
         pulses->called &= ~bit(pulses->frame);
     }
-    return begins ? TP_SYNC_CALL : TP_SYNC_FRAME;
+    pulses->turn[pulses->frame % PULSES_AHEAD] = pulses->digits = turn;
+    pulses->announced = begins ? TP_SYNC_CALL : TP_SYNC_FRAME;
+}
+
+/* Goes back from a frame's pulse to that of the highest digit left. */
+static void take_digit(struct pulses *pulses, struct dg_pulse *pulse)
+{
+    uint8_t digit = TP_TURN_MOST_LOG2;
+
+    while (!(pulses->digits >> digit))
+        digit--;
+    pulses->digits ^= (uint8_t)(1u << digit);
+    pulse->tick -= (uint64_t)(digit + 1u) * TP_SYNC_DIGIT * TP_SYNC_UNIT_US * pulses->setup->ticks_per_us;
+    pulse->units = TP_SYNC_RESTART;
 }
 
 bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse)
@@ -65,7 +109,14 @@ bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse)
         pulse->tick += (place + STRIDE_MILLI / 2) / STRIDE_MILLI;
         pulse->units = TP_SYNC_RESTART;
     } else {
-        pulse->units = begin_frame(pulses);
+        if (!pulses->announced)
+            announce_frame(pulses);
+        if (pulses->digits) {
+            take_digit(pulses, pulse);
+            return true;
+        }
+        pulse->units = pulses->announced;
+        pulses->announced = 0;
     }
     pulses->chip += resync_chips;
     if (resync_chips == 0 || pulses->chip >= setup->chips) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Schedules the pulses of the sync line: one before every frame and every restart within it.
+/* Schedules the pulses of the sync line: one before every frame and every restart within it, and before
+ * a frame those that tell whose turn it is.
  *
  * An interrupt may call pulses_next at any time. It shares with the rest only flags, and words that
  * one side alone writes.
@@ -25,11 +26,16 @@ struct pulses {
     volatile bool on;
     volatile bool call_asked;     /* … and no frame of it has begun */
     volatile uint32_t called;     /* bit f % PULSES_AHEAD: frame f belongs to a roll call */
+    volatile uint8_t log2_asked;  /* of the groups, from the next frame on */
+    volatile uint8_t turn[PULSES_AHEAD]; /* of frame f at f % PULSES_AHEAD */
     const struct setup *setup;
     uint64_t mark;                /* tick at which the present frame begins */
     uint32_t frame;               /* its number */
     uint32_t chip;                /* the chip that the next pulse announces */
     uint32_t turns;               /* frames left of the roll call */
+    uint8_t log2_groups, group;   /* in force; the next frame's */
+    uint8_t announced;            /* length of the next frame's pulse, in TP_SYNC_UNIT_US; 0: not begun yet */
+    uint8_t digits;               /* of its turn, whose pulses are to come */
 };
 
 /* Starts at the stream's first frame. The setup must not change until pulses_end. */
@@ -38,6 +44,10 @@ void pulses_end(struct pulses *pulses);
 
 /* Asks for a roll call from the next frame without a pulse on; pulses_end cancels it. */
 void pulses_call(struct pulses *pulses);
+/* Divides the nodes into 2^log2_groups groups, from the next frame without a pulse on; pulses_end undoes it. */
+void pulses_divide(struct pulses *pulses, uint8_t log2_groups);
+/* The turn of a frame, whose pulse pulses_next has returned; 0: of all nodes. */
+uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame);
 /* Whether a frame, whose pulse pulses_next has returned, belongs to a roll call. */
 bool pulses_called(const struct pulses *pulses, uint32_t frame);
 

@@ -37,6 +37,16 @@ uint64_t setup_chip_place(const struct setup *setup, uint32_t chip)
     return place(setup, chip) * chip_length(setup);
 }
 
+bool setup_has_turns(const struct setup *setup)
+{
+    const struct tp_frame_layout *frame = &setup->asked.frame;
+    /* the highest digit's pulse comes two leads after the frame */
+    uint64_t turn_us = ((TP_TURN_MOST_LOG2 + 1u) * TP_SYNC_DIGIT + 3 * TP_SYNC_LEAD) * TP_SYNC_UNIT_US;
+
+    return setup->marked && (place(setup, setup->chips - 1) + 1ull) * frame->chip_ns + turn_us * 1000 <=
+                                frame->frame_period_us * 1000ull;
+}
+
 /* Whether a frame fits its period, and successive pulses of the sync line are two leads apart. */
 static bool timely(const struct setup *setup)
 {

@@ -43,6 +43,9 @@ extern const struct tp_configure setup_default;
 bool setup_make(struct setup *setup, const struct dg_board *board,
                 const struct tp_configure *asked);
 
+/* Whether there is time before a frame for the pulses of its turn. */
+bool setup_has_turns(const struct setup *setup);
+
 /* Time from a frame's mark to the start of chip `chip`, in thousandths of a tick. */
 uint64_t setup_chip_place(const struct setup *setup, uint32_t chip);
 

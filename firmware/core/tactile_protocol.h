@@ -31,12 +31,15 @@
 #define TP_DEMO_WIRED 0xDE01u
 #define TP_DEMO_WIRELESS 0xDE02u
 
-/* pulses on the sync line: unit, lengths and lead in units; memory of a node */
+/* sync line: unit, lengths and distances of pulses in units; turns; memory of a node */
 #define TP_SYNC_UNIT_US 16u
 #define TP_SYNC_RESTART 1u
 #define TP_SYNC_FRAME 2u
 #define TP_SYNC_CALL 3u
 #define TP_SYNC_LEAD 4u
+#define TP_SYNC_DIGIT 8u
+#define TP_TURN_SHIFT 3u
+#define TP_TURN_MOST_LOG2 4u
 #define TP_NODE_MAGIC 1314145108u
 #define TP_NODE_VERSION 2u
 #define TP_NODE_LEARN_REST 65535u
@@ -56,6 +59,7 @@
 #define TP_PACK 0x86
 #define TP_TOUCH 0x87
 #define TP_BOOTSEL 0x88
+#define TP_GROUPS 0x89
 
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
@@ -249,7 +253,7 @@ _Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
 struct __attribute__((packed)) tp_samples {
     uint64_t device_time_us; /* µs: when its first sample was taken; if integrated, when its chip began */
     uint64_t first_index; /* index of its first sample in the stream */
-    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 CALLED */
+    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 CALLED, bits 3 to 7 turn */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */
 };
 TP_ASSERT_AT(tp_samples, device_time_us, 0);
@@ -366,6 +370,18 @@ _Static_assert(sizeof(struct tp_touch) == 5, "size of tp_touch");
 static inline bool tp_touch_in_range(const struct tp_touch *m)
 {
     return (m->scene == 0 || m->scene == 1 || m->scene == 2 || m->scene == 3 || m->scene == 4);
+}
+
+/* Divides the nodes into groups that transmit by turns. */
+struct __attribute__((packed)) tp_groups {
+    uint8_t log2_groups; /* their number is 2 to this power; 0: all nodes at once */
+};
+TP_ASSERT_AT(tp_groups, log2_groups, 0);
+_Static_assert(sizeof(struct tp_groups) == 1, "size of tp_groups");
+/* Whether every field is within its range. */
+static inline bool tp_groups_in_range(const struct tp_groups *m)
+{
+    return m->log2_groups <= 4u;
 }
 
 /* longest packet: payload; with type and sequence; with CRC; with COBS and delimiter */

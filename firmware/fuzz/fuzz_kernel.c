@@ -404,7 +404,7 @@ static void read_frames(struct input *input)
             rows[i] = i % order % 8 < silent % 9 ? (byte & 128 ? level : -level) : 0;
         }
         float words = *skin.sums;
-        enum readout_look look = readout_read(readout, rows, 100, learnt ? 0.01f : NAN, options & 8,
+        enum readout_look look = readout_read(readout, rows, NULL, 0, 100, learnt ? 0.01f : NAN, options & 8,
                                               now_s, 1.5, drift_v, tare_pa, &found);
         if (look <= READOUT_LEFT) {
             MUST(*skin.sums == words, WRONG_VALUE);

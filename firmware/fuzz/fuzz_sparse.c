@@ -71,6 +71,38 @@ static void check_sum(const struct sparse_book *book, const float *chips, const 
     }
 }
 
+/* What is certified of an undisturbed line was sent; and its levels are those of who spoke, and of nobody else. */
+static void check_certified(const struct sparse_book *book, struct sparse *sparse, const float *chips,
+                            const int16_t *sent, bool is_sound)
+{
+    static double volts[MOST_BITS * MOST_ORDER];
+    static float rows[MOST_BITS * MOST_ROWS];
+    int32_t spoke[MOST_ROWS];
+    bool has[MOST_ROWS] = {false};
+    struct sparse_told told;
+    double noise = 1e-3;
+
+    for (size_t at = 0; at < book->bits * book->order; at++)
+        volts[at] = (double)chips[at];
+    memset(rows, 0, sizeof rows);
+    for (size_t again = 0; again < 2; again++) {
+        if (!sparse_read(sparse, volts, &noise, rows, spoke, &told))
+            return;
+        MUST(told.speakers <= book->nodes && noise >= 0, WRONG_VALUE);
+        memset(has, 0, sizeof has);
+        for (size_t i = 0; i < told.speakers; i++)
+            has[spoke[i]] = true;
+        for (size_t node = 0; node < book->nodes; node++) {
+            MUST(!is_sound || has[node] == (sent[node] >= 0), WRONG_VALUE);
+            for (size_t bit = 0; bit < book->bits; bit++) {
+                float level = rows[bit * book->rows + node + 1];
+                MUST(has[node] || level == 0, WRONG_VALUE);
+                MUST(!is_sound || !has[node] || (level > 0) == (sent[node] >> bit & 1), WRONG_VALUE);
+            }
+        }
+    }
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     struct input input = {bytes, size};
@@ -80,7 +112,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     size_t nodes = 1 + input_u16(&input) % (rows - 1), speakers = input_u8(&input) % (order / 2);
     struct transform *walsh = transform_new(taps[0], 0, NULL, NULL, 1, 0);
     const struct sparse_book book = {bits, order, rows, nodes, walsh, places, codes, flips};
-    const struct sparse_rules rules = {1, 0.35, 0.2, 0.75, 8, 2.2, 0.01, 1e-4, 0.97, 24};
+    const struct sparse_rules rules = {
+        .swing = 1, .least = 0.35, .soft_noise = 0.1, .slope = 0.75, .log_odds = 8, .hard_share = 2.2,
+        .settled = 0.01, .near = 0.1, .negligible = 1e-4, .stalled = 0.97, .turns = 24,
+        .capacity = nodes < order / 4 ? nodes : order / 4, .most_noise = 0.1 * (double)order, .more = 0.1,
+        .tolerance = 0.03, .chance = 4 * sqrt(2.0 / (double)(bits * order)), .chance_of_bit = 4 * sqrt(2.0 / (double)order),
+        .hiding = 0.3, .weight = 0.25, .silent_square = 0.01 * (double)bits, .silent_power = 2.5 * (double)bits,
+        .alike = true};
     const double dampings[] = {0, 0.6, 0.8};
     int16_t sent[MOST_ROWS];
     bool is_sound = true, heard[MOST_ROWS];
@@ -121,6 +159,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
             for (size_t bit = 0; heard[node] && bit < bits; bit++)
                 MUST((levels[bit * rows + node + 1] > 0) == (sent[node] >> bit & 1), WRONG_VALUE);
         }
+    check_certified(&book, sparse, chips, sent, is_sound && bits >= 8 && order >= 16);
     sparse_loudness(sparse, chips, late, loudness);
     for (size_t node = 0; node < nodes; node += 1 + nodes / 8) {
         float mean = 0;

@@ -213,12 +213,13 @@ static void answer_doubt(struct stream *stream)
     add(about->marks);
     if (needs_more) {
         run.due = stop + 1 + draw(30);
-        MUST(stream_decide(stream, run.due, -1, 0), WRONG_VALUE);
+        MUST(stream_decide(stream, run.due, -1, 0, 0), WRONG_VALUE);
     } else {
         bool is_known = draw(3);
         bool final = about->final;
         double level = about->rest->level;
-        MUST(stream_decide(stream, -1, is_known ? stop : -1, level), WRONG_VALUE);
+        MUST(stream_decide(stream, -1, is_known ? stop : -1, level,
+                           about->rest->noise), WRONG_VALUE);
         carry(stream);
         decide(start, final);
     }
@@ -303,7 +304,7 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
         .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
         .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
         .most_device_us = 1u << 30, .most_quiet = MOST_COUNT, .most_quiet_v2 = 100};
-    struct frame_code code = {transform, kind & 32 ? flips : NULL};
+    struct frame_code code = {.transform = transform, .flips = kind & 32 ? flips : NULL};
     MUST(stream_describe(stream, &rules, &code, rows), WRONG_VALUE);
     carry(stream);
     for (size_t begin = 0; begin < size; begin += piece) {

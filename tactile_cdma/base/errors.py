@@ -2,6 +2,8 @@
 
 """The exceptions that misuse raises. Line noise is never an exception: it is counted."""
 
+from enum import IntEnum
+
 from .plain_text import plain
 
 
@@ -86,6 +88,13 @@ class NodeMemoryError(TactileError, ValueError):
     """
 
 
+class ObservationError(TactileError):
+    """An observation that a policy was never trained on, because rows like it are left out.
+
+    Example: the state of the robot is older than half a second.
+    """
+
+
 class MissingPackageError(TactileError, ImportError):
     """An optional package that a command needs is not installed.
 
@@ -93,11 +102,34 @@ class MissingPackageError(TactileError, ImportError):
     """
 
 
+class Refusal(IntEnum):
+    """Why a tare was refused; the numbers are those of Tare.srv."""
+
+    NONE = 0
+    OTHER = 1
+    INACTIVE = 2
+    NO_FRAMES = 3
+    EARLY = 4
+    MOVING = 5
+    LOADED = 6
+    SENSOR = 7
+    NO_READING = 8
+
+    @property
+    def may_pass(self) -> bool:
+        """Whether trying again later may help, without anybody's doing."""
+        return self in (Refusal.NO_FRAMES, Refusal.EARLY, Refusal.MOVING, Refusal.LOADED)
+
+
 class RestError(TactileError):
     """A tare that cannot be taken now, or a file of tare and drift that cannot be used.
 
-    Example: tare() while something touches the skin.
+    Example: tare() while something touches the skin; reason is Refusal.LOADED then.
     """
+
+    def __init__(self, text: str, reason: Refusal = Refusal.OTHER) -> None:
+        super().__init__(text)
+        self.reason = reason
 
 
 class MessageError(TactileError, ValueError):

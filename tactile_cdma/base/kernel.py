@@ -3,7 +3,8 @@
 """Chooses what does the arithmetic of every frame: the compiled kernel, or numpy.
 
 numpy is the reference, and what is left where the kernel was not built. Modules that have both
-forms of a stage ask `compiled` once, when they are loaded or a stage is set up.
+forms of a stage ask `compiled` once, when they are loaded or a stage is set up. What a function of
+the kernel takes stands before its body in kernel/module*.c; another array or number raises.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Function = TypeVar("Function", bound="Callable[..., Any]")
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 22
+VERSION = 23
 """Of the functions that this package expects in the kernel."""
 
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base.arrays import Bools, Floats
+from ..readings.calibration import Curves, PressureCurve
 
 LEAST_LEVELS = 3
 """Different loads that every piece needs: two give its line, one more tells how well it fits."""
@@ -69,7 +70,7 @@ def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: flo
 
     pressure_pa, voltage_v: (n, m), Pa and V, NaN where a sensor has fewer than m points. Each
     needs LEAST_LEVELS different loads per piece. noise_v: rms that the converter's resolution adds,
-    V: no point is an outlier for less. Whether the curves fall is for the caller to check.
+    V: no point is an outlier for less. Whether the curves are monotone is for the caller to check.
     """
     given = np.isfinite(pressure_pa) & np.isfinite(voltage_v)
     scale_pa = np.max(pressure_pa, axis=1, keepdims=True, where=given, initial=0.0)
@@ -93,6 +94,46 @@ def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: flo
         used=used,
         sigma_v=np.sqrt(points.variance(knees, used)),
         knee_found=found,
+    )
+
+
+def fit_power_laws(
+    pressure_pa: Floats, voltage_v: Floats, supply_v: float, noise_v: float
+) -> CurveFit:
+    """As fit_curves, for force sensing resistors in a divider of supply_v: PressureCurve.power_law.
+
+    There ln(V/(supply − V)) is a line over ln(P), with the exponent as its slope, − where V falls.
+    Its squares are weighted by how far V moves with it, squared, which makes them those of V.
+    """
+    x = np.log(np.maximum(pressure_pa, np.finfo(float).tiny))
+    given = np.isfinite(voltage_v) & (pressure_pa > 0)
+    volts = np.clip(np.where(given, voltage_v, supply_v / 2), 1e-6, supply_v - 1e-6)
+    x, y = np.where(given, x, 0.0), np.log(volts / (supply_v - volts))
+    design, fitted_v = np.concatenate((np.ones((*x.shape, 1)), x[:, :, None]), axis=2), volts
+    used, trust = given, given.astype(float)
+    for step in range(_ABSOLUTE_STEPS + _TRIMS):
+        slope_v = fitted_v * (supply_v - fitted_v) / supply_v
+        beta, off = _solve(design, y, trust * slope_v**2)
+        fitted_v = supply_v / (1 + np.exp(off - y))
+        residual_v = np.where(given, volts - fitted_v, 0.0)
+        size_v = np.maximum(np.abs(residual_v), noise_v)
+        trust = given / size_v
+        if step >= _ABSOLUTE_STEPS - 1:
+            used = given & (size_v <= OUTLIER * _spread(residual_v, given, noise_v)[:, None])
+            trust = used.astype(float)
+    half_pa, range_pa = np.exp(-beta[:, 0] / beta[:, 1]), np.nanmax(pressure_pa, axis=1)
+    curves = [
+        PressureCurve.power_law(half, abs(exponent), largest, supply_v, rises=exponent > 0)
+        for half, exponent, largest in zip(half_pa, beta[:, 1], range_pa, strict=True)
+    ]
+    freedom = np.maximum(used.sum(axis=1) - 2, 1)
+    return CurveFit(
+        corner_pa=np.array([curve.pressure_pa for curve in curves]),
+        corner_v=np.array([curve.voltage_v for curve in curves]),
+        residual_v=voltage_v - Curves.of(curves).voltage(pressure_pa.T).T,
+        used=used,
+        sigma_v=np.sqrt(np.square(residual_v).sum(axis=1, where=used) / freedom),
+        knee_found=np.ones(len(curves), dtype=bool),
     )
 
 
@@ -150,7 +191,8 @@ class _Points:
         limit_v = np.full(len(knees), np.inf)
         for _ in range(_TRIMS):
             # Never wider again: an outlier that bends the curve would let in the next one.
-            limit_v = np.minimum(limit_v, OUTLIER * self._spread(residual) + slack_v)
+            spread_v = _spread(residual, self.given, self.noise_v)
+            limit_v = np.minimum(limit_v, OUTLIER * spread_v + slack_v)
             used = self.given & (np.abs(residual) <= limit_v[:, None])
             knees = self._descend(knees, used)
             residual, slack_v = self.solve(knees, used)[1], np.zeros_like(slack_v)
@@ -163,17 +205,6 @@ class _Points:
             beta, residual = _solve(design, self.y, weight)
             weight = self.given / np.maximum(np.abs(residual), self.noise_v)
         return beta, residual
-
-    def _spread(self, residual: Floats) -> Floats:
-        """Robust standard deviation, (n,) V, and no less than the converter's.
-
-        Not from the median of |residuals|: more than half of the points may lie on one piece, and
-        say nothing of how well the others are met.
-        """
-        size = np.sort(np.where(self.given, np.abs(residual), np.inf), axis=1)
-        place = np.ceil(_GOOD_SHARE * self.given.sum(axis=1)).astype(int) - 1
-        good = np.take_along_axis(size, place[:, None], axis=1)[:, 0]
-        return np.asarray(np.maximum(good / _GOOD_SIGMAS, self.noise_v))
 
     def _descend(self, knees: Floats, used: Bools) -> Floats:
         """Gauss–Newton steps in the knees; a step that does not help is halved."""
@@ -196,6 +227,18 @@ class _Points:
         design = np.concatenate((_design(self.x, knees), beyond), axis=2)
         bend, jump = np.split(_solve(design, self.y, used)[0][:, 2:], 2, axis=1)
         return np.divide(jump, bend, out=np.zeros_like(jump), where=np.abs(bend) >= 1e-12)
+
+
+def _spread(residual_v: Floats, given: Bools, noise_v: float) -> Floats:
+    """Robust standard deviation of (n, m) residuals, (n,) V, and no less than the converter's.
+
+    Not from the median of |residuals|: more than half of the points may lie on one piece, and say
+    nothing of how well the others are met.
+    """
+    size = np.sort(np.where(given, np.abs(residual_v), np.inf), axis=1)
+    place = np.ceil(_GOOD_SHARE * given.sum(axis=1)).astype(int) - 1
+    good = np.take_along_axis(size, place[:, None], axis=1)[:, 0]
+    return np.asarray(np.maximum(good / _GOOD_SIGMAS, noise_v))
 
 
 def _design(x: Floats, knees: Floats) -> Floats:

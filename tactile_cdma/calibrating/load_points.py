@@ -3,9 +3,11 @@
 """Points to calibrate from: known pressures on nodes and the voltages measured there."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +15,9 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats, Indices
 from ..base.listing import listed
 from ..readings.calibration import MOST_PA
-from .load_table import UNITS, Table, read_table
+from .load_table import KIND_OF, UNITS, Table, read_table
 
+_COLUMNS = ("node", "pressure_pa", "voltage_v", "line")
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, MOST_PA)
 """Limits of the largest load, Pa: outside of them its unit is taken to be wrong. The lower one is
@@ -50,33 +53,48 @@ class LoadPoints:
         ends = np.searchsorted(self.node[order], np.arange(1, nodes + 2))
         return {node + 1: order[begin:end] for node, (begin, end) in enumerate(pairwise(ends))}
 
+    def of_rows(self, rows: Bools) -> Self:
+        """Some of the points; rows: (m,) bool."""
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return replace(self, **columns)
+
     def lines(self, rows: Indices | Bools) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""
         return listed(sorted(set(self.line[rows].tolist())), "line")
 
 
-def read_points(path: Path, nodes: int, vref_v: float, area_m2: float | None = None) -> LoadPoints:
+def read_points(
+    path: Path,
+    nodes: int,
+    vref_v: float,
+    area_m2: float | None = None,
+    units: Sequence[str] = (),
+    node: int | None = None,
+) -> LoadPoints:
     """Points from a CSV with the columns node, pressure (or force, with area_m2) and voltage.
 
+    units: see read_table. node: of a table without this column.
     Raises CalibrationError, naming file, line and likely cause, for unknown nodes, negative
     pressures, voltages outside the converter's range, swapped columns and wrong units.
     """
-    table = read_table(path, area_m2)
+    table = read_table(path, area_m2, units)
+    if node is not None and "node" not in table.columns:
+        table.columns["node"] = np.full(len(table.line), float(node))
     hint = " (with times instead, give --capture)" if "time" in table.columns else ""
     table.require(hint, *HEADING.split(","))
-    voltage_v, unit = table.columns["voltage"], table.headings["voltage"]
+    voltage_v, unit = table.columns["voltage"], table.units["voltage"]
     _check_swapped(table, vref_v)
     pressure_pa = pressures(table)
     outside = (voltage_v < 0) | (voltage_v > vref_v)
     if outside.any():
         row = int(np.argmax(outside))
-        millivolts = unit == "voltage_v" and voltage_v[row] > 10 * vref_v
+        millivolts = unit == "v" and voltage_v[row] > 10 * vref_v
         raise table.refusal(
             f"{voltage_v[row]:g} V; a node measures 0…{vref_v:g} V"
             + (": are these mV? Name the column voltage_mv" if millivolts else ""),
             row,
         )
-    if unit == "voltage_mv" and voltage_v.max() * 1e3 <= vref_v:
+    if unit == "mv" and voltage_v.max() * 1e3 <= vref_v:
         raise table.refusal(
             f"the largest voltage is {voltage_v.max() * 1e3:g} mV: are these V? "
             "Name the column voltage_v"
@@ -133,13 +151,12 @@ def pressures(table: Table) -> Floats:
 
 def _likely(table: Table, largest_pa: float) -> str:
     """In which unit the largest load would be a usual one."""
-    heading = table.headings["pressure"]
-    kind = heading.split("_")[0]
-    units = {kind + unit: factor for unit, factor in UNITS[kind].items()}
-    in_pa = {name: largest_pa * units[name] / units[heading] for name in units}
-    name = min(in_pa, key=lambda name: abs(math.log(max(in_pa[name], 1e-9) / USUAL_PA)))
+    kind, ours = KIND_OF[table.units["pressure"]], table.units["pressure"]
+    in_pa = {unit: largest_pa * one / UNITS[kind][ours] for unit, one in UNITS[kind].items()}
+    unit = min(in_pa, key=lambda unit: abs(math.log(max(in_pa[unit], 1e-9) / USUAL_PA)))
     area = ", and is --area-mm2 right?" if kind == "force" else ""
-    return f"In {name} it would be {in_pa[name] / 1e3:.4g} kPa: then name the column so{area}"
+    would_be = f"{in_pa[unit] / 1e3:.4g} kPa"
+    return f"In {kind}_{unit} it would be {would_be}: then name the column so{area}"
 
 
 def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:

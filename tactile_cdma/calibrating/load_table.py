@@ -2,7 +2,8 @@
 
 """Reads CSV files of loads: headings carry the units, errors name file and line."""
 
-from contextlib import suppress
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,12 +23,25 @@ GRAM_N = 9.80665e-3
 """Weight of a gram, N, by which gauges show forces."""
 UNITS: dict[str, dict[str, float]] = {
     "node": {"": 1.0},
-    "time": {"_s": 1.0, "_ms": 1e-3},
-    "pressure": {"_pa": 1.0, "_hpa": 1e2, "_kpa": 1e3, "_mpa": 1e6, "_mbar": 1e2, "_bar": 1e5},
-    "voltage": {"_v": 1.0, "_mv": 1e-3},
-    "force": {"_n": 1.0, "_g": GRAM_N, "_kg": 1e3 * GRAM_N},
+    "time": {"s": 1.0, "ms": 1e-3},
+    "pressure": {
+        **{"pa": 1.0, "hpa": 1e2, "kpa": 1e3, "mpa": 1e6, "mbar": 1e2, "bar": 1e5},
+        "psi": 6894.757,
+    },
+    "voltage": {"v": 1.0, "mv": 1e-3},
+    "force": {"n": 1.0, "g": GRAM_N, "kg": 1e3 * GRAM_N, "gf": GRAM_N, "kgf": 1e3 * GRAM_N},
 }
-"""Endings of a quantity's headings, each with the number of SI units in one of its units."""
+"""Units of every quantity, each with the number of SI units in one of them."""
+KIND_OF = {unit: kind for kind, units in UNITS.items() for unit in units if unit}
+_MEANT = {
+    **dict.fromkeys(("node", "sensor", "taxel", "cell"), ("node",)),
+    **dict.fromkeys(("time", "timestamp", "t"), ("time",)),
+    **dict.fromkeys(("voltage", "volts", "volt", "vout", "output"), ("voltage",)),
+    **dict.fromkeys(("force", "weight", "mass"), ("force",)),
+    "pressure": ("pressure",),
+    "load": ("force", "pressure"),
+}
+"""Quantities that a heading without a unit may mean, by its words."""
 _SHOWN = 40
 """Characters of a cell that messages quote."""
 _AROUND = '" \t'
@@ -52,11 +66,13 @@ class LoadFile:
 class Table(LoadFile):
     """Columns by quantity in SI units, (m,) float64 each.
 
-    headings: of each quantity, as the file has it. factors: SI units that one of the file's is.
+    headings: of each quantity, as the file has it. units: of each, in small letters. factors: SI
+    units that one of the file's is.
     """
 
     columns: dict[str, Floats]
     headings: dict[str, str]
+    units: dict[str, str]
     factors: dict[str, float]
 
     def require(self, hint: str, *headings: str) -> None:
@@ -66,8 +82,11 @@ class Table(LoadFile):
                 raise self.refusal(f"there is no column {heading}{hint}")
 
 
-def read_table(path: Path, area_m2: float | None = None) -> Table:
+def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = ()) -> Table:
     """Read a CSV of loads: a heading, then numbers; lines that begin with # are left out.
+
+    A heading's last word that is a unit says what its column is: "Applied load [kg]", force_n.
+    units: of columns whose headings have none.
 
     Separators are commas, semicolons or tabs; decimal commas are understood where columns are not
     separated by commas. Quotes around cells are dropped, and rows without any number skipped.
@@ -82,7 +101,7 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
     if not used:
         raise CalibrationError(f"{path}: the file is empty")
     separator = max(",;\t", key=used[0][1].count)
-    headings, rows, number = dict[str, str](), [], 0
+    headings, found, rows, number = dict[str, str](), dict[str, str](), [], 0
     try:
         for number, line in used:  # noqa: B007  (errors name it)
             text = line if separator == "," else line.replace(",", ".")
@@ -90,12 +109,12 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
             if headings:
                 rows.append(_numbers(cells, headings))
             else:
-                headings = _headings(cells)
+                headings, found = _headings(cells, units)
     except ValueError as error:
         raise CalibrationError(f"{path}: line {number}: {error}") from None
     if not rows:
         raise CalibrationError(f"{path}: there is a heading, but no numbers below it")
-    factors = {kind: UNITS[kind][name.removeprefix(kind)] for kind, name in headings.items()}
+    factors = {kind: UNITS[kind][unit] for kind, unit in found.items()}
     columns = dict(zip(headings, np.array(rows).T, strict=True))
     if "force" in headings:
         if "pressure" in headings:
@@ -103,10 +122,11 @@ def read_table(path: Path, area_m2: float | None = None) -> Table:
         if area_m2 is None:
             raise CalibrationError(f"{path}: forces need the area they act on: give --area-mm2")
         headings["pressure"], columns["pressure"] = headings["force"], columns["force"]
+        found["pressure"] = found["force"]
         factors["pressure"] = factors["force"] / area_m2
     columns = {kind: column * factors[kind] for kind, column in columns.items()}
     lines = np.array([number for number, _ in used[1:]])
-    return Table(path, lines, columns, headings, factors)
+    return Table(path, lines, columns, headings, found, factors)
 
 
 def _text(path: Path) -> str:
@@ -121,34 +141,42 @@ def _text(path: Path) -> str:
         raise CalibrationError(f"{path}: not a text file in UTF-8") from None
 
 
-def _headings(cells: list[str]) -> dict[str, str]:
-    """Headings by quantity, in their order; raises ValueError."""
-    found: dict[str, str] = {}
+def _headings(cells: list[str], units: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Headings and units by quantity, in their order; raises ValueError."""
+    headings, found = dict[str, str](), dict[str, str]()
     for cell in cells:
-        name = cell.lower()
-        kind = name.split("_")[0]
-        if name.removeprefix(kind) not in UNITS.get(kind, ()):
-            raise ValueError(_unknown(cell[:_SHOWN], kind))
-        if kind in found:
+        kind, unit = _meaning(cell, units)
+        if kind in headings:
             raise ValueError(f"there are two columns of {kind}")
-        found[kind] = name
-    return found
+        headings[kind], found[kind] = cell, unit
+    return headings, found
 
 
-def _unknown(cell: str, kind: str) -> str:
-    """What is wrong with a heading."""
-    with suppress(ValueError):
-        float(cell.replace(",", "."))
-        return (
+def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
+    """Quantity and unit of a column; raises ValueError."""
+    words: list[str] = re.findall("[^\\W\\d_]+", cell.lower())
+    if unit := next((word for word in reversed(words) if word in KIND_OF), ""):
+        return KIND_OF[unit], unit
+    meant = [kind for word in words for kind in _MEANT.get(word, ())]
+    if "node" in meant:
+        return "node", ""
+    if fitting := [unit for unit in map(str.lower, units) if KIND_OF.get(unit) in meant]:
+        return KIND_OF[fitting[0]], fitting[0]
+    known = [f"{kind}_{unit}".rstrip("_") for kind, each in UNITS.items() for unit in each]
+    cell = cell[:_SHOWN]
+    if meant:
+        named = ", ".join(name for name in known if name.startswith(tuple(meant)))
+        raise ValueError(
+            f"column {cell!r} has no unit that is known; name it as in {named}, or say it with "
+            "--units"
+        )
+    if re.fullmatch(r"[-+\d.,eE]+", cell):
+        raise ValueError(
             f"{cell} where a heading should be; name quantities and units in the first line, "
             "as in node,pressure_kpa,voltage_v"
         )
-    known = [kind + unit for kind, units in UNITS.items() for unit in units]
-    if kind in UNITS:
-        units = ", ".join(heading for heading in known if heading.startswith(kind))
-        return f"column {cell!r} has no unit that is known; use {units}"
     hint = suggestion(cell, known, f"known are {', '.join(known)}", alike=0.8)
-    return f"unknown column {cell!r}{hint}"
+    raise ValueError(f"unknown column {cell!r}{hint}")
 
 
 def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:

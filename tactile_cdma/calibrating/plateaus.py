@@ -3,6 +3,7 @@
 """Points from a reference recorded beside a skin: plateaus of the load, offset of the clocks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,13 +75,15 @@ class ClockOffset:
     match: float
 
 
-def read_reference(path: Path, nodes: int, area_m2: float | None = None) -> Reference:
-    """A CSV with the columns time and pressure, or force, with area_m2.
+def read_reference(
+    path: Path, nodes: int, area_m2: float | None = None, units: Sequence[str] = ()
+) -> Reference:
+    """A CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
 
     It has a column node, too, where not all nodes are loaded alike.
     Raises CalibrationError, naming file, line and cause.
     """
-    table = read_table(path, area_m2)
+    table = read_table(path, area_m2, units)
     table.require(", which goes with a capture", "time_s", "pressure_kpa")
     pressure_pa, t_s = pressures(table), table.columns["time"]
     if (np.diff(t_s) < 0).any():
@@ -142,16 +145,19 @@ def steady_voltage(voltage_v: Floats32, lsb_v: float) -> Floats:
 def find_offset(reference: Reference, recording: Recording, curve: PressureCurve) -> ClockOffset:
     """Find the offset of the two clocks: where reference and mean pressure correlate best.
 
-    curve: roughly that of the sensors: on a wrong scale, a part of the loads could match another
-    part better than itself. All offsets of one raster are tried.
+    curve: roughly that of the sensors, rising or falling: on a wrong scale, a part of the loads
+    could match another part better than itself. All offsets of one raster are tried.
     Raises CalibrationError where they match nowhere, or in several places.
     """
     longest_s = max(float(t_s[-1] - t_s[0]) for t_s in (reference.t_s, recording.t_s))
     raster_s = max(_RASTER_S, longest_s / _MOST_RASTER)
     load = _on_raster(reference.t_s, reference.pressure_pa, raster_s)
-    felt_pa = _mean_pressure(recording.voltage_v, curve)
-    lags, match, score, whole = _match(load, _on_raster(recording.t_s, felt_pa, raster_s))
-    best = int(np.argmax(score))
+    for rises in (curve.rises, not curve.rises):  # as the parameters say, or else the other way
+        felt_pa = _mean_pressure(recording.voltage_v, curve, rises)
+        lags, match, score, whole = _match(load, _on_raster(recording.t_s, felt_pa, raster_s))
+        best = int(np.argmax(score))
+        if match[best] >= MATCH:
+            break
     offset_s = float(recording.t_s[0] - reference.t_s[0] + lags[best] * raster_s)
     if match[best] < MATCH:
         raise reference.refusal(
@@ -189,16 +195,17 @@ def _plateaus(reference: Reference) -> list[tuple[int, int]]:
     return found
 
 
-def _mean_pressure(voltage_v: Floats32, curve: PressureCurve) -> Floats:
+def _mean_pressure(voltage_v: Floats32, curve: PressureCurve, rises: bool) -> Floats:
     """Rough mean pressure of the nodes heard, (f,) Pa.
 
-    Every node's highest voltage counts as unloaded, and the curve's last piece is extrapolated, so
-    that a curve that is somewhat wrong still tells heavy loads apart.
+    Every node's highest voltage, or lowest where they rise, counts as unloaded, and the curve's
+    last piece is extrapolated, so that one that is somewhat wrong still tells heavy loads apart.
     """
     voltage_v = voltage_v[:, np.isfinite(voltage_v).any(axis=0)]
     heard = np.isfinite(voltage_v)
-    fall_v = np.where(heard, np.nanmax(voltage_v, axis=0) - voltage_v, 0.0)
-    falls_v = curve.voltage_v[0] - np.array(curve.voltage_v)
+    rest_v = (np.nanmin if rises else np.nanmax)(voltage_v, axis=0)
+    fall_v = np.where(heard, np.abs(voltage_v - rest_v), 0.0)
+    falls_v = np.abs(curve.voltage_v[0] - np.array(curve.voltage_v))
     last_gain = (curve.pressure_pa[-1] - curve.pressure_pa[-2]) / (falls_v[-1] - falls_v[-2])
     beyond_pa = np.maximum(fall_v - falls_v[-1], 0.0) * last_gain
     felt_pa = np.interp(fall_v, falls_v, curve.pressure_pa) + beyond_pa

@@ -18,7 +18,7 @@ from ..base.errors import CalibrationError
 from ..base.listing import listed
 from ..base.named_file import naming
 from ..readings.calibration import PressureCurve
-from .skin_fit import SkinFit
+from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
 WORST = 5
 """Most nodes that a warning names."""
@@ -31,6 +31,8 @@ UNSEEN = 0.01
 """Lightest load, as a share of the largest, up to which the voltage at rest counts as measured."""
 WRONG_UNIT = 5.0
 """Ratio of a skin's sensitivity to the default curve's; chosen: most units differ by 10 or more."""
+ADVISED_NODES, BETTER = 16, 0.8
+"""Nodes that other curves are tried on, and the share of the errors that is worth one; chosen."""
 _MOST_REFUSALS, _DRAWN_NODES, _DRAWN_POINTS = 40, 64, 20_000
 """Most refusals listed, nodes and points drawn; chosen: as many as one can tell apart."""
 
@@ -54,8 +56,10 @@ class Stage:
 
 
 def stages(fit: SkinFit) -> list[Stage]:
-    """The pieces in their order."""
-    result = []
+    """The pieces in their order; those of a power law are none."""
+    result: list[Stage] = []
+    if fit.pieces == POWER_LAW:
+        return result
     for number, sensitivity in enumerate(_sensitivities(fit.curves.values()).T):
         residual_pa = fit.residual_pa[fit.piece == number]
         lsb_pa = float(np.median(fit.adc.lsb_v / sensitivity))
@@ -67,13 +71,19 @@ def stages(fit: SkinFit) -> list[Stage]:
 def describe(fit: SkinFit) -> str:
     """The report for people, several lines."""
     lines = [
-        f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, curves of "
-        f"{fit.pieces} pieces; {np.count_nonzero(fit.outlier)} outliers left out"
+        f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, "
+        f"{_named(fit.pieces)}; {np.count_nonzero(fit.outlier)} outliers left out"
     ]
     lines += _refusals(fit.refused)
     if not fit.curves:
         return "\n".join(lines)
-    lines.append("stage  sensitivity (least to most)     1 LSB    LSB/√12   residual  over LSB/√12")
+    if rising := [node for node, curve in fit.curves.items() if curve.rises]:
+        who = "all nodes" if len(rising) == len(fit.curves) else listed(rising, "node")
+        lines.append(f"voltages rise with the pressure: {who}")
+    if fit.pieces:
+        lines.append(
+            "stage  sensitivity (least to most)     1 LSB    LSB/√12   residual  over LSB/√12"
+        )
     for number, stage in enumerate(stages(fit), 1):
         each = stage.sensitivity_v_per_pa * 1e3
         lines.append(
@@ -86,9 +96,14 @@ def describe(fit: SkinFit) -> str:
             f"knee {number}: {np.median(knees) / 1e3:.2f} kPa, {knees.min() / 1e3:.2f} to "
             f"{knees.max() / 1e3:.2f} kPa, standard deviation {knees.std() / 1e3:.2f} kPa"
         )
+    parts = [f"{rms_pa / 1e3:.3g} kPa to {end_pa / 1e3:.3g} kPa" for end_pa, rms_pa in errors(fit)]
+    lines.append(
+        f"expect errors, rms, of {', '.join(parts)}; in all {rms_pa(fit) / 1e3:.3g} kPa, "
+        f"{rms_pa(fit) / float(fit.points.pressure_pa.max()):.1%} of the largest load"
+    )
     if widest := _widest_loop(fit):
         lines.append(
-            f"loop between loading and unloading: up to {widest[0]:.1%} of the fall "
+            f"loop between loading and unloading: up to {widest[0]:.1%} of the change "
             f"(node {widest[1]}); the curve is in its middle"
         )
     else:
@@ -101,6 +116,61 @@ def describe(fit: SkinFit) -> str:
     if fit.outlier.any():
         lines.append(f"outliers: {fit.points.source}, {fit.points.lines(fit.outlier)}")
     return "\n".join(lines)
+
+
+def rms_pa(fit: SkinFit) -> float:
+    """Error of all points used, rms, Pa."""
+    return math.sqrt(np.mean(np.square(fit.residual_pa[fit.piece >= 0])))
+
+
+def errors(fit: SkinFit) -> list[tuple[float, float]]:
+    """What a user can expect: ends of the quarters of the range, and the errors there, rms, Pa."""
+    load_pa, off_pa = fit.points.pressure_pa[fit.piece >= 0], fit.residual_pa[fit.piece >= 0]
+    ends_pa = load_pa.max() * np.arange(1, 5) / 4
+    quarter = np.searchsorted(ends_pa * (1 + 1e-9), load_pa)
+    return [
+        (float(end_pa), math.sqrt(np.mean(np.square(off_pa[quarter == number]))))
+        for number, end_pa in enumerate(ends_pa)
+        if (quarter == number).any()
+    ]
+
+
+def advice(fit: SkinFit, nodes: int) -> str | None:
+    """Which other curve would fit better, with fewer pieces first; None: this one does.
+
+    By the mean error of all points, outliers too, of some nodes that both fit.
+    """
+    some = np.unique(fit.points.node)
+    own = np.isin(fit.points.node, some[:: math.ceil(len(some) / ADVISED_NODES)])
+    points = fit.points.of_rows(own)
+    first = best = fit_skin(points, nodes, fit.adc, fit.pieces)
+    for pieces in (POWER_LAW, 1, 2, 3, 4):
+        other = fit_skin(points, nodes, fit.adc, pieces)
+        more = len(other.curves) - len(best.curves)
+        if more > 0 or (more == 0 and _mean_error_pa(other) < BETTER * _mean_error_pa(best)):
+            best = other
+    if best is first:
+        return None
+    option = f"--pieces {best.pieces}" if best.pieces else "--power-law"
+    instead = f", not {_mean_error_pa(first) / 1e3:.3g} kPa" if first.curves else ""
+    return f"{option} would be off by {_mean_error_pa(best) / 1e3:.3g} kPa on average{instead}"
+
+
+def _mean_error_pa(fit: SkinFit) -> float:
+    """Mean |error| of all points, made larger by what the curves' freedom takes off it, Pa."""
+    off_pa = np.abs(fit.residual_pa[np.isfinite(fit.residual_pa)])
+    free = len(off_pa) - 2 * max(fit.pieces, 1) * len(fit.curves)
+    return float(off_pa.mean() * math.sqrt(len(off_pa) / max(free, 1))) if len(off_pa) else math.inf
+
+
+def _named(pieces: int) -> str:
+    return "power laws" if pieces == POWER_LAW else f"curves of {pieces} pieces"
+
+
+def difference_pa(curve: PressureCurve, other: PressureCurve) -> float:
+    """Most that another curve reads beside what this one does, Pa."""
+    pressure_pa = np.union1d(curve.pressure_pa, np.linspace(0, curve.pressure_pa[-1], 200))
+    return float(np.abs(other.pressure(curve.voltage(pressure_pa)) - pressure_pa).max())
 
 
 def _refusals(refused: Mapping[int, str]) -> list[str]:
@@ -120,8 +190,9 @@ def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
         return []
     found, pieces = [], stages(fit)
     largest_pa = float(fit.points.pressure_pa.max())
-    ratio = float(np.median(pieces[0].sensitivity_v_per_pa)) / _sensitivities([default])[0, 0]
-    if not 1 / WRONG_UNIT < ratio < WRONG_UNIT:
+    sensitivity = np.median(_sensitivities(fit.curves.values())[:, 0])
+    ratio = float(sensitivity / _sensitivities([default])[0, 0])
+    if fit.pieces and not 1 / WRONG_UNIT < ratio < WRONG_UNIT:
         found.append(
             f"{ratio:.3g} times as sensitive as the parameters say: is the loads' unit right, and "
             "the area of forces?"
@@ -135,7 +206,7 @@ def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
         found.append(
             f"{listed(bent, 'node')}: off to one side over whole stretches of load: more --pieces?"
         )
-    residual_pa = max(stage.rms_pa for stage in pieces)
+    residual_pa = max([stage.rms_pa for stage in pieces] or [rms_pa(fit)])
     if residual_pa > POOR * largest_pa:
         found.append(
             f"off by {residual_pa / 1e3:.1f} kPa rms, {residual_pa / largest_pa:.0%} of the "
@@ -168,6 +239,7 @@ def results(fit: SkinFit) -> dict[str, str]:
         "uncalibrated": str(len(fit.refused)),
         "points": str(len(fit.points)),
         "outliers": str(np.count_nonzero(fit.outlier)),
+        "error_kpa": f"{rms_pa(fit) / 1e3:.4g}",
     }
     for number, stage in enumerate(stages(fit), 1):
         sensitivity = np.median(stage.sensitivity_v_per_pa) * 1e3
@@ -231,20 +303,21 @@ def _draw_residuals(fit: SkinFit, axes: Any) -> None:
     load_kpa, off_kpa = fit.points.pressure_pa[known] / 1e3, fit.residual_pa[known] / 1e3
     axes.plot(load_kpa, off_kpa, "k.", ms=2, alpha=0.5)
     ends_kpa = np.array([0, *np.median(_knees_pa(fit), axis=0), fit.points.pressure_pa.max()]) / 1e3
-    for stage, (begin_kpa, end_kpa) in zip(stages(fit), pairwise(ends_kpa), strict=True):
+    for stage, (begin_kpa, end_kpa) in zip(stages(fit), pairwise(ends_kpa), strict=False):
         half_kpa = stage.lsb_pa / 2e3
         axes.hlines([-half_kpa, half_kpa], begin_kpa, end_kpa, "C1", lw=1)
     axes.set(xlabel="pressure / kPa", ylabel="off by / kPa", title="residuals; orange: ±½ LSB")
 
 
 def _sensitivities(curves: Iterable[PressureCurve]) -> Floats:
-    """Fall of the voltage on every piece of n curves, (n, p) V/Pa."""
-    return np.array([-np.diff(curve.voltage_v) / np.diff(curve.pressure_pa) for curve in curves])
+    """Change of the voltage on every piece of n curves, (n, p) V/Pa, positive."""
+    return np.array([np.abs(np.diff(c.voltage_v)) / np.diff(c.pressure_pa) for c in curves])
 
 
 def _knees_pa(fit: SkinFit) -> Floats:
-    """(n, pieces − 1) Pa."""
-    return np.array([curve.pressure_pa[1:-1] for curve in fit.curves.values()])
+    """(n, pieces − 1) Pa; of a power law none."""
+    inner = slice(1, -1) if fit.pieces else slice(0)
+    return np.array([curve.pressure_pa[inner] for curve in fit.curves.values()])
 
 
 def _widest_loop(fit: SkinFit) -> tuple[float, int] | None:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Indices
-from ..base.errors import CalibrationError
 from ..readings.calibration import AdcScale, PressureCurve
 from ..readings.calibration_file import HEADROOM
-from .curve_fit import LEAST_LEVELS, CurveFit, fit_curves, levels_of
+from .curve_fit import LEAST_LEVELS, CurveFit, fit_curves, fit_power_laws, levels_of
 from .load_points import LoadPoints, directions
 
 FIRST_LOAD = 0.25
@@ -26,6 +25,8 @@ MOST_OUTLIERS = 0.2
 """Largest share of outliers in a node's points; chosen: beyond it is not clear which are right."""
 MOST_NOISE = 0.1
 """Largest noise from point to point, as a share of a curve's fall; chosen. Hysteresis is none."""
+POWER_LAW = 0
+"""Number of pieces that stands for a power law, of a force sensing resistor in its divider."""
 POINTS_AT_ONCE = 50_000
 """Points fitted together; chosen: keeps the arrays within a cache or two."""
 
@@ -34,7 +35,8 @@ POINTS_AT_ONCE = 50_000
 class SkinFit:
     """Curves of a skin's nodes, and how they fit m points.
 
-    curves: by node. refused: why a node has none, by node. pieces: of every curve.
+    curves: by node. refused: why a node has none, by node. pieces: of every curve; POWER_LAW: it
+        follows one.
     residual_v, residual_pa: (m,) voltage minus curve, V, and pressure read minus pressure applied,
         Pa; NaN where a node was refused or the converter at an end of its range.
     outlier: (m,) bool. piece: (m,) int64, number of the piece that a point was fitted with, from
@@ -57,16 +59,14 @@ class SkinFit:
 
 
 def fit_skin(points: LoadPoints, nodes: int, adc: AdcScale, pieces: int = 2) -> SkinFit:
-    """Fit the curves of nodes 1…nodes.
+    """Fit the curves of nodes 1…nodes; problems of single nodes are in `refused`.
 
-    Raises CalibrationError where the voltages of most nodes rise with the pressure. Problems of
-    single nodes are in `refused`.
+    pieces: of each curve, or POWER_LAW.
     """
     # At an end of its range the converter says "this or more", which is no value to fit.
     usable = points.voltage_v < adc.vref_v - 1.5 * adc.lsb_v
     usable &= points.voltage_v > 0.5 * adc.lsb_v
     rows = points.by_node(nodes)
-    _check_direction(points, rows, adc)
     good, refused = dict[int, Indices](), dict[int, str]()
     for node, own in rows.items():
         if reason := _unfit(points, own, usable, adc, pieces):
@@ -92,10 +92,14 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
     for index, own in enumerate(rows.values()):
         pressure_pa[index, : len(own)] = points.pressure_pa[own]
         voltage_v[index, : len(own)] = points.voltage_v[own]
-    whole = fit_curves(pressure_pa, voltage_v, result.pieces, adc.lsb_v / math.sqrt(12))
+    noise_v = adc.lsb_v / math.sqrt(12)
+    if result.pieces == POWER_LAW:
+        whole = fit_power_laws(pressure_pa, voltage_v, adc.vref_v, noise_v)
+    else:
+        whole = fit_curves(pressure_pa, voltage_v, result.pieces, noise_v)
     for index, (node, own) in enumerate(rows.items()):
         fit = whole.sensor(index, len(own))
-        if reason := _unsound(points, own, fit, adc):
+        if reason := _unsound(points, own, fit, adc, result.pieces):
             result.refused[node] = reason
             continue
         corner_pa, corner_v = fit.corner_pa, fit.corner_v
@@ -107,30 +111,14 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
         result.residual_pa[own] = fit.residual_v * (np.diff(corner_pa) / np.diff(corner_v))[piece]
         result.sigma_v[node] = float(fit.sigma_v)
         loop_v = _loop_v(load_pa[used], fit.residual_v[used])
-        result.loop[node] = loop_v / float(corner_v[0] - corner_v[-1])
+        result.loop[node] = loop_v / abs(float(corner_v[0] - corner_v[-1]))
 
 
-def _check_direction(points: LoadPoints, rows: dict[int, Indices], adc: AdcScale) -> None:
-    falls_v = [fall_v for own in rows.values() if np.isfinite(fall_v := _fall_v(points, own))]
-    rises = np.count_nonzero(np.array(falls_v) < -LEAST_FALL * adc.lsb_v)
-    if rises > 0.5 * len(falls_v):
-        raise CalibrationError(
-            f"{points.source}: voltages rise with the pressure on {rises} of {len(falls_v)} "
-            "nodes, they should fall: are the columns swapped, or is the sensor on the other side "
-            "of its divider?"
-        )
-
-
-def _fall_v(points: LoadPoints, own: Indices) -> float:
-    """From the lighter to the heavier half of a node's loads, V; NaN where all are the same.
-
-    By medians: single outliers do not turn its sign.
-    """
+def _change_v(points: LoadPoints, own: Indices) -> float:
+    """Between the lighter and the heavier half of a node's loads, by medians, V."""
     pressure_pa, voltage_v = points.pressure_pa[own], points.voltage_v[own]
-    heavy = pressure_pa > 0.5 * (pressure_pa.min(initial=np.inf) + pressure_pa.max(initial=0.0))
-    if not heavy.any():
-        return math.nan
-    return float(np.median(voltage_v[~heavy]) - np.median(voltage_v[heavy]))
+    heavy = pressure_pa > 0.5 * (pressure_pa.min() + pressure_pa.max())
+    return abs(float(np.median(voltage_v[~heavy]) - np.median(voltage_v[heavy])))
 
 
 def _unfit(
@@ -151,28 +139,30 @@ def _unfit(
     if largest_pa == 0:
         return "no load but 0"
     levels_pa = levels_of(load_pa)
-    if len(levels_pa) < LEAST_LEVELS * pieces:
+    if len(levels_pa) < LEAST_LEVELS * max(pieces, 1):
         return (
-            f"{len(levels_pa)} different loads; a curve of {pieces} pieces needs "
-            f"{LEAST_LEVELS * pieces}"
+            f"{len(levels_pa)} different loads; a curve of {max(pieces, 1)} pieces needs "
+            f"{LEAST_LEVELS * max(pieces, 1)}"
         )
-    if levels_pa[0] > FIRST_LOAD * largest_pa:
+    if pieces and levels_pa[0] > FIRST_LOAD * largest_pa:
         return f"no load below {levels_pa[0] / 1e3:g} kPa: the curve begins at 0, add light loads"
     gap = int(np.argmax(np.diff(levels_pa)))
-    if levels_pa[gap + 1] - levels_pa[gap] > WIDEST_GAP * largest_pa:
+    if pieces and levels_pa[gap + 1] - levels_pa[gap] > WIDEST_GAP * largest_pa:
         return (
             f"no load between {levels_pa[gap] / 1e3:g} and {levels_pa[gap + 1] / 1e3:g} kPa: "
             "add some there"
         )
-    if (fall_v := _fall_v(points, own)) < LEAST_FALL * adc.lsb_v:
+    if (change_v := _change_v(points, own)) < LEAST_FALL * adc.lsb_v:
         return (
-            f"the voltage falls by {fall_v * 1e3:.0f} mV only, between loads below and above "
+            f"the voltage changes by {change_v * 1e3:.0f} mV only, between loads below and above "
             f"{largest_pa / 2e3:g} kPa: was the load on this node?"
         )
     return None
 
 
-def _unsound(points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale) -> str | None:
+def _unsound(
+    points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale, pieces: int
+) -> str | None:
     """Why the best fit to a node's rows is none to rely on, or None."""
     corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
@@ -180,23 +170,26 @@ def _unsound(points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale) -> 
             f"{np.count_nonzero(~used)} of {len(own)} points contradict the others "
             f"({points.lines(own[~used])})"
         )
-    fall_v = corner_v[0] - corner_v[-1]
+    fall_v = abs(corner_v[0] - corner_v[-1])
+    rises = corner_v[-1] > corner_v[0]
     noise_v = math.sqrt(np.mean(np.square(np.diff(fit.residual_v[used]))) / 2)
-    if noise_v > MOST_NOISE * abs(fall_v):
+    if noise_v > MOST_NOISE * fall_v:
         return (
-            f"too noisy: {noise_v:.3f} V rms from point to point on a curve that falls by "
+            f"too noisy: {noise_v:.3f} V rms from point to point on a curve that changes by "
             f"{fall_v:.3f} V; do pressures and voltages belong together?"
         )
     own = own[used]
     load_pa = points.pressure_pa[own]
     slack_pa = 1e-6 * corner_pa[-1]
+    if pieces == POWER_LAW:
+        return None
     for (begin_pa, begin_v), (end_pa, end_v) in pairwise(zip(corner_pa, corner_v, strict=True)):
         within = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa)
         where = f"from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa"
-        if begin_v - end_v < 2 * adc.lsb_v:
+        if (end_v - begin_v if rises else begin_v - end_v) < 2 * adc.lsb_v:
             return (
-                f"the voltage does not fall {where} ({points.lines(own[within])}): "
-                "saturated, or loads mixed up?"
+                f"the voltage does not {'rise' if rises else 'fall'} {where} "
+                f"({points.lines(own[within])}): saturated, or loads mixed up?"
             )
         if not within.any() or len(levels_of(load_pa[within])) < LEAST_LEVELS:
             return f"fewer than {LEAST_LEVELS} loads on the piece {where}: add some there"
@@ -205,7 +198,8 @@ def _unsound(points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale) -> 
             f"no knee up to {corner_pa[-1] / 1e3:g} kPa: the loads do not reach it; go higher, or "
             f"fit a curve of {len(corner_pa) - 2} pieces"
         )
-    if corner_v[-1] < 0 or corner_v[0] > HEADROOM * adc.vref_v:
+    beyond_v = HEADROOM * adc.vref_v * (np.arange(len(corner_v)) == 0)
+    if np.any((corner_v < -beyond_v) | (corner_v > adc.vref_v + beyond_v)):
         return (
             f"the curve runs from {corner_v[0]:.2f} to {corner_v[-1]:.2f} V, the converter's range "
             f"is 0…{adc.vref_v:g} V"

@@ -8,6 +8,8 @@ all rows give the likeliest words, these the chips, and what is left of the fram
 levels. A node's k bits decide together whether it spoke, which they do with more noise than any
 bit could be read in. While much is left, words are soft, and what is left is corrected for having
 been made of these levels (Onsager's term); then they are hard, with the amplitude that they show.
+Who spoke in the frame before, and how loud, is where the next one begins: it saves a turn or two,
+and decides nothing, because words that do not fit leave more than noise.
 
 The level of the line is one unknown more. The result is a claim that whoever asked has to check:
 what is left says how good it is.
@@ -24,8 +26,9 @@ from .frame import FrameSpec
 from .sparse import code_places
 from .transform import chips_of, compiled_transform, rows_of
 
-SOFT_NOISE = 0.2
-"""Noise of a level, of a node's amplitude, up to which words are hard. Chosen: five deviations."""
+SOFT_NOISE = 0.1
+"""Noise of a level, of a node's amplitude, up to which words are hard. Chosen: it is then of the
+size of what amplitudes differ by, which hard words find."""
 SLOPE, LOG_ODDS = 0.75, 8.0
 """Soft bits rise by SLOPE of what tanh does, to ±1; the share of a word that is believed rises from
 0 to 1 over so much of the logarithm of its odds. Chosen: straight lines for the optimal curves,
@@ -37,10 +40,16 @@ SETTLED, NEGLIGIBLE = 0.01, 1e-4
 """Power by which the amplitudes of words may change in the turn after, of what is left; and in any
 case, in amplitudes of a node squared. Of m words they change by m/kN of what they do in this turn.
 Chosen: a percent of noise, and of an amplitude."""
+NEAR = 0.1
+"""Power by which hard words may differ from the soft ones before, of what is left, to be final.
+Chosen: what nodes leave then hides in the noise of the frame."""
 STALLED = 0.97
 """Ratio of noise to that of the turn before beyond which soft words get no better. Chosen."""
 MOST_TURNS = 24
 """Turns after which a frame is given up. Chosen: those that are found take up to 12."""
+REMEMBERED = (0.5, 1.5)
+"""Share of its amplitude that a node is expected to have for how it spoke before. Chosen: a sound
+one's is within; of others a frame tells more."""
 
 
 class Detected(NamedTuple):
@@ -60,16 +69,54 @@ class Detected(NamedTuple):
     settled: bool
 
 
-class Detector:
-    """Takes the words of frames of one specification apart: in the kernel, where there is one."""
+class Certificate(NamedTuple):
+    """What the kernel certifies frames by; explained in framing/sparse_timing.py.
 
-    def __init__(self, spec: FrameSpec) -> None:
+    capacity: most nodes that speak. most_noise: V², of chips. more, hiding: amplitudes squared.
+    tolerance: share of a word. chance, chance_of_bit: share of noise. weight: of the newest frame.
+    silent_square, V², silent_power: of a silent row's levels, and of those in that of noise. alike:
+    whether codes of those who speak may add up to nothing.
+    """
+
+    capacity: int
+    most_noise: float
+    more: float
+    tolerance: float
+    chance: float
+    chance_of_bit: float
+    hiding: float
+    weight: float
+    silent_square: float
+    silent_power: float
+    alike: bool
+
+
+class Before(NamedTuple):
+    """What the last frame that settled tells of the next one; changed by each of these.
+
+    spoke: (n,) bool. amplitude_v: (n,) float32, V, of every node, when it last spoke.
+    """
+
+    spoke: Bools
+    amplitude_v: Floats32
+
+
+class Detector:
+    """Takes the words of frames of one specification apart: in the kernel, where there is one.
+
+    kernel: what does it there.
+    """
+
+    def __init__(self, spec: FrameSpec, certificate: Certificate) -> None:
         assert spec.flips is not None, "sparse codes are scrambled"
         self._spec = spec
-        self._kernel = None
+        self.kernel = None
+        swing = spec.node_swing_v or 0.0
+        self._before = Before(
+            np.zeros(spec.nodes, np.bool_), np.full(spec.nodes, swing, np.float32)
+        )
         if kernel.compiled is not None:
-            swing = spec.node_swing_v or 0.0
-            self._kernel = kernel.compiled.Sparse(
+            self.kernel = kernel.compiled.Sparse(
                 kernel.settings(
                     "sparse_rules",
                     swing=swing,
@@ -79,9 +126,11 @@ class Detector:
                     log_odds=LOG_ODDS,
                     hard_share=HARD_SHARE,
                     settled=SETTLED,
+                    near=NEAR,
                     negligible=NEGLIGIBLE * swing**2,
                     stalled=STALLED,
                     turns=MOST_TURNS,
+                    **certificate._asdict(),
                 ),
                 compiled_transform(spec.book.plan, spreading=True),
                 np.ascontiguousarray(spec.flips),
@@ -96,20 +145,20 @@ class Detector:
         damping: share of the words before that soft ones keep: slower, and more often right.
         """
         spec = self._spec
-        if self._kernel is None:
-            return numpy_detect(chips, spec, damping)
+        if self.kernel is None:
+            return numpy_detect(chips, spec, damping, self._before)
         rows = np.empty((spec.line_bits, spec.row_count), np.float32)
         heard, left = np.empty(spec.nodes, np.bool_), np.empty_like(chips)
         power = np.empty(spec.line_bits)
-        level, settled = self._kernel.detect(chips, damping, rows, heard, left, power)
+        level, settled = self.kernel.detect(chips, damping, rows, heard, left, power)
         return Detected(rows, heard, level, left, power, settled)
 
     def loudness(self, chips: Floats32, lateness: int) -> Floats32:
         """Mean |r| of every node, (n,) V, in chips (k, N) that are read so much later in bits."""
-        if self._kernel is None:
+        if self.kernel is None:
             return numpy_loudness(chips, lateness, self._spec)
         loudness = np.empty(self._spec.nodes, np.float32)
-        self._kernel.loudness(chips, abs(lateness), lateness > 0, loudness)
+        self.kernel.loudness(chips, abs(lateness), lateness > 0, loudness)
         return loudness
 
 
@@ -125,13 +174,16 @@ def numpy_loudness(chips: Floats32, lateness: int, spec: FrameSpec) -> Floats32:
     return loudness
 
 
-def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Detected:
-    """As Detector.detect."""
+def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Before) -> Detected:
+    """As Detector.detect. With damping, nothing is expected for what was before."""
     swing, bits = np.float32(spec.node_swing_v or 0.0), spec.line_bits
     level = float(chips.mean(dtype=np.float64))
     left = chips - np.float32(level)
     words = np.zeros((bits, spec.row_count), np.float32)
-    nodes, before, soft, were_hard = spec.node_slice, np.inf, True, True
+    nodes, noise_before, soft, were_hard = spec.node_slice, np.inf, True, True
+    are_whole = True  # the words before: then what is left is of them alone
+    expected_v = before.amplitude_v if damping == 0 else np.full(spec.nodes, swing)
+    spoke = before.spoke if damping == 0 else np.zeros(spec.nodes, np.bool_)
     rows, power, settled = words, np.zeros(bits), False
     heard = np.zeros(spec.nodes, np.bool_)
     odds = _prior(float(np.square(left).mean()), spec)
@@ -139,25 +191,31 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Dete
         rows = words + rows_of(left, spec)
         power = np.square(left, dtype=np.float64).mean(axis=1)
         noise = max(float(power.mean()) / spec.order, 1e-12 * float(swing) ** 2)
-        if soft and (noise < (SOFT_NOISE * swing) ** 2 or noise > STALLED**2 * before):
+        if soft and (noise < (SOFT_NOISE * swing) ** 2 or noise > STALLED**2 * noise_before):
             soft = False
-        before, own = noise, rows[:, nodes]
+        noise_before, own = noise, rows[:, nodes]
         amplitude = np.abs(own).mean(axis=0, dtype=np.float32)
         newer, onsager = np.zeros_like(words), 0.0
         if soft:
-            newer[:, nodes], onsager = _soft_words(own, amplitude, float(swing), noise, odds)
+            belief = np.maximum(
+                _belief(amplitude, bits, float(swing), noise, odds),
+                spoke * _belief(amplitude, bits, float(swing), noise, 0.0),
+            )
+            bit, onsager = _soft_bits(own, belief, float(swing), noise)
+            newer[:, nodes] = expected_v * belief * bit
             newer += np.float32(damping) * (words - newer)
         else:
             least = max(LEAST_SHARE * float(swing), HARD_SHARE * noise**0.5)
             heard = amplitude > np.float32(least)
             newer[:, nodes] = np.copysign(amplitude * heard, own)
             change = float(np.square(newer - words).sum()) / bits
-            if were_hard and np.array_equal(np.sign(newer), np.sign(words)):
+            is_near = were_hard or change < NEAR * float(power.mean())
+            if are_whole and is_near and np.array_equal(np.sign(newer), np.sign(words)):
                 after = change * np.count_nonzero(heard) / spec.chips
                 most = max(SETTLED * float(power.mean()), NEGLIGIBLE * float(swing) ** 2)
                 settled = bool(after < most)
                 power -= min(change, float(power.min())) if settled else 0.0
-        were_hard = not soft
+        were_hard, are_whole = not soft, onsager == 0 and (damping == 0 or not soft)
         if settled or turn + 1 == MOST_TURNS:
             break
         words = newer
@@ -165,6 +223,11 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float = 0.0) -> Dete
         if not soft:
             level = float(told.mean(dtype=np.float64))
         left = told - np.float32(level) + np.float32(onsager / spec.order) * left
+    if settled:
+        before.spoke[:] = heard
+        least_v, most_v = (np.float32(share) * swing for share in REMEMBERED)
+        spoken_v = np.abs(rows[:, nodes]).mean(axis=0, dtype=np.float32)
+        before.amplitude_v[heard] = np.clip(spoken_v, least_v, most_v)[heard]
     return Detected(rows, heard, level, left, power, settled)
 
 
@@ -175,24 +238,31 @@ def _prior(power: float, spec: FrameSpec) -> float:
     return float(np.log(share / (1 - share)))
 
 
-def _soft_words(
-    rows: Floats32, amplitude: Floats32, swing: float, noise: float, odds: float
-) -> tuple[Floats32, float]:
-    """What the nodes said, as far as it is believed, (k, n) V; and how it follows from the rows.
+def _belief(amplitude: Floats32, bits: int, swing: float, noise: float, odds: float) -> Floats32:
+    """The share of each node's word that is believed, (n,), from its mean |r|, (n,) V.
 
-    amplitude: (n,) V, mean |r|. noise: variance of a level, V². The latter is the mean sum of the
-    derivatives of a bit's words by their levels.
+    noise: variance of a level, V². odds: logarithm of those that it speaks.
     """
-    bits, per = len(rows), swing / noise
+    per = swing / noise
     u = np.float32(per) * amplitude
     # log cosh u is u²/2 for small ones and u − log 2 for large ones: a parabola up to the line.
     turn = 2 * np.float32(np.log(2))
     log_cosh = np.where(u < turn, u * u / (2 * turn), u - turn / 2)
     ratio = bits * (log_cosh - np.float32(swing * per / 2)) + np.float32(odds)
-    belief = np.clip(np.float32(0.5) + ratio / np.float32(LOG_ODDS), 0, 1)
+    belief: Floats32 = np.clip(np.float32(0.5) + ratio / np.float32(LOG_ODDS), 0, 1)
+    return belief
+
+
+def _soft_bits(
+    rows: Floats32, belief: Floats32, swing: float, noise: float
+) -> tuple[Floats32, float]:
+    """The bits of the nodes, (k, n), −1…1; and how words follow from the rows, (k, n) V.
+
+    The latter is the mean sum of the derivatives of a bit's words by their levels.
+    """
+    bits, per = len(rows), swing / noise
     rising = (belief > 0) & (belief < 1)
     bit = np.clip(np.float32(SLOPE * per) * rows, -1, 1)
     slopes = np.count_nonzero(np.abs(bit) < 1, axis=0) @ belief * SLOPE
     slopes += np.square(bit).sum(axis=0) @ rising / LOG_ODDS
-    words: Floats32 = np.float32(swing) * belief * bit
-    return words, float(slopes) * swing * per / bits
+    return bit, float(slopes) * swing * per / bits

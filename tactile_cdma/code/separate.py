@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Floats32
+from ..base.arrays import Floats32, Int32s
 from ..base.stage import stage
 from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .frame import UNIPOLAR, FrameSpec
@@ -34,6 +34,8 @@ class NodeLevels:
     Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
     late: nodes, counted from 0, whose words were found in chips that are read early or late.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
+    spoke: (m,) int32, nodes, counted from 0, whose values are not all 0, in any order; None: any.
+        Lent, as rows are.
     """
 
     values: Floats32
@@ -42,6 +44,7 @@ class NodeLevels:
     rows: Floats32 | None = None
     late: tuple[int, ...] = ()
     level_unknown: bool = False
+    spoke: Int32s | None = None
 
 
 def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:

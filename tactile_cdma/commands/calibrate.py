@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -19,14 +20,21 @@ from ..calibrating import report
 from ..calibrating.load_points import LoadPoints, read_points
 from ..calibrating.load_session import LoadSession
 from ..calibrating.plateaus import Recording, Reference, find_offset, plateau_points, read_reference
-from ..calibrating.skin_fit import fit_skin
+from ..calibrating.skin_fit import POWER_LAW, fit_skin
 from ..config.arguments import add_skin_options, finite, given, positive
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..readings.calibration import Calibration
-from ..readings.calibration_file import CalibrationContent, seal_calibration, write_content
+from ..readings.calibration import Calibration, PressureCurve
+from ..readings.calibration_file import (
+    CalibrationContent,
+    out_of_range,
+    read_any,
+    read_content,
+    seal_calibration,
+    write_content,
+)
 from ..recording.capture import capture_notes
 from ..recording.offline import described_parameters, raw_frames
 
@@ -34,7 +42,7 @@ NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
 LONGEST_MS = 1e5
 """Frame period for tables of points, which have no frames, ms: long enough for any skin."""
-OPTIONS_OF = {"port": ("steps", "node", "seconds", "append"), "capture": ("offset", "settle")}
+OPTIONS_OF = {"port": ("steps", "seconds", "append"), "capture": ("offset", "settle")}
 """Options that go with a source of loads only."""
 
 
@@ -53,16 +61,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--output", **file, help="calibration file to write")
     parser.add_argument("--png", **file, help="picture (next to the output)")
-    parser.add_argument("--force", action="store_true", help="overwrite the output")
+    parser.add_argument(
+        "--force", action="store_true", help="overwrite the output; accept loads beyond range_kpa"
+    )
+    parser.add_argument(
+        "--update", **file, help="calibration file in which the loaded nodes get new curves"
+    )
     parser.add_argument("--skin", help="name of this individual skin (the parameter skin)")
     parser.add_argument(
         "--pieces", type=int, choices=range(1, 9), default=2, help="pieces per curve (%(default)s)"
     )
     parser.add_argument(
+        "--power-law", dest="pieces", action="store_const", const=POWER_LAW,
+        help="curves of force sensing resistors, R ∝ P^−a, in a divider of vref_v",
+    )  # fmt: skip
+    parser.add_argument(
         "--allow-missing", action="store_true", help="accept nodes without a valid curve"
     )
-    parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area of a force_n")
+    parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area of forces")
+    parser.add_argument(
+        "--units", type=lambda text: text.split(","), default=[], metavar="N,V,…",
+        help="units of columns whose headings have none",
+    )  # fmt: skip
+    parser.add_argument("--node", type=int, help="the only node that is loaded")
     parser.add_argument("--seal", **file, help="accept a calibration file edited by hand")
+    parser.add_argument(
+        "--compare", type=Path, nargs=2, metavar=("A", "B"), help="how B reads what A reads"
+    )
     capture = parser.add_argument_group("loads beside a capture")
     capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
     capture.add_argument(
@@ -75,7 +100,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     live.add_argument("--port", help="pyserial URL of the digitizer")
     live.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
     live.add_argument("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
-    live.add_argument("--node", type=int, help="the only node that is loaded (all nodes alike)")
     live.add_argument(
         "--seconds", type=positive, default=1.0, help="duration of each measurement [s] (1)"
     )
@@ -88,16 +112,21 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seal:
         print(f"identity={seal_calibration(arguments.seal)}")
         return 0
+    if arguments.compare:
+        return _compare(*arguments.compare)
+    if arguments.update:
+        arguments.output = arguments.output or arguments.update
     _check_options(arguments)
     loads = _checked_files(arguments)
-    values = given(arguments) | NODE_ORDER
+    known = read_any(arguments.update).made_for if arguments.update else {}
+    values = {**known, **given(arguments), **NODE_ORDER}
     if arguments.skin is not None:
         values["skin"] = arguments.skin
     area_m2 = arguments.area_mm2 and arguments.area_mm2 * 1e-6
     if arguments.capture:
         with naming(arguments.capture, CaptureError):
             config = SkinConfig.of(described_parameters(arguments.capture) | values)
-        reference = read_reference(loads, config.spec.nodes, area_m2)
+        reference = read_reference(loads, config.spec.nodes, area_m2, arguments.units)
         recording, offset_s = _beside_capture(arguments, reference, config)
         points = plateau_points(reference, recording, offset_s, arguments.settle, config.adc)
     else:
@@ -106,16 +135,25 @@ def run(arguments: argparse.Namespace) -> int:
         config = SkinConfig.of(values)
         if arguments.port and not _take_loads(arguments, loads, config):
             return 1
-        points = read_points(loads, config.spec.nodes, config.adc.vref_v, area_m2)
+        points = read_points(
+            loads, config.spec.nodes, config.adc.vref_v, area_m2, arguments.units, arguments.node
+        )
     return _fit(arguments, config, points)
 
 
 def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) -> int:
     nodes = config.spec.nodes
     fit = fit_skin(points, nodes, config.adc, arguments.pieces)
+    kept = dict[int, PressureCurve]()
+    if arguments.update:
+        kept.update(read_content(arguments.update, nodes, config.adc, config.skin).curves)
+        loaded = set(points.node.tolist())
+        fit = replace(fit, refused={n: why for n, why in fit.refused.items() if n in loaded})
     print(report.describe(fit))
     for warning in report.warnings(fit, config.curve):
         print(f"warning: {warning}")
+    if advice := report.advice(fit, nodes):
+        print(f"advice: {advice}")
     if not fit.curves:
         raise CalibrationError(f"{points.source}: no node has a sound curve; nothing is written")
     if fit.refused and not arguments.allow_missing:
@@ -124,13 +162,36 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
             f"{points.source}: no sound curve for {nodes_without} (see above); nothing is written: "
             "mend the loads, or --allow-missing takes the default curve for them"
         )
-    calibration = Calibration.of_nodes(fit.curves, config.curve, nodes)
+    largest_pa, range_pa = float(points.pressure_pa.max()), config.curve.pressure_pa[-1]
+    if (reason := out_of_range(largest_pa, range_pa)) and not arguments.force:
+        raise CalibrationError(f"{points.source}: {reason}, or write the file with --force")
+    calibration = Calibration.of_nodes(kept | fit.curves, config.curve, nodes)
     content = CalibrationContent.of(calibration, config.adc, config.skin, points.source)
     results = report.results(fit)
     results["identity"] = write_content(arguments.output, content)
     report.draw(fit, arguments.png)
     print(f"written: {arguments.output}, {arguments.png}")
     print(" ".join(f"{key}={value}" for key, value in results.items()))
+    return 0
+
+
+def _compare(path: Path, other_path: Path) -> int:
+    """Print by how much the pressures of one file differ from another's, node by node."""
+    one, other = read_any(path), read_any(other_path)
+    off_pa = {
+        node: report.difference_pa(one.curves[node], other.curves[node])
+        for node in sorted(one.curves.keys() & other.curves.keys())
+    }
+    if not off_pa:
+        raise CalibrationError(f"{path} and {other_path}: no node has a curve in both")
+    for node in sorted(off_pa, key=lambda node: -off_pa[node])[: report.WORST]:
+        print(f"node {node}: up to {off_pa[node] / 1e3:.3g} kPa")
+    only = len(one.curves.keys() ^ other.curves.keys())
+    median_pa, most_pa = np.median(list(off_pa.values())), max(off_pa.values())
+    print(
+        f"compared={len(off_pa)} in_one_only={only} median_kpa={median_pa / 1e3:.4g} "
+        f"most_kpa={most_pa / 1e3:.4g}"
+    )
     return 0
 
 
@@ -143,7 +204,8 @@ def _checked_files(arguments: argparse.Namespace) -> Path:
         loads = output.with_suffix(".points.csv")
     if arguments.port:
         _check_writable(loads, True)
-    _check_writable(output, arguments.force, loads, arguments.capture)
+    force = arguments.force or output == arguments.update
+    _check_writable(output, force, loads, arguments.capture)
     arguments.png = arguments.png or output.with_suffix(".png")
     _check_writable(arguments.png, True, loads, arguments.capture, output)
     return Path(loads)
@@ -169,7 +231,7 @@ def _check_options(arguments: argparse.Namespace) -> None:
         return [name for name in names if getattr(arguments, name) != default(name)]
 
     if arguments.output is None:
-        raise CalibrationError("-o is missing: the calibration file to write")
+        raise CalibrationError("-o is missing: the calibration file to write, or --update")
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     for source, names in OPTIONS_OF.items():

@@ -35,12 +35,13 @@ class Patch:
     """One driver.
 
     params_file: its ROS 2 parameter file; None: none. parameters: override that file; they always
-    include frame_id.
+    include frame_id. values: both.
     """
 
     name: str
     params_file: Path | None
     parameters: Mapping[str, Value]
+    values: Mapping[str, Value]
 
     @property
     def node(self) -> str:
@@ -100,12 +101,12 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
         )
     content = value.mapping(f"patch {name!r}")
     content.check_keys(_PATCH_KEYS)
-    values, params_file, parameters = dict(DEFAULTS), None, dict[str, Value]()
+    values, params_file, parameters = dict[str, Value](), None, dict[str, Value]()
     if params := content.get("params_file"):
         params_file = _path(params, params.text("params_file"))
         try:
             existing(params_file)
-            values |= read_file(params_file, f"/{name}/{NODE_NAME}")
+            values = read_file(params_file, f"/{name}/{NODE_NAME}")
         except ParameterError as error:
             raise params.refuse(str(error)) from None
     if given := content.get("parameters"):
@@ -114,7 +115,7 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
         parameters.setdefault("parent_frame", body_frame)
     parameters = {"frame_id": name, **parameters}
     try:
-        claims = _claims(values | parameters)
+        claims = _claims({**DEFAULTS, **values, **parameters})
     except ParameterError as error:
         raise value.refuse(f"patch {name!r}: {error}") from None
     for claim in claims:
@@ -123,7 +124,7 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
                 f"patch {name!r} has {claim[0]} {claim[1]!r}, and so has {other!r}: each patch "
                 "needs its own"
             )
-    return Patch(name, params_file, parameters)
+    return Patch(name, params_file, parameters, values | parameters)
 
 
 def _parameters(content: Keys) -> dict[str, Value]:

@@ -164,16 +164,18 @@ PARAMETERS: tuple[Parameter, ...] = (
         "that is silent before and after a lost frame then rests, and is not unheard"),
     Parameter("vref_v", 3.3,
         "reference of the nodes' ADC: V = code·vref/2^bits", "V", (0.1, 100.0)),
-    Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.01, 100.0), live=True),
+    Parameter("v0_v", 3.3, "sensor voltage at zero pressure", "V", (0.0, 100.0), live=True),
     Parameter("knee_kpa", 50.0,
         "end of the sensor's first stage", "kPa", (0.001, MOST_PA / 1e3), live=True),
     Parameter("range_kpa", 140.0,
         "end of the sensor's second stage", "kPa", (0.001, MOST_PA / 1e3), live=True),
     Parameter("sensitivity1_v_per_kpa", 0.033,
-        "voltage drop per pressure in the first stage", "V/kPa", (1e-6, 100.0), live=True),
+        "voltage drop per pressure in the first stage; negative: it rises",
+        "V/kPa", (-100.0, 100.0), live=True),
     Parameter("sensitivity2_v_per_kpa", 0.0059,
-        "voltage drop per pressure in the second stage", "V/kPa", (1e-6, 100.0), live=True),
-    Parameter("threshold", 0.5,
+        "voltage drop per pressure in the second stage, of the same sign",
+        "V/kPa", (-100.0, 100.0), live=True),
+    Parameter("active_share", 0.5,
         "a node is active if its amplitude exceeds this fraction of amplitude_mv",
         "", (0.1, 0.9), live=True),
     Parameter("stale_after_s", 3.0,
@@ -232,6 +234,10 @@ def _shown(value: object) -> str:
     return reprlib.repr(list(value) if isinstance(value, array | tuple) else value)
 
 
+RENAMED = {"threshold": "active_share"}
+"""Parameters' names of earlier versions."""
+
+
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
     """Convert values to their parameters' types; raises ParameterError for a bad name or value."""
     for name in values:
@@ -241,7 +247,9 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
 
 
 def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
-    """The message for an unknown name, with the closest known one."""
+    """The message for an unknown name, with the closest known one, or its present name."""
+    if name in RENAMED and RENAMED[name] in known:
+        return f"the {kind} {name} is called {RENAMED[name]} now"
     return f"unknown {kind} {name!r}{suggestion(name, known)}"
 
 

@@ -53,7 +53,7 @@ class SkinConfig:
     layout: Layout
     skin: str
     rest: RestRules
-    threshold: float
+    active_share: float
     stale_after_s: float
     contact: ContactThresholds
 
@@ -141,7 +141,7 @@ def _live(values: Values) -> dict[str, Any]:
     return {
         "rest": RestRules(values["drift_pa_per_min"], contact.contact_pa, contact.release_pa),
         "contact": contact,
-        "threshold": values["threshold"],
+        "active_share": values["active_share"],
         "stale_after_s": values["stale_after_s"],
     }
 
@@ -154,6 +154,7 @@ def _curve(get: Values) -> PressureCurve:
         range_pa=get["range_kpa"] * 1e3,
         stage1_v_per_pa=get["sensitivity1_v_per_kpa"] * 1e-3,
         stage2_v_per_pa=get["sensitivity2_v_per_kpa"] * 1e-3,
+        vref_v=get["vref_v"],
     )
 
 

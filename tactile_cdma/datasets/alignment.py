@@ -64,102 +64,46 @@ class Row:
     stopped: Mapping[str, int]
 
 
-class Aligner:
-    """Samples in, rows out; feed() each sample, then finish().
+class Present:
+    """What is known of streams at a moment: add() samples, then ask for the row of a tick.
 
-    streams: by key. touch: of the patches, by key. clock: key of the stream whose stamps are the
-    ticks, about fps per s; None: exactly fps from the beginning of each episode or of the data.
-    late: samples per stream that came after a tick that they belong to.
+    streams: by key. touch: of the patches, by key. fps: ticks per s. newest: stamp of each stream's
+    newest sample, and when it was recorded; passed by none that has not begun. done_ns, drained_ns:
+    the last tick; the time up to which samples were taken in, which may be later than that.
     """
 
     def __init__(
-        self,
-        streams: Mapping[str, SampleStream],
-        touch: Mapping[str, TouchStream],
-        episodes: Sequence[Episode],
-        fps: float,
-        clock: str | None = None,
+        self, streams: Mapping[str, SampleStream], touch: Mapping[str, TouchStream], fps: float
     ) -> None:
-        self._touch, self._episodes = touch, episodes
+        self._touch = touch
         self._commands = {key for key, stream in streams.items() if stream.kind == Kind.ACTION}
-        self._clock, self._fps = clock, fps
-        self._grid: Iterator[Tick] = iter(())
-        self._ticks: deque[Tick] = deque()
         self._waiting: dict[str, list[tuple[int, int, Value]]] = {key: [] for key in streams}
         self._order = count()
         self._last: dict[str, Value] = {}
-        self._newest: dict[str, tuple[int, int]] = {}  # stamp, and when it was recorded
         self._taken_ns = dict.fromkeys(streams, -1)
         self._steps_ns: dict[str, deque[int]] = {key: deque(maxlen=LAST_STEPS) for key in streams}
-        self._done_ns = self._drained_ns = -1
-        self._begun_ns: int | None = None
         self._stopped_ns: dict[str, int] = {}
-        self._last_tick: Tick | None = None
-        self._interval_ns, self._stale_ns = round(NANO / fps), round(stale_s(fps) * NANO)
-        self._reach_ns = max(round(STALE_S * NANO), REACH * self._interval_ns)
-        self.late = dict.fromkeys(streams, 0)
+        self._stale_ns = round(stale_s(fps) * NANO)
+        self.newest: dict[str, tuple[int, int]] = {}
+        self.done_ns = self.drained_ns = -1
 
-    def feed(self, sample: Sample) -> Iterator[Row]:
-        """Rows that this sample completes."""
+    @property
+    def have_begun(self) -> bool:
+        """Whether every stream has had a sample."""
+        return len(self.newest) == len(self._waiting)
+
+    def add(self, sample: Sample) -> None:
+        """Take a sample; one that is older than others of its stream that are in use is ignored."""
         key, stamp_ns = sample.stream, sample.stamp_ns
-        if self._begun_ns is None:
-            self._begun_ns = sample.seen_ns
-            if self._clock is None:
-                self._grid = _grid(self._episodes, self._fps, stamp_ns)
-        if stamp_ns <= (self._drained_ns if key == self._clock else self._done_ns):
-            self.late[key] += 1
-        if stamp_ns > self._taken_ns[key]:  # else there is something newer already
+        if stamp_ns > self._taken_ns[key]:
             heapq.heappush(self._waiting[key], (stamp_ns, next(self._order), sample.value))
-        newest_ns = max(stamp_ns, self._newest.get(key, (0, 0))[0])
-        self._newest[key] = newest_ns, sample.seen_ns
-        if key == self._clock:
-            self._tick(stamp_ns)
-        yield from self._rows(self._passed_ns(sample.seen_ns))
+        newest_ns = max(stamp_ns, self.newest.get(key, (0, 0))[0])
+        self.newest[key] = newest_ns, sample.seen_ns
 
-    def finish(self) -> Iterator[Row]:
-        """Rows that waited for more samples; none after the last one was recorded."""
-        newest_ns = max((stamp for stamp, _ in self._newest.values()), default=0)
-        seen_ns = max((seen for _, seen in self._newest.values()), default=0)
-        yield from self._rows(min(newest_ns, seen_ns))
-
-    def _passed_ns(self, now_ns: int) -> int:
-        """The time that all streams have passed from which samples are still to be expected."""
-        wait_ns = round(WAIT_S * NANO)
-        assert self._begun_ns is not None
-        if len(self._newest) < len(self._waiting) and now_ns - self._begun_ns <= wait_ns:
-            return 0
-        going = (stamp for stamp, seen in self._newest.values() if now_ns - seen <= wait_ns)
-        return min(now_ns, *going)
-
-    def _tick(self, time_ns: int) -> None:
-        """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""
-        last_ns = self._ticks[-1].time_ns if self._ticks else self._drained_ns
-        within = (n for n, e in enumerate(self._episodes) if e.begin_ns <= time_ns <= e.end_ns)
-        if time_ns > last_ns and (number := next(within, None)) is not None:
-            since_ns, before = time_ns - self._interval_ns, self._last_tick
-            if before is not None and before.episode == number:
-                since_ns = max(before.time_ns, time_ns - self._reach_ns)
-            self._last_tick = Tick(time_ns, number, since_ns)
-            self._ticks.append(self._last_tick)
-
-    def _rows(self, passed_ns: int) -> Iterator[Row]:
-        """Rows of all ticks before a time that every stream has passed."""
-        while (tick := self._next(passed_ns)) is not None:
-            yield self._row(tick)
-        # The grid's next tick is known; of a clock that is a stream only that it is not before.
-        since_ns = self._ticks[0].since_ns if self._ticks else passed_ns - self._reach_ns
-        self._drain(min(passed_ns, since_ns))
-
-    def _next(self, passed_ns: int) -> Tick | None:
-        if not self._ticks and (tick := next(self._grid, None)) is not None:
-            self._ticks.append(tick)
-        if self._ticks and self._ticks[0].time_ns <= passed_ns:
-            return self._ticks.popleft()
-        return None
-
-    def _row(self, tick: Tick) -> Row:
-        self._drain(tick.time_ns)
-        self._done_ns = tick.time_ns
+    def row(self, tick: Tick) -> Row:
+        """The row of a tick that is later than the one before."""
+        self.drain(tick.time_ns)
+        self.done_ns = tick.time_ns
         values: dict[str, Touch | Value] = {}
         stopped: dict[str, int] = {}
         for key, value in self._last.items():
@@ -171,11 +115,11 @@ class Aligner:
                 values[key] = value
         return Row(tick, values, stopped)
 
-    def _drain(self, until_ns: int) -> None:
+    def drain(self, until_ns: int) -> None:
         """Take in all samples up to a time."""
-        if until_ns <= self._drained_ns:
+        if until_ns <= self.drained_ns:
             return
-        self._drained_ns = until_ns
+        self.drained_ns = until_ns
         for key, waiting in self._waiting.items():
             while waiting and waiting[0][0] <= until_ns:
                 stamp_ns, _, value = heapq.heappop(waiting)
@@ -193,6 +137,89 @@ class Aligner:
         if age_ns <= self._stale_ns:
             return False
         return not steps_ns or age_ns > STEPS * median(steps_ns)
+
+
+class Aligner:
+    """Samples in, rows out; feed() each sample, then finish().
+
+    streams, touch: see Present. clock: key of the stream whose stamps are the ticks, about fps per
+    s; None: exactly fps from the beginning of each episode or of the data.
+    late: samples per stream that came after a tick that they belong to.
+    """
+
+    def __init__(
+        self,
+        streams: Mapping[str, SampleStream],
+        touch: Mapping[str, TouchStream],
+        episodes: Sequence[Episode],
+        fps: float,
+        clock: str | None = None,
+    ) -> None:
+        self._present = Present(streams, touch, fps)
+        self._episodes, self._clock, self._fps = episodes, clock, fps
+        self._grid: Iterator[Tick] = iter(())
+        self._ticks: deque[Tick] = deque()
+        self._begun_ns: int | None = None
+        self._last_tick: Tick | None = None
+        self._interval_ns = round(NANO / fps)
+        self._reach_ns = max(round(STALE_S * NANO), REACH * self._interval_ns)
+        self.late = dict.fromkeys(streams, 0)
+
+    def feed(self, sample: Sample) -> Iterator[Row]:
+        """Rows that this sample completes."""
+        key, stamp_ns, present = sample.stream, sample.stamp_ns, self._present
+        if self._begun_ns is None:
+            self._begun_ns = sample.seen_ns
+            if self._clock is None:
+                self._grid = _grid(self._episodes, self._fps, stamp_ns)
+        if stamp_ns <= (present.drained_ns if key == self._clock else present.done_ns):
+            self.late[key] += 1
+        present.add(sample)
+        if key == self._clock:
+            self._tick(stamp_ns)
+        yield from self._rows(self._passed_ns(sample.seen_ns))
+
+    def finish(self) -> Iterator[Row]:
+        """Rows that waited for more samples; none after the last one was recorded."""
+        newest = self._present.newest.values()
+        newest_ns = max((stamp for stamp, _ in newest), default=0)
+        seen_ns = max((seen for _, seen in newest), default=0)
+        yield from self._rows(min(newest_ns, seen_ns))
+
+    def _passed_ns(self, now_ns: int) -> int:
+        """The time that all streams have passed from which samples are still to be expected."""
+        wait_ns = round(WAIT_S * NANO)
+        assert self._begun_ns is not None
+        if not self._present.have_begun and now_ns - self._begun_ns <= wait_ns:
+            return 0
+        newest = self._present.newest.values()
+        return min(now_ns, *(stamp for stamp, seen in newest if now_ns - seen <= wait_ns))
+
+    def _tick(self, time_ns: int) -> None:
+        """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""
+        last_ns = self._ticks[-1].time_ns if self._ticks else self._present.drained_ns
+        within = (n for n, e in enumerate(self._episodes) if e.begin_ns <= time_ns <= e.end_ns)
+        if time_ns > last_ns and (number := next(within, None)) is not None:
+            since_ns, before = time_ns - self._interval_ns, self._last_tick
+            if before is not None and before.episode == number:
+                since_ns = max(before.time_ns, time_ns - self._reach_ns)
+            self._last_tick = Tick(time_ns, number, since_ns)
+            self._ticks.append(self._last_tick)
+
+    def _rows(self, passed_ns: int) -> Iterator[Row]:
+        """Rows of all ticks before a time that every stream has passed."""
+        while (tick := self._next(passed_ns)) is not None:
+            yield self._present.row(tick)
+        # The grid's next tick is known; of a clock that is a stream only that it is not before.
+        since_ns = self._ticks[0].since_ns if self._ticks else passed_ns - self._reach_ns
+        self._present.drain(min(passed_ns, since_ns))
+
+    def _next(self, passed_ns: int) -> Tick | None:
+        if not self._ticks and (tick := next(self._grid, None)) is not None:
+            self._ticks.append(tick)
+        if self._ticks and self._ticks[0].time_ns <= passed_ns:
+            return self._ticks.popleft()
+        return None
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:

@@ -166,6 +166,15 @@ def patches_of(source: SampleSource) -> list[SampleStream]:
     return [stream for stream in source.streams.values() if stream.kind == Kind.TACTILE]
 
 
+def in_order(values: Floats32, its: tuple[str, ...], names: tuple[str, ...]) -> Floats32 | None:
+    """A vector whose elements are called its, in the order of names; None if these are others."""
+    if its == names:
+        return values
+    if sorted(its) != sorted(names):
+        return None
+    return values[[its.index(name) for name in names]]
+
+
 def feature_name(text: str) -> str:
     """A name that features may have, from a topic's or a skin's."""
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "skin"
@@ -223,15 +232,18 @@ def check_patches(first: SampleSource, other: SampleSource) -> None:
         )
 
 
-def check_taxels(first: PatchInfo, other: PatchInfo, path: Path) -> None:
-    """Raises CaptureError where a patch's taxels differ from those in the first file.
+def check_taxels(
+    first: PatchInfo, other: PatchInfo, path: Path, where: str = "the first file"
+) -> None:
+    """Raises CaptureError where a patch's taxels differ from those of the first one.
 
-    path: of the file that holds the other one.
+    path: of the file that holds the other one. where: the first one is.
     """
+    remedy = f"; {_ALONE}" if where == "the first file" else ""
     if (mine := (first.rows, first.columns)) != (its := (other.rows, other.columns)):
         raise CaptureError(
-            f"{path}: patch {other.name} has {its[0]} × {its[1]} taxels, in the first file "
-            f"{mine[0]} × {mine[1]}; {_ALONE}"
+            f"{path}: patch {other.name} has {its[0]} × {its[1]} taxels, in {where} "
+            f"{mine[0]} × {mine[1]}{remedy}"
         )
     for what, one, another in (
         ("nodes", first.nodes, other.nodes),
@@ -241,8 +253,8 @@ def check_taxels(first: PatchInfo, other: PatchInfo, path: Path) -> None:
     ):
         if not np.array_equal(one, another, equal_nan=True):
             raise CaptureError(
-                f"{path}: {what} of the taxels of patch {other.name} are not those in the first "
-                f"file; {_ALONE}"
+                f"{path}: {what} of the taxels of patch {other.name} are not those in {where}"
+                f"{remedy}"
             )
 
 
@@ -253,12 +265,20 @@ def check_same(first: PatchInfo, other: PatchInfo, path: Path) -> None:
         raise CaptureError(f"{path}: {difference}; {_ALONE}")
 
 
-def differences(patch: str, first: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
-    """How another file's readings of a patch come from elsewhere than the first's, by about."""
+def differences(
+    patch: str,
+    first: Mapping[str, Any],
+    other: Mapping[str, Any],
+    where: str = "the first file",
+) -> Iterator[str]:
+    """How another file's readings of a patch come from elsewhere than the first's, by about.
+
+    where: the first is.
+    """
     for key in ("origin", "measured_by", "calibration_id"):
         mine, its = (about.get(key, "unknown") for about in (first, other))
         if mine != its:
-            yield f"{key} of patch {patch} is {its!r}, in the first file {mine!r}"
+            yield f"{key} of patch {patch} is {its!r}, in {where} {mine!r}"
 
 
 def missing_between(before: int, after: int) -> int | None:

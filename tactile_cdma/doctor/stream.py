@@ -131,8 +131,8 @@ def _decoded(stream: RawStream, config: SkinConfig, swing_v: float | None) -> De
     if config.samples_per_chip > 1:
         spec = replace(spec, amplitude_v=None)
     # Weak nodes count as heard once the amplitude is known, and are told to be weak.
-    threshold = config.threshold if swing_v is None else FAINT_SHARE
-    pipeline = Pipeline(replace(config, spec=spec, threshold=threshold), background=False)
+    active_share = config.active_share if swing_v is None else FAINT_SHARE
+    pipeline = Pipeline(replace(config, spec=spec, active_share=active_share), background=False)
     if swing_v is not None:
         # Words are read by it, frames found without: what the digitizer leaves out was set by
         # another amplitude, and a pipeline refuses a stream that does not fit its own.
@@ -242,7 +242,7 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
     if abs(ratio - 1) <= OTHER_AMPLITUDE:
         yield ok("amplitude_mv", f"{stated_mv:g}, measured {looks_mv:.0f}")
         return
-    unheard = not config.threshold < ratio < DOUBLE_SHARE
+    unheard = not config.active_share < ratio < DOUBLE_SHARE
     consequence = ", so nodes are not heard or taken for two" if unheard else ""
     yield (problem if unheard else warning)(
         "amplitude_mv", f"looks like {looks_mv:.0f}, not {stated_mv:g}{consequence}: set it to that"

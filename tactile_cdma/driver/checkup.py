@@ -128,7 +128,9 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
         return
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):
-        text = "frames arrive, but no node was heard: is the skin powered, is threshold too high?"
+        text = (
+            "frames arrive, but no node was heard: is the skin powered, is active_share too high?"
+        )
         yield Finding(text, Level.ERROR, event=True)
         return
     most, stated_mv = taxels.in_service // 2 + 1, 1e3 * (pipeline.config.spec.amplitude_v or 0.0)

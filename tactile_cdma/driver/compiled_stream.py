@@ -22,6 +22,7 @@ from ..framing.frame_end import tail_of
 from ..framing.gap_timing import GapTiming
 from ..framing.limits import LIMITS
 from ..framing.marked_timing import GAP_WEIGHT, LEAST_REST, MarkedFrame, MarkedLine, MarkedTiming
+from ..framing.sparse_timing import SparseTiming
 from ..framing.timing import (
     ABSURD_V,
     INCOMPLETE,
@@ -88,6 +89,8 @@ class CompiledStream:
         self._read = 0.0, False  # t_host and backlog of the last event
         self._rows = self._values = np.empty((0, 0), np.float32)  # of the last frame; the nodes'
         self._line: MarkedLine | None = None  # where frames are marked
+        self._sparse: SparseTiming | None = None  # where codes are sparse
+        self._spoke = np.empty(0, np.int32)  # who did in the last frame, of these
         self._chip_noise = 1.0  # noise of a chip, in that of a correlation
         self._fit: Fit | None = None
         self._timing = kernel.settings(
@@ -99,15 +102,18 @@ class CompiledStream:
         """See Stream."""
         spec, timing = description.spec, description.timing
         self._description, self._fit = description, None
-        self._rows = np.empty((spec.line_bits, spec.row_count), np.float32)
+        self._rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
         self._values = self._rows[:, spec.node_slice]
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
         self._chip_noise = math.sqrt(spec.order)
+        self._sparse = timing if isinstance(timing, SparseTiming) else None
         transform = compiled_transform(spec.book.plan, spreading=False)
-        # Frames of sparse codes are asked about before their chips are looked at.
         flips = None if spec.sparse else spec.flips
         flips = np.empty(0, np.float32) if flips is None else np.ascontiguousarray(flips)
         self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
+        if self._sparse is not None:
+            self._spoke = np.empty(spec.nodes, np.int32)
+            self._kernel.detect_by(self._sparse.detector.kernel, self._spoke)
         if isinstance(timing, MarkedTiming):
             self._carry(timing)
 
@@ -165,7 +171,15 @@ class CompiledStream:
         self._ending = True
 
     def _found(
-        self, kind: int, start: int, noise_v: float, level_v: float, clipped: float, known: bool
+        self,
+        kind: int,
+        start: int,
+        noise_v: float,
+        level_v: float,
+        clipped: float,
+        known: bool,
+        speakers: int,
+        turn: int,
     ) -> FrameLevels:
         """A frame that the kernel has decided."""
         line = self._line
@@ -175,15 +189,20 @@ class CompiledStream:
         if self._reason:
             _log.debug("frames are decided in the kernel from sample %d on", start)
             self._reason = ""
+        if self._sparse is not None:
+            self._sparse.load = self._sparse.load.after(speakers)
         fit, levels = line.nominal, None
         if kind == _HEARD:
             rows = self._rows
             unknown = line.integrated and not known and may_be_offset(rows, line.spec)
-            levels = NodeLevels(self._values, noise_v, rows=rows, level_unknown=unknown)
+            spoke = None if self._sparse is None else self._spoke[:speakers]
+            levels = NodeLevels(
+                self._values, noise_v, rows=rows, level_unknown=unknown, spoke=spoke
+            )
             fit = self._fit or fit
             noise_v *= self._chip_noise
         begin = float(start) if line.integrated else start + fit.start
-        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped)
+        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped, turn=turn)
 
     def _ask(self, packet: Received | None) -> Samples | Quiet | None:
         """A packet of samples that is to be asked about; none if no samples can be those."""
@@ -211,6 +230,7 @@ class CompiledStream:
         summed_up: bool,
         variance_v2: float,
         rest: tuple[float, float, bool],
+        turn: int,
     ) -> FrameLevels | None:
         """Answer whether samples are a frame, which it returns."""
         timing, samples = self._marked, np.frombuffer(volts)
@@ -223,14 +243,14 @@ class CompiledStream:
             verdict = timing.recognise(frame)
         reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
         due, over = (-1 if at is None else at for at in (verdict.due, verdict.over))
-        self._kernel.decide(due, over, line.level_v)
+        self._kernel.decide(due, over, line.level_v, line.noise)
         self._carry(timing)
         if verdict.due is None:
             self.decisions.in_python[reason] += 1
             if reason not in (REFINED, self._reason):
                 _log.debug("frames are decided in Python from sample %d on: %s", start, reason)
                 self._reason = reason
-        return verdict.frame
+        return verdict.frame.in_turn(turn) if verdict.frame else None
 
     def _look(self, start: int, volts: memoryview) -> None:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
@@ -293,6 +313,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         chip=line.chip,
         least_power=line.least_power,
         silent_power=line.silent_power,
+        noise_share=line.noise_share,
         most_noise=blinding_noise_v(spec),
         rail_low=rail_low,
         rail_high=rail_high,

@@ -51,7 +51,7 @@ class Description:
 
     def block(self, index: int, packet: Samples | Quiet) -> SampleBlock | QuietBlock:
         """A packet in volts. index: of its first sample in the stream."""
-        info, marks = self.info, (packet.sync, packet.called)
+        info, marks = self.info, (packet.sync, packet.called, packet.turn)
         if isinstance(packet, Samples):
             return SampleBlock(index, info.volts(packet.counts), *marks)
         mean_v = (packet.mean - info.zero_count) * info.volts_per_count

@@ -13,7 +13,7 @@ from ..base.stage import stage
 from ..clocks.clock_keeper import ClockReport
 from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
-from ..framing.sparse_timing import Load, SparseTiming
+from ..framing.sparse_timing import Load, SparseTiming, capacity
 from ..framing.timing import FrameLevels, Rejections
 from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
@@ -23,6 +23,7 @@ from ..wire._protocol import PacketType, Result
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.decode import Words, decode, silent
+from ..words.groups import Groups, out_of_turn
 from ..words.health import NodeHealth
 from .clock import DeviceClock, StreamCounters
 from .compiled_stream import CompiledStream
@@ -64,7 +65,8 @@ class Pipeline:
     problem: why nothing can be decoded at present, in one sentence; None while all is well.
     digitizer: what the digitizer has said about itself. on_info: called with that where it fits and
     is new, before what follows is decoded. decisions: where frames were decided, and why.
-    stream: of the present connection; a live port is read by it, and its events go to `take`.
+    groups: in how many the nodes should transmit. stream: of the present connection; a live port is
+    read by it, and its events go to `take`.
     """
 
     def __init__(
@@ -90,13 +92,14 @@ class Pipeline:
         self.timeline = Timeline(self.counters, clocks)
         self.health = NodeHealth(config.spec)
         nodes = config.spec.nodes
-        tracker = DriftTracker(config.adc.lsb_v, nodes_beside(config.layout, nodes), config.rest)
+        tracker = DriftTracker(config.adc, nodes_beside(config.layout, nodes), config.rest)
         chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self._background, self._most_repeated = background, most_repeated
         self._compiled, self._frames_wanted = compiled, frames
         self._earlier_packets = Counters()
         self._description: Description | None = None  # while the digitizer can be decoded
+        self.groups = Groups(config.spec.nodes, capacity(config.spec), config.spec.frame_period_s)
         self._follows = 0  # sequence of the frame that follows the last one
         self.stream = self._new_stream()
 
@@ -226,9 +229,15 @@ class Pipeline:
         rate_hz, spec = self._description.pace.rate_hz, self.config.spec
         stamp = self.timeline.times.stamp(heard, rate_hz, spec)
         if stamp.sequence != self._follows:
-            self.taxels.miss(self.config.nodes_repeat)
+            # Whose turn it was may have spoken last in any frame of a round.
+            round_s = spec.frame_period_s * ((1 << self.groups.now_log2) - 1)
+            self.taxels.miss(self.config.nodes_repeat, round_s)
         self._follows = stamp.sequence + 1
         words, readings = self._read(heard, stamp.t_middle)
+        if (load := self.load) is not None:
+            self.groups.take(heard.turn, load.now, words.active)
+        if heard.turn:
+            readings = self.taxels.waiting(readings, out_of_turn(heard.turn, spec.nodes))
         return TactileFrame(*stamp, heard.clipped, words, readings)
 
     def _read(self, heard: FrameLevels, t_device: float) -> tuple[Words, Readings]:
@@ -249,7 +258,7 @@ class Pipeline:
             or not heard.placed
         )
         if kernel.compiled is not None and not is_odd and not config.roll_call:
-            read = taxels.read(levels, config.spec, config.threshold, t_device, self.health)
+            read = taxels.read(levels, config.spec, config.active_share, t_device, self.health)
             if read is not None:
                 return read
         words = self._words(heard, levels)
@@ -258,7 +267,7 @@ class Pipeline:
     def _words(self, heard: FrameLevels, levels: NodeLevels) -> Words:
         """What the nodes said; updates their health by words that are not a guess."""
         spec, clocks = self.config.spec, self.clocks
-        words = decode(levels, spec, self.config.threshold, self.health.swing_v)
+        words = decode(levels, spec, self.config.active_share, self.health.swing_v)
         clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
         if clocks_unknown:
             words = words.doubted(words.active)

@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..wire._protocol import SyncMode
+from ..wire._protocol import PacketType, SyncMode
 from ..wire.messages import (
     Command,
     Configure,
     FrameLayout,
     GetInfo,
+    Groups,
     Info,
     Pack,
     Packet,
@@ -68,6 +69,7 @@ class Session:
         self._ours = config is None or config.digitizer_id is None
         self._known: Info | None = None  # the digitizer's last introduction
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
+        self._next_groups_s = -math.inf
         self._before = _Progress()
         self._deadline_s = self._asked_s = -math.inf
         self._obeyed = False  # it has streamed since it was asked
@@ -101,6 +103,8 @@ class Session:
                 return start
         if roll_call := self._roll_call(pipeline, now_s):
             return roll_call
+        if groups := self._groups(pipeline, now_s):
+            return groups
         if pipeline.counters.frames != self._before.frames:
             self._was_idle = False
             self._note_progress(pipeline, now_s)
@@ -156,6 +160,19 @@ class Session:
             self.problem = None
             return self._encoded(RollCall())
         return b""
+
+    def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
+        """The request to divide the nodes into groups, or to end that, where the load asks for it.
+
+        A digitizer that refused it once is not asked again.
+        """
+        groups, refusal = pipeline.groups, pipeline.digitizer.refusal
+        is_refused = refusal is not None and refusal.command == PacketType.GROUPS
+        is_due = groups.wanted_log2 != groups.now_log2 and now_s >= self._next_groups_s
+        if self._config is None or not self._ours or not is_due or is_refused:
+            return b""
+        self._next_groups_s = now_s + ANSWER_S
+        return self._encoded(Groups(groups.wanted_log2))
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""

@@ -118,6 +118,7 @@ class MarkedLine:
     chip: nominal chip duration, samples. integrated: one sample is the mean of one chip, and gaps
     and guards have no samples. nominal: timing of an unstretched frame, relative to its mark.
     size: samples of an unstretched frame.
+    noise_share: share of the noise that, with silent_power, no frame exceeds in which none speaks.
     level_v: of the line at rest, V; the last frame's mean until a gap has shown it (level_known).
     noise: variance of a chip's level in the gap, V²; 0 where unknown.
     """
@@ -136,6 +137,7 @@ class MarkedLine:
         length = spec.chips if self.integrated else spec.span_chips
         self.size = math.ceil(length * self.chip - 0.5)
         self.least_power, self.silent_power = least_power(spec), silent_power(spec)
+        self.noise_share = 0.0
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset. So
         # it is, nearly, where rows are scrambled: off by √(n/kN)·A, of which a row shows a √N-th.
         self.mean_is_offset = (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR
@@ -186,7 +188,8 @@ class MarkedLine:
         if math.isnan(power):
             return Verdict(rejected=ABSURD)
         # Chips are means of samples, so they have no more power than the samples.
-        return None if power > self.silent_power else self.silent(frame, power)
+        is_silent = power <= self.silent_power + self.noise_share * self.noise
+        return self.silent(frame, power) if is_silent else None
 
     def sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""
@@ -217,7 +220,8 @@ class MarkedLine:
             # Scrambled chips that are late show in no row, but as noise that the gap has not.
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
         doubtful = None
-        if self.integrated and frame.volts.size >= self.size and self._sticks_out(frame.volts):
+        may_stick_out = self.integrated and not self.spec.sparse and frame.volts.size >= self.size
+        if may_stick_out and self._sticks_out(frame.volts):
             doubtful = np.ones(self.spec.nodes, bool)
         if levels is not None and not self._holds_more(levels):
             levels = None
@@ -303,6 +307,7 @@ class MarkedTiming(Timing):
         self.line, self.recogniser = line, recogniser
         self.gap_size = math.ceil(line.spec.order * line.chip)  # most that is learnt from
         self._start: int | None = None  # the mark of the frame in progress
+        self._turn = 0  # whose it is
         self._due = 0
         self._mark: int | None = None  # the last mark, if no hole followed
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
@@ -387,7 +392,7 @@ class MarkedTiming(Timing):
             self.line.add_gap(self._samples.take(gap_begin, index))
         self._samples.drop(index)
         since = None if self._mark is None else index - self._mark
-        self._start = self._mark = index
+        self._start, self._mark, self._turn = index, index, block.turn
         self._opened += 1
         self._due = index + self.recogniser.open(index, block.called, since)
         return frames
@@ -411,4 +416,4 @@ class MarkedTiming(Timing):
         self._start = None
         # Where chips are integrated no gap is sent: what follows is words, and no noise.
         self._gap_begin = None if self.line.integrated else verdict.over
-        return [] if verdict.frame is None else [verdict.frame]
+        return [] if verdict.frame is None else [verdict.frame.in_turn(self._turn)]

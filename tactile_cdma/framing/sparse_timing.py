@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
-from ..code.detect import Detected, Detector
+from ..code.amplitude import LEAST_SHARE, most_noise_power, rises
+from ..code.detect import Certificate, Detected, Detector
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import rows_of
@@ -77,12 +78,16 @@ class SparseTiming(MarkedTiming):
         """See MarkedLine."""
         line = MarkedLine(spec, rate_hz, rails_v)
         self._own = SparseRecogniser(line)
+        self.detector = self._own.detector
         self.load = Load(capacity(spec))
         super().__init__(line, self._own)
 
     def _noted(self, verdict: Verdict) -> Verdict:
-        if verdict.frame is not None:
-            self.load = self.load.after(self._own.speakers if verdict.frame.levels else 0)
+        frame = verdict.frame
+        if frame is not None:
+            self.load = self.load.after(self._own.speakers if frame.levels else 0)
+            if frame.levels is None:  # all of it was noise
+                self.line.noise = learnt(self.line.noise, frame.noise_rms_v**2)
         return super()._noted(verdict)
 
 
@@ -93,19 +98,47 @@ def capacity(spec: FrameSpec) -> int:
     return min(spec.nodes, max(1, int(CAPACITY * (spec.order - LOST * math.sqrt(spec.order)))))
 
 
+def learnt(noise: float, newest: float) -> float:
+    """Mean square of the line's noise, V², after a frame of so much; 0: unknown."""
+    return noise + WEIGHT * (newest - noise) if noise else newest
+
+
+def certificate(spec: FrameSpec) -> Certificate:
+    """What frames of a specification have to satisfy; see the constants above."""
+    swing2, power = (spec.node_swing_v or 0.0) ** 2, most_noise_power(spec.line_bits)
+    return Certificate(
+        capacity=capacity(spec),
+        most_noise=blinding_noise_v(spec) ** 2,
+        more=MORE,
+        tolerance=TOLERANCE,
+        chance=_by_chance(spec.chips),
+        chance_of_bit=_by_chance(spec.order),
+        hiding=HIDING,
+        weight=WEIGHT,
+        silent_square=spec.line_bits * LEAST_SHARE**2 * swing2,
+        silent_power=spec.line_bits * power,
+        alike=spec.order < ALIKE_BELOW,
+    )
+
+
 class SparseRecogniser:
     """A Recogniser for frames of means of chips.
 
-    speakers: nodes that spoke in the last frame that was not silent; see Load.
+    The kernel reads those that leave nothing to decide, by the same rules: `sparse_read` in
+    kernel/sparse.c. The line's noise is what frames leave over, as there is no gap.
+
+    speakers: nodes that spoke in the last frame that was not silent; see Load. detector: finds the
+    words.
     """
 
     def __init__(self, line: MarkedLine) -> None:
         self.speakers = 0
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
-        self._capacity, self._most_noise = capacity(line.spec), blinding_noise_v(line.spec) ** 2
-        self._noise = _Noise(line.spec.chips, HIDDEN * self._swing2)
-        self._detector = Detector(line.spec)
+        self._rules = certificate(line.spec)
+        self._unlearnt = _Unlearnt(line.spec.chips, HIDDEN * self._swing2)
+        self.detector = Detector(line.spec, self._rules)
+        line.noise_share = 1 - self._rules.chance
         # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
         assert line.spec.flips is not None, "sparse codes are scrambled"
         self._products = np.empty((line.spec.line_bits, line.spec.row_count), np.float32)
@@ -120,8 +153,8 @@ class SparseRecogniser:
 
     @property
     def carried(self) -> CarriedTiming | None:
-        """See Recogniser: each frame is asked about."""
-        return None
+        """See Recogniser."""
+        return CarriedTiming(self._line.size)
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser.
@@ -133,12 +166,12 @@ class SparseRecogniser:
             return verdict
         spec = self._spec
         chips = frame.volts[: spec.chips].astype(np.float32).reshape(spec.line_bits, spec.order)
-        found = self._detector.detect(chips)
+        found = self.detector.detect(chips)
         explained = self._words_explain(found)
         for damping in DAMPINGS[1:]:
-            if explained or not self._noise.power:
+            if explained or not self._line.noise:
                 break
-            other = self._detector.detect(chips, damping)
+            other = self.detector.detect(chips, damping)
             if other.left.mean() < found.left.mean():
                 found, explained = other, self._words_explain(other)
         late = () if explained else self._late(found)
@@ -147,29 +180,56 @@ class SparseRecogniser:
             doubtful = np.ones(spec.nodes, np.bool_)
         elif self._hides_nodes:
             doubtful = ~found.heard
-        noise = float(self._noise_of(found).mean())
+        noise = sum(self._noise_of(found).tolist()) / spec.line_bits  # in the kernel's order
+        rows, spoke, noise_v = found.rows, None, math.sqrt(noise / spec.order)
         if self._settled(found):
             self.speakers = int(np.count_nonzero(found.heard))
         else:
-            power = float(chips.var(dtype=np.float64)) - self._noise.power
+            power = float(chips.var(dtype=np.float64)) - self._line.noise
             self.speakers = max(0, round(power / self._swing2))
-        if self._is_understood(found) and not late:
-            self._noise.learn(noise, None if explained else _kurtosis(found.chips))
-        self._line.level_v, noise_v = found.level_v, math.sqrt(noise / spec.order)
-        levels = NodeLevels(found.rows[:, spec.node_slice], noise_v, rows=found.rows, late=late)
+        self._learn(found, noise, explained, late, frame.opened)
+        self._line.level_v = found.level_v
+        if doubtful is None and not self._silence_rises(found, noise_v):
+            rows = np.zeros_like(rows)  # there is nothing to ask about the silence
+            rows[:, spec.rows[found.heard]] = found.rows[:, spec.rows[found.heard]]
+            spoke = np.flatnonzero(found.heard).astype(np.int32)
+        levels = NodeLevels(rows[:, spec.node_slice], noise_v, rows=rows, late=late, spoke=spoke)
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
+
+    def _learn(
+        self, found: Detected, noise: float, explained: bool, late: tuple[int, ...], opened: int
+    ) -> None:
+        """Learn the noise of a frame; opened: see MarkedFrame."""
+        if opened > 1:
+            self._unlearnt.clear()
+        if not self._is_understood(found) or late:
+            return
+        if explained:
+            self._unlearnt.clear()
+            self._line.noise = learnt(self._line.noise, noise)
+        else:
+            most = RELEARNT if self._line.noise else LEARNT
+            least = self._unlearnt.learn(noise, _kurtosis(found.chips), most)
+            self._line.noise = self._line.noise if least is None else least
+
+    def _silence_rises(self, found: Detected, noise_v: float) -> bool:
+        """Whether the row of anyone who did not speak holds more than noise, V RMS of a level."""
+        values = found.rows[:, self._spec.node_slice][:, ~found.heard]
+        squares = np.einsum("kn,kn->n", values, values)
+        swing_v = np.float32(self._spec.node_swing_v or 0.0)
+        return bool(rises(squares, swing_v, noise_v, self._spec.line_bits).any())
 
     def _is_understood(self, found: Detected) -> bool:
         """Whether words were found that stay, of no more nodes than the book tells apart."""
-        return self._settled(found) and int(np.count_nonzero(found.heard)) <= self._capacity
+        return self._settled(found) and int(np.count_nonzero(found.heard)) <= self._rules.capacity
 
     def _settled(self, found: Detected) -> bool:
         """Whether words were found that stay, or none, and leave no noise that hides words."""
-        return found.settled and float(found.left.mean()) < self._most_noise
+        return found.settled and float(found.left.mean()) < self._rules.most_noise
 
     def _words_explain(self, found: Detected) -> bool:
         """Whether words were found that leave no more than the line's noise, in any bit."""
-        noise, more = self._noise.power, MORE + TOLERANCE**2 * np.count_nonzero(found.heard)
+        noise, more = self._line.noise, MORE + TOLERANCE**2 * np.count_nonzero(found.heard)
         left = self._noise_of(found)
         for power, chips in ((left.mean(), self._spec.chips), (left.max(), self._spec.order)):
             if not power < noise * (1 + _by_chance(chips)) + more * self._swing2:
@@ -186,7 +246,7 @@ class SparseRecogniser:
             return True
         codes = self._spec.code_numbers[self._spec.rows[found.heard]]
         products = self._products[:, codes[:, None] ^ codes].astype(np.float64)
-        least = (MORE + _by_chance(self._spec.order) * self._noise.power / self._swing2) / 8
+        least = (MORE + _by_chance(self._spec.order) * self._line.noise / self._swing2) / 8
         diagonal = np.arange(codes.size)
         products[:, diagonal, diagonal] -= least
         try:
@@ -198,7 +258,7 @@ class SparseRecogniser:
     @property
     def _hides_nodes(self) -> bool:
         """Whether the noise may hold the word of a node that does not show."""
-        return _by_chance(self._spec.chips) * self._noise.power > HIDING * self._swing2
+        return _by_chance(self._spec.chips) * self._line.noise > HIDING * self._swing2
 
     def _noise_of(self, found: Detected) -> Floats:
         """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
@@ -214,7 +274,7 @@ class SparseRecogniser:
         by_chance *= 0.8 + 0.6 * BY_CHANCE / math.sqrt(spec.line_bits)
         least = np.float32(max(LATE_SHARE * (spec.node_swing_v or 0.0), by_chance))
         for lateness in LATENESSES:
-            late |= self._detector.loudness(found.chips, lateness) > least
+            late |= self.detector.loudness(found.chips, lateness) > least
         return tuple(np.flatnonzero(late).tolist())
 
 
@@ -229,30 +289,29 @@ def _kurtosis(chips: Floats32) -> float:
     return float(np.square(squares).mean() / max(squares.mean() ** 2, 1e-300))
 
 
-class _Noise:
-    """Follows the noise of the line, where no gap shows it. power: mean square, V²; 0: unknown.
+class _Unlearnt:
+    """Frames in a row that leave more than the noise that is known, but are understood.
 
-    Frames that leave more are believed if there is nothing but those, and what they leave is less
-    than a node would, or as Gaussian as noise: the chips of few nodes, or a tone, are not.
+    They are believed if what they leave is less than a node would, or as Gaussian as noise: the
+    chips of few nodes, or a tone, are not.
     """
 
     def __init__(self, chips: int, least_hidden: float) -> None:
         """chips: of a frame. least_hidden: mean square of what a node leaves, V²."""
-        self.power, self._chips, self._least_hidden = 0.0, chips, least_hidden
+        self._chips, self._least_hidden = chips, least_hidden
         self._seen: list[tuple[float, float]] = []
 
-    def learn(self, power: float, kurtosis: float | None) -> None:
-        """Take in what a frame left over; kurtosis: None where that was no more than expected."""
-        if kurtosis is None:
-            self.power += WEIGHT * (power - self.power)
-            self._seen.clear()
-            return
+    def clear(self) -> None:
+        """A frame left no more."""
+        self._seen.clear()
+
+    def learn(self, power: float, kurtosis: float, frames: int) -> float | None:
+        """The noise, V², if this is the last of so many that show it."""
         self._seen.append((power, kurtosis))
-        if len(self._seen) < (RELEARNT if self.power else LEARNT):
-            return
+        if len(self._seen) < frames:
+            return None
         powers, kurtoses = zip(*self._seen, strict=True)
         by_chance = BY_CHANCE * math.sqrt(24 / (self._chips * len(self._seen)))
         is_gaussian = sum(kurtoses) / len(kurtoses) > 3 - by_chance
-        if is_gaussian or min(powers) < self._least_hidden:
-            self.power = min(powers)
         self._seen.clear()
+        return min(powers) if is_gaussian or min(powers) < self._least_hidden else None

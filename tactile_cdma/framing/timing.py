@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import operator
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -39,20 +39,21 @@ class SampleBlock:
     first_index: index of volts[0] in the digitizer's sample stream.
     volts: (m,) float32, V; or float64, with NaN for absurd ones.
     sync: volts[0] is the first sample of a frame (line timing).
-    called: the frame belongs to a roll call.
+    called: the frame belongs to a roll call. turn: whose it is; see docs/protocol.md.
     """
 
     first_index: int
     volts: Floats32 | Floats
     sync: bool = False
     called: bool = False
+    turn: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class QuietBlock:
     """Consecutive samples in which no node transmitted, as the digitizer summed them up.
 
-    first_index, sync, called: as in SampleBlock. count: number of samples.
+    first_index, sync, called, turn: as in SampleBlock. count: number of samples.
     mean_v, variance_v2: of the samples, V and V².
     """
 
@@ -62,6 +63,7 @@ class QuietBlock:
     variance_v2: float
     sync: bool = False
     called: bool = False
+    turn: int = 0
 
     def samples(self) -> SampleBlock:
         """Made-up samples of this mean; of this variance, too, if their number is even."""
@@ -69,7 +71,7 @@ class QuietBlock:
         deviation_v = math.sqrt(self.variance_v2)
         volts[::2] += deviation_v
         volts[1::2] -= deviation_v
-        return SampleBlock(self.first_index, volts, self.sync, self.called)
+        return SampleBlock(self.first_index, volts, self.sync, self.called, self.turn)
 
 
 @stage
@@ -86,6 +88,7 @@ class FrameLevels:
         away, explain the samples as well, or a node was late and may be taken for another. None
         where no node's is.
     placed: a mark, or the raster of others, tells where it is; else its words alone do.
+    turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
     """
 
     start: float
@@ -96,6 +99,11 @@ class FrameLevels:
     clipped: float
     doubtful: Bools | None = None
     placed: bool = True
+    turn: int = 0
+
+    def in_turn(self, turn: int) -> FrameLevels:
+        """The same frame, of this turn."""
+        return replace(self, turn=turn) if turn else self
 
 
 _LEAST_STORE = 4096

@@ -2,6 +2,8 @@
 
 """The types of our messages for programs that read or write bags without ROS."""
 
+from functools import cache
+
 from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -12,8 +14,9 @@ from ..base.shipped import shipped
 PACKAGE = "tactile_cdma"
 
 
+@cache
 def message_types() -> Typestore:
-    """The messages of ROS 2 and ours, by names like tactile_cdma/msg/TactileArray.
+    """The messages of ROS 2 and ours, by names like tactile_cdma/msg/TactileArray; to be read only.
 
     Raises CaptureError where our definitions are not installed.
     """

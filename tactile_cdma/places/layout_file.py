@@ -2,7 +2,7 @@
 
 """Read layout files: YAML → Layout, with every check that keeps a taxel from a wrong place.
 
-docs/layout.md describes the format.
+docs/patches.md describes the format.
 """
 
 from collections.abc import Callable

@@ -21,6 +21,9 @@ MOST_PA = 5e6
 """Highest pressure of a curve, Pa. Chosen: robots' skins end at 0.1 to 2 MPa, and a gauge in grams
 that is read in newtons gives 102 times as much."""
 
+POWER_PIECES = 16
+"""Pieces of a power law's curve."""
+
 
 @dataclass(frozen=True, slots=True)
 class AdcScale:
@@ -53,10 +56,10 @@ class AdcScale:
 
 @dataclass(frozen=True, slots=True)
 class PressureCurve:
-    """A piecewise linear sensor characteristic; the voltage falls as the pressure rises.
+    """A piecewise linear sensor characteristic.
 
     pressure_pa: rising corner pressures, Pa, the first one 0.
-    voltage_v: falling voltages at those corners, V.
+    voltage_v: voltages at those corners, V, which fall all along, or rise all along.
 
     Raises SpecError unless both are strictly monotone.
     """
@@ -65,12 +68,12 @@ class PressureCurve:
     voltage_v: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        rising, falling = np.diff(self.pressure_pa), np.diff(self.voltage_v)
-        if len(rising) != len(falling) or not len(rising):
+        rising, steps_v = np.diff(self.pressure_pa), np.diff(self.voltage_v)
+        if len(rising) != len(steps_v) or not len(rising):
             raise SpecError("a pressure curve needs two or more corners, each with a voltage")
-        if not (np.all(rising > 0) and np.all(falling < 0)):
+        if not (np.all(rising > 0) and np.all(steps_v * steps_v[0] > 0)):
             raise SpecError(
-                "a pressure curve must fall strictly: corners at "
+                "a pressure curve must fall, or rise, strictly: corners at "
                 f"{_points(self.pressure_pa, 1e-3, 'kPa')} have {_points(self.voltage_v, 1, 'V')}"
             )
 
@@ -82,30 +85,53 @@ class PressureCurve:
         range_pa: float = 140e3,
         stage1_v_per_pa: float = 0.033e-3,
         stage2_v_per_pa: float = 0.0059e-3,
+        vref_v: float = 3.3,
     ) -> PressureCurve:
         """The paper's sensor: V0 − 0.033 V/kPa up to 50 kPa, then −0.0059 V/kPa to 140 kPa.
 
-        Raises SpecError where the knee is not inside the range, a sensitivity is not positive, or
-        the voltage would fall below 0 inside the range.
+        With negative sensitivities the voltage rises.
+        Raises SpecError where the knee is not inside the range, the sensitivities are not of one
+        sign, or the voltage would leave 0…vref_v inside the range.
         """
         if not 0 < knee_pa < range_pa:
             raise SpecError(
                 f"the knee at {knee_pa / 1e3:g} kPa must lie between 0 and the range's end at "
                 f"{range_pa / 1e3:g} kPa"
             )
-        if stage1_v_per_pa <= 0 or stage2_v_per_pa <= 0:
+        if stage1_v_per_pa * stage2_v_per_pa <= 0:
             raise SpecError(
-                "sensitivities are given as positive V/kPa (the voltage falls with pressure), got "
-                f"{stage1_v_per_pa * 1e3:g} and {stage2_v_per_pa * 1e3:g}"
+                "both sensitivities are positive (the voltage falls with pressure) or both "
+                f"negative (it rises), got {stage1_v_per_pa * 1e3:g} and "
+                f"{stage2_v_per_pa * 1e3:g} V/kPa"
             )
         knee_v = v0_v - stage1_v_per_pa * knee_pa
         end_v = knee_v - stage2_v_per_pa * (range_pa - knee_pa)
-        if end_v < 0:
+        if end_v < 0 or end_v > max(v0_v, vref_v):
             raise SpecError(
-                f"the curve falls to {end_v:.3f} V at {range_pa / 1e3:g} kPa; a node cannot "
-                f"measure below 0 V: lower the sensitivities or the range, or raise V0 ({v0_v:g} V)"
+                f"the curve reaches {end_v:.3f} V at {range_pa / 1e3:g} kPa; a node measures "
+                f"0…{vref_v:g} V: lower the sensitivities or the range, or change V0 ({v0_v:g} V)"
             )
         return cls((0.0, knee_pa, range_pa), (v0_v, knee_v, end_v))
+
+    @classmethod
+    def power_law(
+        cls, half_pa: float, exponent: float, range_pa: float, supply_v: float, rises: bool = True
+    ) -> PressureCurve:
+        """A force sensing resistor, R ∝ P^−exponent, in a divider with a fixed one, in pieces.
+
+        At half_pa, Pa, both resistances are the same. supply_v: of the divider, V. The voltage
+        rises where the fixed resistor is at ground. The pieces are as far off in the middle of
+        each, which makes their density that of the root of the second derivative: below 0.3 % of
+        the range where the voltage reaches nine tenths of the supply.
+        """
+        fine_v = np.linspace(0.0, 1.0, 2001) / (1 + (half_pa / range_pa) ** exponent)
+        fine_pa = half_pa * (fine_v / (1 - fine_v)) ** (1 / exponent)
+        passed = np.cumsum(np.sqrt(np.abs(np.diff(fine_pa, 2, prepend=0, append=range_pa))))
+        share = np.interp(np.linspace(passed[0], passed[-1], POWER_PIECES + 1), passed, fine_v)
+        share[0], share[-1] = fine_v[[0, -1]]
+        corner_pa = half_pa * (share / (1 - share)) ** (1 / exponent)
+        corner_v = supply_v * (share if rises else 1 - share)
+        return cls(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa to V, clamped to the curve's ends."""
@@ -113,8 +139,13 @@ class PressureCurve:
 
     def pressure(self, voltage_v: ArrayLike) -> Floats:
         """V to Pa, clamped to the curve's ends."""
-        volts = np.asarray(voltage_v, np.float64)
-        return np.interp(volts, self.voltage_v[::-1], self.pressure_pa[::-1])
+        volts, step = np.asarray(voltage_v, np.float64), 1 if self.rises else -1
+        return np.interp(volts, self.voltage_v[::step], self.pressure_pa[::step])
+
+    @property
+    def rises(self) -> bool:
+        """Whether the voltage rises with the pressure."""
+        return self.voltage_v[1] > self.voltage_v[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,18 +197,23 @@ class Curves:
         return convert(voltage_v, self.pieces)
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
-        """Pa to V, (n,) float64, clamped to each curve's ends."""
-        pressure = np.broadcast_to(np.asarray(pressure_pa, dtype=np.float64), (len(self),))
-        result = np.array(self.voltage_v[0])
+        """Pa, of a shape that ends in n, or one number, to V, clamped to each curve's ends."""
+        pressure = np.asarray(pressure_pa, dtype=np.float64)
+        result: Floats = np.zeros_like(pressure) + self.voltage_v[0]
         corners = zip(self.pressure_pa, self.voltage_v, strict=True)
         for (low_pa, low_v), (high_pa, high_v) in pairwise(corners):
             width_pa = np.where(high_pa > low_pa, high_pa - low_pa, 1.0)
             result += np.clip((pressure - low_pa) / width_pa, 0.0, 1.0) * (high_v - low_v)
         return result
 
-    def fall_v(self, pressure_pa: float) -> Floats32:
-        """By how much a pressure, Pa, pulls each voltage down from its rest, V, (n,) float32."""
-        return np.asarray(self.voltage_v[0] - self.voltage(pressure_pa), dtype=np.float32)
+    def pull_v(self, pressure_pa: float) -> Floats32:
+        """By how much a pressure, Pa, pulls each voltage from its rest, V, (n,) float32, ≥ 0."""
+        return np.asarray(np.abs(self.voltage_v[0] - self.voltage(pressure_pa)), np.float32)
+
+    @cached_property
+    def sign(self) -> Floats32:
+        """(n,) float32: 1 where pressure pulls the voltage down, −1 where it pulls it up."""
+        return np.asarray(np.sign(self.voltage_v[0] - self.voltage_v[1]), np.float32)
 
     @cached_property
     def begin_v(self) -> Floats32:
@@ -191,10 +227,10 @@ class Curves:
 
     @cached_property
     def pieces(self) -> Floats32:
-        """Start (V), width (V) and gain (Pa/V) of every piece, (p, 3, n) float32."""
-        width_v = -np.diff(self.voltage_v, axis=0)
-        gain = np.diff(self.pressure_pa, axis=0) / np.where(width_v > 0, width_v, 1.0)
-        pieces = np.stack((self.voltage_v[:-1], width_v, gain), axis=1)
+        """Start (V), gain (Pa per V below it) and width (Pa) of every piece, (p, 3, n) float32."""
+        width_pa, fall_v = np.diff(self.pressure_pa, axis=0), -np.diff(self.voltage_v, axis=0)
+        gain = width_pa / np.where(fall_v != 0, fall_v, 1.0)
+        pieces = np.stack((self.voltage_v[:-1], gain, width_pa), axis=1)
         return np.ascontiguousarray(pieces, dtype=np.float32)
 
 

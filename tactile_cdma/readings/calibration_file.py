@@ -28,9 +28,11 @@ VERSION = 1
 UNITS = {"pressure": "Pa", "voltage": "V"}
 # Limits of a file, chosen: far above what calibration writes and what sensors reach.
 MOST_CORNERS = 65
-HEADROOM = 1.25
-"""Highest voltage of a curve's first corner in multiples of vref; chosen: that corner is
-extrapolated to no load."""
+HEADROOM = 0.25
+"""How far a curve's first corner may lie beyond 0…vref, in multiples of vref; chosen: that corner
+is extrapolated to no load."""
+MOST_RANGES = 3.0
+"""Highest pressure of a curve in multiples of range_kpa; chosen: wrong units differ by more."""
 _PRESSURE_DIGITS, _VOLTAGE_DIGITS = 3, 7
 """Decimals of Pa and V that are written: 1 mPa and 0.1 µV are far below any ADC's resolution."""
 _KEYS = (
@@ -107,16 +109,30 @@ def read_calibration(
 
     default: curve of the uncalibrated nodes. skin: the skin's name; empty: any.
     Raises CalibrationError, naming file, line, node and cause, for a file that is invalid, was
-    changed since it was written, or was made for another skin.
+    changed since it was written, or was made for another skin, or with loads in another unit.
     """
-    return read_content(path, nodes, adc, skin).calibration(default)
+    content = read_content(path, nodes, adc, skin)
+    for node, curve in content.curves.items():
+        if reason := out_of_range(curve.pressure_pa[-1], default.pressure_pa[-1]):
+            raise CalibrationError(f"{path}: node {node}: {reason}")
+    return content.calibration(default)
+
+
+def out_of_range(largest_pa: float, range_pa: float) -> str | None:
+    """Why loads up to the largest are not of a sensor that ends at range_pa, Pa, or None."""
+    if largest_pa <= MOST_RANGES * range_pa:
+        return None
+    return (
+        f"loads up to {largest_pa / 1e3:.4g} kPa are {largest_pa / range_pa:.3g} times range_kpa "
+        f"({range_pa / 1e3:g}): is their unit right, and the area of forces? If so, set range_kpa "
+        "to what the sensors bear, with sensitivities to match"
+    )
 
 
 def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> CalibrationContent:
     """Read all that is in a file; see read_calibration."""
-    file = read_marked(path, CalibrationError)
-    content, identity = _parse(file)
-    root = file.mapping("the file")
+    content = read_any(path)
+    root = read_marked(path, CalibrationError).mapping("the file")
     wanted = replace(content, skin=skin or content.skin, nodes=nodes, adc=adc).made_for
     for (name, theirs), ours in zip(content.made_for.items(), wanted.values(), strict=True):
         if theirs != ours:
@@ -124,6 +140,14 @@ def read_content(path: Path, nodes: int, adc: AdcScale, skin: str = "") -> Calib
                 f"made for {name} {theirs or 'without a name'}, this skin has {name} {ours}: "
                 "is this the file of another skin?"
             )
+    return content
+
+
+def read_any(path: Path) -> CalibrationContent:
+    """Read all that is in the file of any skin; see read_calibration."""
+    file = read_marked(path, CalibrationError)
+    content, identity = _parse(file)
+    root = file.mapping("the file")
     if identity != content.identity:
         raise root["identity"].refuse(
             f"the identity is {identity[:40]}, the content's is {content.identity}: the file was "
@@ -205,24 +229,25 @@ def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
         )
     pressure_pa, voltage_v = list[float](), list[float]()
     for corner, (pressure, voltage) in enumerate(zip(pressures, voltages, strict=True), 1):
-        here, most_v = f"{what}, corner {corner}", vref_v if corner > 1 else HEADROOM * vref_v
+        here, beyond_v = f"{what}, corner {corner}", 0.0 if corner > 1 else HEADROOM * vref_v
         pressure_pa.append(pressure.number(f"{here}: pressure", 0.0, math.inf, "Pa"))
         if pressure_pa[-1] > MOST_PA:
             raise pressure.refuse(
                 f"{here}: pressure is {pressure_pa[-1]:g} Pa, more than skins bear ({MOST_PA:g}): "
                 "was it in kPa, or were grams of a gauge read as newtons (column force_g)?"
             )
-        voltage_v.append(voltage.number(f"{here}: voltage", 0.0, most_v, "V"))
+        most_v = vref_v + beyond_v
+        voltage_v.append(voltage.number(f"{here}: voltage", 0.0 - beyond_v, most_v, "V"))
         if corner == 1 and pressure_pa[0]:
             raise pressure.refuse(f"{what} begins at {pressure_pa[0]:g} Pa, not at 0")
         for item, (*before, now), sign, unit in (
             (pressure, pressure_pa, 1, "Pa"),
-            (voltage, voltage_v, -1, "V"),
+            (voltage, voltage_v, -1 if voltage_v[:2][-1] < voltage_v[0] else 1, "V"),
         ):
             if before and sign * (now - before[-1]) <= 0:
                 raise item.refuse(
-                    f"{here}: {now:g} {unit} after {before[-1]:g} {unit}; pressures must rise and "
-                    "voltages fall from corner to corner"
+                    f"{here}: {now:g} {unit} after {before[-1]:g} {unit}; pressures must rise "
+                    "from corner to corner, and voltages fall, or rise, all along"
                 )
     return PressureCurve(tuple(pressure_pa), tuple(voltage_v))
 

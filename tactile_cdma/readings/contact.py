@@ -76,6 +76,16 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def __repr__(self) -> str:
+        loads = ", ".join(f"{load_n:.2f} N" for load_n in self.load_n)
+        read = f"{self.coverage.valid} of {self.coverage.in_service} taxels valid"
+        return f"Contacts([{loads}], {read})"
+
+    @property
+    def touched(self) -> bool:
+        """Whether there is a contact, by certain readings."""
+        return len(self) > 0
+
     @property
     def normals(self) -> Floats:
         """(c, 3) unit vectors out of the skin, the taxels' normals weighted by their forces."""
@@ -93,7 +103,7 @@ class Contacts:
         A sum of 0 is a claim about every taxel, one of contacts about those that were read: at
         least half of them have to be, see Coverage.is_most.
         """
-        return self.untouched or (len(self) > 0 and self.coverage.is_most)
+        return self.untouched or (self.touched and self.coverage.is_most)
 
     @property
     def total_area_m2(self) -> float:
@@ -109,6 +119,11 @@ class Contacts:
     def total_torque_nm(self) -> Floats:
         """(3,) its torque about the frame's origin, N·m."""
         return self._sum(self.torque_nm)
+
+    @property
+    def wrench(self) -> Floats:
+        """(6,) both, N and N·m."""
+        return np.concatenate([self.total_force_n, self.total_torque_nm])
 
     @property
     def centre_m(self) -> Floats:

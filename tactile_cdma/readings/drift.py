@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Bools, Floats32
 from ..places.layout import Layout
 from .baseline import Baseline, RestRules
-from .calibration import Curves
+from .calibration import AdcScale, Curves
 
 BAND_LSB = 1.5
 """Greatest distance from rest that may be drift, LSB: a node that falls by one count is within, by
@@ -44,19 +44,20 @@ _NOTHING_LSB = 0.01
 class DriftTracker:
     """Moves a baseline's drift_v so that resting nodes read their voltage at rest.
 
-    rules: may be replaced at any time. lsb_v: one count of the nodes' converters, V.
+    rules: may be replaced at any time. adc: of the nodes. lsb_v: one count of it, V.
     """
 
-    def __init__(self, lsb_v: float, beside: NDArray[np.int32], rules: RestRules) -> None:
+    def __init__(self, adc: AdcScale, beside: NDArray[np.int32], rules: RestRules) -> None:
         """beside: (n, m), see nodes_beside."""
         self.rules = rules
-        self.lsb_v = lsb_v
+        self.adc, self.lsb_v = adc, adc.lsb_v
         self._beside = beside.astype(np.intp)  # else cast at each use
         nodes = len(beside)
         self._curves: Curves | None = None
         self._tared_v: Floats32 | None = None
         self._limited: RestRules | None = None  # the rules that the next one is of
         self._rest_v = self._slope = self._farthest_v = np.zeros(nodes, dtype=np.float32)
+        self._sign = np.ones(nodes, dtype=np.float32)  # of the curves
         self._deviation_v = np.zeros(nodes, dtype=np.float32)
         self._usual_v = np.full(nodes, np.inf, dtype=np.float32)  # where it lately was at rest
         self._trail_v = np.full(nodes, np.inf, dtype=np.float32)  # behind the voltage, at all times
@@ -128,7 +129,8 @@ class DriftTracker:
         np.copyto(self._usual_v, np.inf, where=~valid)
         np.copyto(self._usual_v, voltage_v, where=near & np.isinf(self._usual_v))
         home = near & (np.abs(voltage_v - self._usual_v) < band_v)
-        back = (behind_v > band_v) | (np.abs(self._deviation_v) < CLOSE_LSB * self.lsb_v)
+        back = self._sign * behind_v > band_v
+        back |= np.abs(self._deviation_v) < CLOSE_LSB * self.lsb_v
         self._touched = valid & np.where(home, self._touched & ~back, True)
         return np.asarray(home & ~self._touched)
 
@@ -145,7 +147,8 @@ class DriftTracker:
         if not self.rules.drift_pa_per_min:
             return {}  # drift is not watched
         strays = np.flatnonzero(self._stray & (t_s - self._stray_s > STRAY_S))
-        return {int(i) + 1: float(self._deviation_v[i] / self.lsb_v) for i in strays}
+        off_lsb = self._sign * self._deviation_v / self.lsb_v
+        return {int(i) + 1: float(off_lsb[i]) for i in strays}
 
     def _rest_at(self, curves: Curves, baseline: Baseline) -> None:
         """Take the tare's voltages as rest; without a tare, those at which the curves begin."""
@@ -156,11 +159,12 @@ class DriftTracker:
         self._rest_v = curves.begin_v if baseline.rest_v is None else baseline.rest_v
         self._limited, rest_pa = self.rules, curves.pressure(self._rest_v)
         far_v = curves.voltage(rest_pa + FARTHEST * self.rules.contact_pa).astype(np.float32)
-        self._farthest_v = np.maximum(self._rest_v - far_v, 0)
+        self._farthest_v = np.abs(self._rest_v - far_v)
         if is_same:
             return
-        fall_v = curves.voltage_v[0] - curves.voltage_v[1]
-        self._slope = (fall_v / (curves.pressure_pa[1] - curves.pressure_pa[0])).astype(np.float32)
+        self._sign, first_pa = curves.sign, curves.pressure_pa[1]
+        step_v = np.abs(curves.voltage_v[1] - curves.voltage_v[0])
+        self._slope = (step_v / first_pa).astype(np.float32)
         self._begin()
 
     def _begin(self) -> None:

@@ -45,15 +45,15 @@ class PressureChain:
     ) -> tuple[Floats32, Bools, Bools]:
         """Pressures (n,) float32, Pa; which are beyond the sensor's range; which are off rest.
 
-        The latter, (n,) bool, lie so far above the start of their curve, where no pressure takes
+        The latter, (n,) bool, lie so far before the start of their curve, where no pressure takes
         them, that 0 Pa there would hide a contact, or a sensor that is torn.
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
         time, s.
         """
         bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
         pressure_pa = self.calibration.curves.pressure(corrected_v)
-        saturated = corrected_v < bounds.end_v
-        off_rest = corrected_v - bounds.rest_v > bounds.margin_v
+        saturated = (corrected_v - bounds.end_v) * bounds.sign < 0
+        off_rest = (corrected_v - bounds.rest_v) * bounds.sign > bounds.margin_v
         reading_pa = pressure_pa - self.baseline.tare_pa
         self._last, self._moved = (voltage_v, pressure_pa, valid), False
         if not 0 <= t_s - self.looked_s < LOOK_S:
@@ -99,8 +99,10 @@ class PressureChain:
     def _found_bounds(self) -> Bounds:
         """By the tracker's lightest contact and a count; without a tracker both are unbounded."""
         curves, tracker = self.calibration.curves, self.tracker
+        sign, begin_v, end_v = curves.sign, curves.begin_v, curves.end_v
         if tracker is None:
-            return Bounds(curves.begin_v, np.full_like(curves.end_v, np.inf), curves.end_v)
-        # A code stands for half a count more or less, too.
-        end_v = curves.end_v + np.float32(tracker.lsb_v / 2)
-        return Bounds(curves.begin_v, curves.fall_v(tracker.rules.contact_pa), end_v)
+            return Bounds(sign, begin_v, np.full_like(end_v, np.inf), end_v)
+        # A code stands for half a count more or less, too, and the last ones for all beyond.
+        last_v = np.float32(tracker.adc.vref_v - tracker.adc.lsb_v)
+        end_v = np.clip(end_v, 0, last_v) + sign * np.float32(tracker.adc.lsb_v / 2)
+        return Bounds(sign, begin_v, curves.pull_v(tracker.rules.contact_pa), end_v)

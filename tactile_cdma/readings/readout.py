@@ -22,19 +22,21 @@ from .status import Status
 
 ODD, LEFT, DOUBTFUL = 0, 1, 2
 """As enum readout_look of the kernel."""
+NOBODY = np.empty(0, np.int32)
+"""The kernel's list of those who spoke, where nothing is known of that."""
 
 
 class Conditions(NamedTuple):
     """What a readout is made for: another one is needed where any of it is another object.
 
-    swing_v, state: see NodeHealth. calibration, bounds: of the nodes. threshold: see decode.
+    swing_v, state: see NodeHealth. calibration, bounds: of the nodes. active_share: see decode.
     """
 
     swing_v: Floats32 | None
     state: NDArray[np.uint8]
     calibration: Calibration
     bounds: Bounds
-    threshold: float
+    active_share: float
 
 
 class Readout:
@@ -73,7 +75,7 @@ class Readout:
             kernel.settings(
                 "readout_settings",
                 **frame_fields(spec),
-                **_word_limits(spec, conditions.threshold),
+                **_word_limits(spec, conditions.active_share),
                 silent=Status.SILENT,
                 low_snr=Status.LOW_SNR,
                 stale=Status.STALE,
@@ -102,16 +104,16 @@ class Readout:
         )
 
 
-def _word_limits(spec: FrameSpec, threshold: float) -> dict[str, float]:
+def _word_limits(spec: FrameSpec, active_share: float) -> dict[str, float]:
     """What words are told by: the members of the kernel's words_reading and words_lateness."""
     spare = spec.spare_rows
     return {
-        "threshold": threshold,
+        "threshold": active_share,
         "faint_share": FAINT_SHARE,
         "least_squares": spec.line_bits * LEAST_SHARE**2,
         "moved_share": MOVED_SHARE,
         "tone_share": tones.least_left(spec),
-        "hiding_rho": hiding_rho(spec.line_bits, spec.order),
+        "hiding_rho": hiding_rho(spec.line_bits, 0 if spec.sparse else spec.order),
         "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),
         "sound_share": limits.SOUND_SHARE,
         "most_square": most_square(spec.line_bits),

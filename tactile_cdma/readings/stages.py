@@ -45,12 +45,14 @@ class Trust(NamedTuple):
 class Bounds(NamedTuple):
     """Where the voltages of every node mean what they say, (n,) float32, V.
 
-    rest_v: where its curve begins, the least that the highest code stands for, since that means
-    "this or more". margin_v: by how much the lightest contact pulls a voltage down from there:
-    one that lies higher above the rest is no reading, and a highest code that lies lower below it
-    hides contacts. end_v: below it, a word may stand for a voltage beyond the end of the curve.
+    Pressure pulls voltages down where sign is 1. There rest_v, where the curve begins, is the least
+    that the highest code stands for, since that means "this or more". margin_v: by how much the
+    lightest contact pulls a voltage down from there: one that lies higher above the rest is no
+    reading, and a highest code that lies lower below it hides contacts. end_v: below it, a word may
+    stand for a voltage beyond the end of the curve. Where sign is −1 all this is upside down.
     """
 
+    sign: Floats32
     rest_v: Floats32
     margin_v: Floats32
     end_v: Floats32
@@ -59,13 +61,13 @@ class Bounds(NamedTuple):
 class Heard(NamedTuple):
     """What words say of every node, (n,).
 
-    voltage_v: float32, V. raised_v: the same, at least rest_v for the highest code. status: uint8,
-    bits of Status. valid: bool, whether that is a reading. stale_from_s: device time when the next
-    node goes stale, s.
+    voltage_v: float32, V. meant_v: the same, but rest_v for a code at the converter's end that may
+    stand for it. status: uint8, bits of Status. valid: bool, whether that is a reading.
+    stale_from_s: device time when the next node goes stale, s.
     """
 
     voltage_v: Floats32
-    raised_v: Floats32
+    meant_v: Floats32
     status: Bytes
     valid: Bools
     stale_from_s: float
@@ -92,25 +94,25 @@ def hear(
     status = flags | ~spoke * _SILENT | trust.state
     status[stale] = Status.SILENT | Status.STALE
     stale_from_s = float(heard_s[~stale].min(initial=np.inf)) + stale_after_s
-    full = codes == len(table_v) - 1
-    raised_v = np.where(full, np.maximum(voltage_v, bounds.rest_v), voltage_v)
-    hiding = full & (bounds.rest_v - voltage_v > bounds.margin_v)
+    at_end = codes == np.where(bounds.sign > 0, len(table_v) - 1, 0)
+    pulled_v = bounds.sign * (bounds.rest_v - voltage_v)
+    meant_v = np.where(at_end & (pulled_v > 0), bounds.rest_v, voltage_v)
+    hiding = at_end & (pulled_v > bounds.margin_v)
     status |= (hiding & ~(stale | trust.untrusted)) * _SATURATED
-    return Heard(voltage_v, raised_v, status, ~(stale | trust.untrusted), stale_from_s)
+    return Heard(voltage_v, meant_v, status, ~(stale | trust.untrusted), stale_from_s)
 
 
 def convert(voltage_v: Floats32, pieces: Floats32) -> Floats32:
     """Pressures (n,) float32, Pa, clamped to each curve's ends, of voltages (n,) float32, V.
 
-    pieces: see Curves. Every piece adds its gain times the part of the voltage drop that lies
-    within it, so no piece has to be looked up.
+    pieces: see Curves. Every piece adds what of its width the voltage has passed, so no piece has
+    to be looked up.
     """
     pressure_pa = np.zeros_like(voltage_v)
-    for begin_v, width_v, gain in pieces:
-        fall_v = begin_v - voltage_v
-        np.clip(fall_v, 0.0, width_v, out=fall_v)
-        fall_v *= gain
-        pressure_pa += fall_v
+    for begin_v, gain, width_pa in pieces:
+        passed_pa = begin_v - voltage_v
+        passed_pa *= gain
+        pressure_pa += np.clip(passed_pa, 0.0, width_pa, out=passed_pa)
     return pressure_pa
 
 

@@ -5,7 +5,7 @@
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
-from ..base.errors import RestError
+from ..base.errors import Refusal, RestError
 from ..base.listing import listed
 from ..places.layout import Layout
 from .baseline import LOOK_S, LOOKS, Baseline
@@ -29,7 +29,7 @@ def take_tare(
 ) -> list[int]:
     """Make the median of the last second the zero of every node with valid readings.
 
-    Its pressure becomes the tare. A voltage above the start of the curve is no pressure: the excess
+    Its pressure becomes the tare. A voltage before the start of the curve is no pressure: the rest
     becomes drift.
     lsb_v: one count of the nodes' converters, V. may_yet_speak: (n,) bool, nodes whose
     first word may still come.
@@ -37,25 +37,29 @@ def take_tare(
 
     Unless forced, raises RestError, naming the taxels, if a node moves, reads more than contact_pa
     (Pa) above its lowest zero since the first or a forced tare, so that many tares hide no more
-    than two, rests above the start of its curve by more than that would pull it
-    down, or has not been heard for a second; forced or not, if no node has readings.
+    than two, rests before the start of its curve by more than that would pull it away, or has not
+    been heard for a second; forced or not, if no node has readings.
     """
     if not baseline.seen:
         raise RestError(
-            f"not tared: the skin has been read for less than {LOOKS * LOOK_S:g} s; try again"
+            f"not tared: the skin has been read for less than {LOOKS * LOOK_S:g} s; try again",
+            Refusal.EARLY,
         )
     voltages_v, pressures_pa, valids = baseline.last_second
     valid, pressure_pa = valids.all(axis=0), np.median(pressures_pa, axis=0)
     if not valid.any():
-        raise RestError("not tared: no node has a valid reading; is the skin powered?")
+        raise RestError(
+            "not tared: no node has a valid reading; is the skin powered?", Refusal.NO_READING
+        )
     begin_v, rest_v = curves.begin_v, np.median(voltages_v, axis=0) + baseline.drift_v
-    above_v = np.where(valid, np.maximum(rest_v - begin_v, 0), np.float32(0))
+    before_v = np.where(valid, np.maximum(curves.sign * (rest_v - begin_v), 0), np.float32(0))
     if not force:
         awaited = ~valid & (may_yet_speak | valids.any(axis=0))
         if early := (np.flatnonzero(awaited) + 1).tolist():
             raise RestError(  # they would be left with another zero
                 f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
-                "try again, or tare the others with force: true"
+                "try again, or tare the others with force: true",
+                Refusal.EARLY,
             )
         above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
         moving = valid & (moved_v > MOVING_LSB * lsb_v)
@@ -64,29 +68,35 @@ def take_tare(
         named = moving & loaded if (moving & loaded).any() else moving
         # By voltage: a pressure does not move where it is clamped to 0.
         _refuse(
-            "moving", named, 1e3 * moved_v, "mV", above_pa, layout, "wait until nothing moves them"
+            *("moving", Refusal.MOVING, named, 1e3 * moved_v, "mV", above_pa, layout),
+            "wait until nothing moves them",
         )
         otherwise = ", or, if this is how the skin rests, tare with force: true"
         remedy = "take away what touches them" + otherwise
-        _refuse("under load", loaded, above_pa / 1e3, "kPa", above_pa, layout, remedy)
-        torn, remedy = above_v > curves.fall_v(contact_pa), "check their sensors" + otherwise
         _refuse(
-            "above where their curves begin", torn, 1e3 * above_v, "mV", above_v, layout, remedy
+            *("under load", Refusal.LOADED, loaded, above_pa / 1e3, "kPa", above_pa, layout),
+            remedy,
         )
-    before_v = begin_v if baseline.rest_v is None else baseline.rest_v
-    baseline.drift_v = baseline.drift_v - above_v
+        torn, remedy = before_v > curves.pull_v(contact_pa), "check their sensors" + otherwise
+        _refuse(
+            *("before where their curves begin", Refusal.SENSOR, torn, 1e3 * before_v, "mV"),
+            *(before_v, layout, remedy),
+        )
+    excess_v, last_v = curves.sign * before_v, baseline.rest_v
+    baseline.drift_v = baseline.drift_v - excess_v
     if force or not baseline.tared:
         baseline.least_pa = np.where(valid, pressure_pa, baseline.least_pa)
         baseline.tared_drift_v = np.where(valid, baseline.drift_v, baseline.tared_drift_v)
     baseline.tare_pa = np.where(valid, pressure_pa, baseline.tare_pa)
     baseline.least_pa = np.minimum(baseline.least_pa, baseline.tare_pa)
-    baseline.rest_v = np.where(valid, rest_v - above_v, before_v)
+    baseline.rest_v = np.where(valid, rest_v - excess_v, begin_v if last_v is None else last_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
 
 
 def _refuse(
     state: str,
+    reason: Refusal,
     nodes: Bools,
     amounts: Floats32 | Floats,
     unit: str,
@@ -104,7 +114,7 @@ def _refuse(
         most=_MOST_NAMES,
         show=lambda i: f"{_name(i, layout)} {amounts[i]:.2f} {unit}",
     )
-    raise RestError(f"not tared, {state}: {names}; {remedy}")
+    raise RestError(f"not tared, {state}: {names}; {remedy}", reason)
 
 
 def _name(index: int, layout: Layout) -> str:

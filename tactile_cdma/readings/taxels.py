@@ -11,7 +11,7 @@ from operator import is_not
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats32
+from ..base.arrays import Bools, Floats32
 from ..base.stage import stage
 from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
@@ -24,7 +24,7 @@ from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
-from .readout import DOUBTFUL, LEFT, ODD, Conditions, Readout
+from .readout import DOUBTFUL, LEFT, NOBODY, ODD, Conditions, Readout
 from .stages import Kept, Trust, finish, hear
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
@@ -168,18 +168,30 @@ class Taxels:
         ).tolist()
         return numbers
 
-    def miss(self, nodes_repeat: bool) -> None:
+    def miss(self, nodes_repeat: bool, round_s: float = 0.0) -> None:
         """Note that a frame was not heard, in which any node may have spoken.
 
+        round_s: from the last frame of a group of nodes that transmit by turns to that of the next.
         nodes_repeat: they speak in every frame while their code is farther than a threshold from
         that at rest, or from the one they sent last (firmware/core/event.c). Who was silent in the
         last frame held a value within two thresholds of its rest then; if it is silent in the next
         one, too, its code is within one of it. So what it holds stands, but for three thresholds,
         and only who spoke in the last frame may have told its release unheard.
         """
-        spoke = self._kept.heard_s == self.now_s
+        spoke = self._kept.heard_s >= self.now_s - 1.01 * round_s
         self._kept.flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
         self._silence = None
+
+    def waiting(self, readings: Readings, nodes: Bools) -> Readings:
+        """The readings of a frame in which these nodes, (n,), kept what they had to say.
+
+        Their values are UNHEARD until their turn comes, and if they are silent then, hold.
+        """
+        source = self._layout.source
+        waits = nodes if source is None else nodes[source] & (source >= 0)
+        waits = waits & (readings.status & np.uint8(Status.STALE | Status.MASKED) == 0)
+        status = readings.status | np.where(waits, np.uint8(Status.LOW_SNR), np.uint8(0))
+        return Readings(readings.pressure_pa, readings.voltage_v, status)
 
     def forget(self) -> None:
         """Start over: the device's clock was reset, and no node was heard on the new one."""
@@ -239,19 +251,19 @@ class Taxels:
         self,
         levels: NodeLevels,
         spec: FrameSpec,
-        threshold: float,
+        active_share: float,
         t_device: float,
         health: NodeHealth,
     ) -> tuple[Words, Readings] | None:
         """Decode one frame, and update its nodes' health and readings by its words, all at once.
 
         Needs the compiled kernel, and levels with all rows. None, and nothing is updated, where
-        anything about the frame is odd. threshold: see decode.
+        anything about the frame is odd. active_share: see decode.
         """
         chain = self.chain
         if health.any_suspect:
             return None
-        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, threshold
+        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, active_share
         readout = self._readout
         if readout is None or any(map(is_not, conditions, readout.conditions)):
             readout = self._readout = Readout(
@@ -262,11 +274,12 @@ class Taxels:
         active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)
         floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
         readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
-        floor_v = AUTO_FLOOR * noise_v / threshold if health.swing_v is None else math.nan
+        floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
+        spoke = (NOBODY, False) if levels.spoke is None else (levels.spoke, True)
         in_place, baseline = False, chain.baseline
         while True:
             look = readout.kernel.read(
-                levels.rows, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
+                levels.rows, *spoke, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
                 self.stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
                 doubts, readings, status, readout.rest, readout.valid,
             )  # fmt: skip
@@ -327,7 +340,7 @@ class Taxels:
             self.stale_after_s,
         )  # fmt: skip
         self._stale_from_s = heard.stale_from_s
-        pressure_pa, saturated, off_rest = self.chain.update(heard.raised_v, heard.valid, t_device)
+        pressure_pa, saturated, off_rest = self.chain.update(heard.meant_v, heard.valid, t_device)
         uncalibrated = self.chain.calibration.uncalibrated
         finish(heard, saturated, off_rest, uncalibrated, self._masked, pressure_pa)
         return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))

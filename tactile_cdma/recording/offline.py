@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..base.errors import CaptureError
-from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
+from ..config.parameters import GAP, LINE, NATURAL_SIGNS, RENAMED, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
@@ -42,7 +42,7 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
         timing = GapTiming(spec, capture.rate_hz)
         for frame in timing.feed(SampleBlock(0, volts)) + timing.flush():
             if frame.levels is not None:
-                words = decode(frame.levels, spec, config.threshold)
+                words = decode(frame.levels, spec, config.active_share)
                 if frame.doubtful is not None:
                     words = words.doubted(frame.doubtful)
                 yield start_s + frame.start / capture.rate_hz, words
@@ -96,6 +96,7 @@ class RawCapture:
         given.
         """
         recorded = describe(path).parameters if is_recording(path) else {}
+        recorded = {RENAMED.get(name, name): value for name, value in recorded.items()}
         described = described_parameters(path)
         self.path = path
         self.values: dict[str, Value] = {"amplitude_mv": 0.0, **recorded, **described, **asked}

@@ -12,7 +12,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import RestError
+from ..base.errors import Refusal, RestError
 from ..base.listing import listed
 from ..config.parameters import REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
@@ -202,9 +202,12 @@ class RestKeeper:
 
     def _streaming(self) -> Driver:
         if self._driver is None:
-            raise RestError("not tared: the skin is not active; activate it first")
+            raise RestError(
+                "not tared: the skin is not active; activate it first", Refusal.INACTIVE
+            )
         if self._driver.problem:
-            raise RestError(f"not tared: no frames arrive: {self._driver.problem}")
+            reason = f"not tared: no frames arrive: {self._driver.problem}"
+            raise RestError(reason, Refusal.NO_FRAMES)
         return self._driver
 
     def _tell(self) -> None:

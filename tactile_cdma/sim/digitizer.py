@@ -13,13 +13,23 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from ..base.errors import SpecError
-from ..wire._protocol import PACKED_BITS, SIMULATED_ID, Result, SyncMode
+from ..wire._protocol import (
+    PACKED_BITS,
+    SIMULATED_ID,
+    SYNC_DIGIT,
+    SYNC_LEAD,
+    SYNC_UNIT_US,
+    TURN_MOST_LOG2,
+    Result,
+    SyncMode,
+)
 from ..wire.messages import (
     Bootsel,
     Command,
     Configure,
     FrameLayout,
     GetInfo,
+    Groups,
     Info,
     Pack,
     Packed,
@@ -48,6 +58,8 @@ MIN_BUFFER = 65_536
 """Bytes that the output buffer has at least: one read of the pty or the port."""
 MAKE_S = 0.05
 """Host time that `advance` computes at most, s, so that its caller can go on reading."""
+TURN_S = ((TURN_MOST_LOG2 + 1) * SYNC_DIGIT + 3 * SYNC_LEAD) * SYNC_UNIT_US * 1e-6
+"""Least time from the end of a frame to the next one for the pulses of its turn, s."""
 _REPORT_RESERVE = 4096
 """Bytes of the output buffer that only other packets than SAMPLES may use."""
 
@@ -214,6 +226,13 @@ class VirtualDigitizer:
                     self.roll_calls.asked = True
                 else:
                     result = Result.UNSUPPORTED
+            case Groups():
+                spec = self.setup.spec
+                marked = self.setup.sync != SyncMode.NONE
+                if self.streaming and marked and spec.frame_period_s - spec.frame_s >= TURN_S:
+                    self.roll_calls.asked_log2 = command.log2_groups
+                else:
+                    result = Result.UNSUPPORTED
             case Pack():
                 self._packs = True
             case Configure():
@@ -249,6 +268,7 @@ class VirtualDigitizer:
             sync=block.sync,
             overrun=self._overrun,
             called=block.called,
+            turn=block.turn,
         )
         self._overrun = False
         self._send(packet)

@@ -24,7 +24,7 @@ class NodeFrame:
     number: frames since START. start_s: when its first chip begins, s since START.
     pressure_pa: float64, true pressure; voltage_v: float64, the sensors' output; both at start_s.
     codes: int64 ADC words. active: bool, nodes that send.
-    called: the frame belongs to a roll call, in which one node sends.
+    called: the frame belongs to a roll call, in which one node sends. turn: as in wire.Stretch.
     """
 
     number: int
@@ -34,6 +34,7 @@ class NodeFrame:
     codes: NDArray[np.int64]
     active: Bools
     called: bool = False
+    turn: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +69,18 @@ class ClockModel:
 
 @dataclass
 class RollCalls:
-    """The roll calls of a stream: in each, every node sends alone once, in n frames.
+    """Who may send in the frames of a stream: one node after the other, or groups by turns.
 
-    starts: numbers of the frames at which they began. asked: another begins with the next frame.
+    starts: numbers of the frames at which roll calls began: in each, every node sends alone once,
+    in n frames. asked: another begins with the next frame.
+    divisions: frame, log2_groups: from this frame on there are so many groups. asked_log2: from the
+    next frame on.
     """
 
     starts: list[int] = field(default_factory=list)
     asked: bool = False
+    divisions: list[tuple[int, int]] = field(default_factory=list)
+    asked_log2: int | None = None
 
     def speaker(self, number: int, nodes: int) -> int | None:
         """The node whose turn it is in a frame, or None; frames come in rising order."""
@@ -83,6 +89,15 @@ class RollCalls:
             self.asked = False
         turns = [number - start for start in self.starts if 0 <= number - start < nodes]
         return turns[-1] if turns else None
+
+    def turn(self, number: int) -> int:
+        """The turn of a frame, if it is of no roll call; as in wire.Stretch."""
+        now = self.divisions[-1][1] if self.divisions else 0
+        if self.asked_log2 is not None and self.asked_log2 != now:
+            self.divisions.append((number, self.asked_log2))
+        self.asked_log2 = None
+        since, log2 = next((each for each in self.divisions[::-1] if each[0] <= number), (0, 0))
+        return (1 << log2) + (number - since) % (1 << log2) if log2 else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +138,9 @@ def node_frames(
     )
     rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << spec.bits, size=len(stuck))
     last_sent = rest.copy()
-    turn = np.arange(spec.nodes) * rules.heartbeat // spec.nodes
+    beat = np.arange(spec.nodes) * rules.heartbeat // spec.nodes
+    owed = np.zeros(spec.nodes, bool)  # heartbeats that came out of turn
+    nodes = np.arange(1, spec.nodes + 1)
     for number in count():
         start_s = frame_start_s(spec, number, start_phase)
         pressure_pa = scene(start_s, skin)
@@ -132,18 +149,26 @@ def node_frames(
         codes[stuck] = rest[stuck]
         active = np.abs(codes - rest) > rules.threshold
         active |= np.abs(codes - last_sent) > rules.threshold
+        due = np.zeros(spec.nodes, bool)
         if rules.heartbeat:
-            active |= turn == number % rules.heartbeat
+            due = beat == number % rules.heartbeat
+        active |= due | owed
         if rules.threshold == 0:
             active[:] = True
         speaker = roll_calls.speaker(number, spec.nodes) if roll_calls else None
+        turn = roll_calls.turn(number) if roll_calls else 0
         if speaker is not None:
-            active = np.arange(spec.nodes) == speaker
+            active, turn = np.arange(spec.nodes) == speaker, 0
+        elif turn:
+            others = (nodes ^ turn) & ((1 << turn.bit_length() - 1) - 1) != 0
+            active &= ~others
+            owed |= due & others
+        owed &= ~active
         if start_s >= sensors.dead_after_s:
             active[dead] = False
         last_sent[active] = codes[active]
         called = speaker is not None
-        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called)
+        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called, turn)
 
 
 def frame_start_s(spec: FrameSpec, number: int, start_phase: float = 0.0) -> float:

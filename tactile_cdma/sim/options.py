@@ -24,7 +24,7 @@ from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
 from .nodes import ClockModel, NodeRules
 from .scene import EXTERNAL, LOADS, SCENES, SkinGeometry
-from .sensor import IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
+from .sensor import FSR, IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
 SCHEME = "sim"
 BY_THE_SECOND = -1
@@ -115,7 +115,8 @@ class SimOptions:
         "largest delay of a node after the sync edge", "chips", (0.0, LARGEST_DELAY))
     drift: float = _option(0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5))
     sensor: str = _option(IDEAL,
-        "ideal: the curve alone; paper: lag and hysteresis too", "", None, (IDEAL, PAPER))
+        "ideal: the curve alone; paper: lag and hysteresis too; fsr: voltages rise by a power law",
+        "", None, (IDEAL, PAPER, FSR))
     hysteresis: float = _option(1.0,
         "factor to the loops of sensor 'paper'", "", (0.0, MOST_HYSTERESIS))
     mismatch: float = _option(0.0, "spread of the taxels' curves, rms", "", (0.0, MOST_MISMATCH))

@@ -21,7 +21,7 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame. called: of a frame of a roll call.
+    sync: the first sample is the first of a frame. called, turn: of that frame.
     quiet: sent as Quiet.
     begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when the
         packet is sent: as its last sample's period ends or, if it waits, with the packet after it.
@@ -33,6 +33,7 @@ class Block:
     counts: Counts
     sync: bool
     called: bool
+    turn: int
     quiet: bool
     begin_s: float
     due_s: float
@@ -75,6 +76,7 @@ def stream(
                 counts=counts[cut.start : cut.stop],
                 sync=whole and marks and cut.start == 0,
                 called=cut.start == 0 and frame.called,
+                turn=frame.turn if whole and marks and cut.start == 0 else 0,
                 quiet=cut.quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 due_s=epoch_s + due / rate_hz,

@@ -13,14 +13,16 @@ load, and almost nothing remains at zero.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..base.arrays import Floats
 from ..readings.calibration import Curves, PressureCurve
 
-IDEAL, PAPER = "ideal", "paper"
+IDEAL, PAPER, FSR = "ideal", "paper", "fsr"
+FSR_CURVE = PressureCurve.power_law(half_pa=40e3, exponent=0.9, range_pa=140e3, supply_v=3.3)
+"""Of a force sensing resistor; chosen: its voltage rises to three quarters of the supply."""
 MOST_HYSTERESIS = 7.0
 """Largest option `hysteresis`: 6.69 gives the paper's figure at 55 kPa (docs/paper.md)."""
 MOST_MISMATCH = 0.1
@@ -62,12 +64,11 @@ PAPER_DYNAMICS = Dynamics(
 class SensorModel:
     """Properties of a simulated skin's sensors, without their nodes' converters.
 
-    kind: "ideal", the curve alone, or "paper", with lag and hysteresis. hysteresis: factor to the
-    paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1. warming_v:
-    largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of nodes that
-    do not speak from dead_after_s on, s since START, and of nodes that always measure the same;
-    those beyond the skin are left out. seed: of everything random. curve: of a taxel without
-    mismatch.
+    kind: "ideal" or "fsr", the curve alone, or "paper", with lag and hysteresis. hysteresis: factor
+    to the paper's loops, 0…7. mismatch: spread of the taxels' curves, rms, as a share, 0…0.1.
+    warming_v: largest drift of a voltage, V. noise_v: rms, V. dead, stuck: numbers, from 1 on, of
+    nodes that do not speak from dead_after_s on, s since START, and of nodes that always measure
+    the same; those beyond the skin are left out. seed: of everything random.
     """
 
     kind: str = IDEAL
@@ -79,7 +80,11 @@ class SensorModel:
     dead_after_s: float = 0.0
     stuck: tuple[int, ...] = ()
     seed: int = 0
-    curve: PressureCurve = field(default_factory=PressureCurve.two_stage)
+
+    @property
+    def curve(self) -> PressureCurve:
+        """Of a taxel without mismatch."""
+        return FSR_CURVE if self.kind == FSR else PressureCurve.two_stage()
 
     @property
     def dynamics(self) -> Dynamics | None:
@@ -88,7 +93,7 @@ class SensorModel:
         Weights and widths of plays each take the root of the factor, so that loops open by it, and
         wide ones are not cut off by the load's own extent.
         """
-        if self.kind == IDEAL:
+        if self.kind != PAPER:
             return None
         root = math.sqrt(self.hysteresis)
         if root == 0:

@@ -19,6 +19,9 @@ SYNC_RESTART = 1
 SYNC_FRAME = 2
 SYNC_CALL = 3
 SYNC_LEAD = 4
+SYNC_DIGIT = 8
+TURN_SHIFT = 3
+TURN_MOST_LOG2 = 4
 NODE_MAGIC = 1314145108
 NODE_VERSION = 2
 NODE_LEARN_REST = 65535
@@ -46,6 +49,7 @@ class PacketType(IntEnum):
     PACK = 0x86
     TOUCH = 0x87
     BOOTSEL = 0x88
+    GROUPS = 0x89
 
 
 class SyncMode(IntEnum):
@@ -160,5 +164,6 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "Pack": (),
     "Touch": (Field("scene", "B", Scene), Field("node", "H", U16), Field("code", "H", U16),),
     "Bootsel": (),
+    "Groups": (Field("log2_groups", "B", range(0, 5)),),
 }
 # fmt: on

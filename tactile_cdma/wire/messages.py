@@ -30,6 +30,7 @@ from ._protocol import (
     PACKED_BITS,
     PACKED_MOST_STEP,
     SAMPLE_XOR,
+    TURN_SHIFT,
     VERSION,
     Drive,
     Field,
@@ -195,6 +196,7 @@ class Stretch(Packet):
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
     called: the frame that begins with the first sample belongs to a roll call.
+    turn: whose turn that frame is: number of groups + that of the group; 0: of all nodes.
     """
 
     device_time_us: int
@@ -202,6 +204,7 @@ class Stretch(Packet):
     sync: bool = field(default=False, kw_only=True)
     overrun: bool = field(default=False, kw_only=True)
     called: bool = field(default=False, kw_only=True)
+    turn: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
         if not (0 <= self.device_time_us < 2**64 and 0 <= self.first_index < 2**64):
@@ -212,7 +215,8 @@ class Stretch(Packet):
 
     @property
     def flags(self) -> int:
-        return FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
+        marks = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
+        return marks | self.turn << TURN_SHIFT
 
 
 def _place(stretch: Stretch) -> tuple[int, int, int]:
@@ -465,6 +469,13 @@ class Bootsel(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Groups(Command):
+    """Divides the nodes into 2^log2_groups groups, which transmit by turns; 0: all at once."""
+
+    log2_groups: int
+
+
+@dataclass(frozen=True, slots=True)
 class OtherVersion:
     """An Info of another protocol version; its text is for people."""
 
@@ -556,6 +567,7 @@ PACKETS: dict[int, type[Packet]] = {
     PacketType.PACK: Pack,
     PacketType.TOUCH: Touch,
     PacketType.BOOTSEL: Bootsel,
+    PacketType.GROUPS: Groups,
 }
 """Packets by the first byte of their body."""
 for _type, _kind in PACKETS.items():
@@ -563,7 +575,10 @@ for _type, _kind in PACKETS.items():
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
 """Fields of FrameLayout that are those of FrameSpec."""
 _FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN, "called": FLAG_CALLED}
-_MARKS = [{name: bool(flags & bit) for name, bit in _FLAGS.items()} for flags in range(256)]
+_MARKS: list[dict[str, Any]] = [
+    {name: bool(flags & bit) for name, bit in _FLAGS.items()} | {"turn": flags >> TURN_SHIFT}
+    for flags in range(256)
+]
 """The marks of a stretch by its flags."""
 _SAMPLE_MASK = np.int16(SAMPLE_XOR)
 _MOST_PACKED = 2**PACKED_BITS - 1

@@ -145,12 +145,12 @@ def _zeros(nodes: int) -> tuple[Bools, NDArray[np.int32], Floats32]:
 def decode(
     levels: NodeLevels,
     spec: FrameSpec,
-    threshold: float = ACTIVE_SHARE,
+    active_share: float = ACTIVE_SHARE,
     swing_v: ArrayLike | None = None,
 ) -> Words:
     """Read the words of one frame.
 
-    threshold: share of the expected amplitude above which a word counts as spoken. swing_v: that
+    active_share: share of the expected amplitude above which a word counts as spoken. swing_v: that
     amplitude, scalar or (n,), V; the specification's by default, and where that has none, the
     usual one of the frame. Activity is decided per word and not per bit: k levels average out the
     noise, which takes lost words from 0.32 to 1e-4 at ρ = 4. A word that louder ones explain by
@@ -160,7 +160,7 @@ def decode(
     With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
     likely even word) and is doubtful.
     """
-    frame = _spoken(levels, spec, threshold, swing_v)
+    frame = _spoken(levels, spec, active_share, swing_v)
     measures, active = frame.measures, frame.active
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
         *(measures, active, frame.expected, spec.sign_mask),
@@ -175,7 +175,7 @@ def decode(
     # A tone that passes for a word may have given the frame its timing, too.
     doubtful |= none | (~active & is_tone)
     # The margin of what is not even faint says nothing, and would look like a doubt.
-    margin *= measures.amplitude > np.float32(min(threshold, FAINT_SHARE)) * frame.expected
+    margin *= measures.amplitude > np.float32(min(active_share, FAINT_SHARE)) * frame.expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = levels.noise_v * math.sqrt(spec.order)
     return Words(
@@ -214,21 +214,22 @@ class _Frame(NamedTuple):
 
 
 def _spoken(
-    levels: NodeLevels, spec: FrameSpec, threshold: float, swing_v: ArrayLike | None
+    levels: NodeLevels, spec: FrameSpec, active_share: float, swing_v: ArrayLike | None
 ) -> _Frame:
     """Who spoke: words that are loud enough, and neither leakage nor parts of others."""
     noise, is_learnt = levels.noise_v, swing_v is None and spec.node_swing_v is None
     measures = measure(levels.values)
-    expected = _expected(measures.amplitude, noise, threshold, swing_v, spec)
+    expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
     expected_v = float(expected.min())
     active, faint, any_faint = find_active(
-        measures, expected, threshold, noise, spec.line_bits, spec.order
+        *(measures, expected, active_share, noise, spec.line_bits),
+        0 if spec.sparse else spec.order,
     )
     weak, parts, late, hidden = np.zeros((4, len(active)), np.bool_)
     if any_faint:
         rest, noise = unexplained(levels, active & ~faint, faint, spec)
         measures = _without_leakage(measures, rest, faint)
-        spoke = measures.amplitude > np.float32(threshold) * expected
+        spoke = measures.amplitude > np.float32(active_share) * expected
         parts = _out_of_step(measures.amplitude, active, spoke, expected)
         hidden = ~spoke & _hides(rest, noise, spoke, expected)
         active = spoke & ~parts
@@ -312,13 +313,17 @@ RULES: tuple[Callable[[_Frame], Bools], ...] = (
 
 
 def _expected(
-    amplitude: Floats32, noise: float, threshold: float, swing_v: ArrayLike | None, spec: FrameSpec
+    amplitude: Floats32,
+    noise: float,
+    active_share: float,
+    swing_v: ArrayLike | None,
+    spec: FrameSpec,
 ) -> Floats32:
     """The amplitude of each node, (n,), V: as told to decode, specified, or the frame's usual."""
     if swing_v is None:
         swing_v = spec.node_swing_v
     if swing_v is None:
-        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / threshold)
+        swing_v = max(float(usual_amplitude(amplitude)[0]), AUTO_FLOOR * noise / active_share)
     if isinstance(swing_v, np.ndarray) and swing_v.dtype == np.float32:
         return swing_v
     return np.full(spec.nodes, swing_v, dtype=np.float32)

@@ -77,7 +77,7 @@ def measure(values: Floats32) -> Measures:
 def find_active(
     measures: Measures,
     expected: Floats32,
-    threshold: float,
+    active_share: float,
     noise: float,
     bits: int,
     order: int,
@@ -85,11 +85,11 @@ def find_active(
     """Words that were spoken; those of a node that is too weak; whether any may be.
 
     Noise that would hide such a word may be what leaks from neighbours. expected: (n,) V.
-    threshold: share of the expected amplitude of words that count. noise: RMS of a level, V. bits:
-    of a word. order: chips per bit.
+    active_share: part of the expected amplitude of words that count. noise: RMS of a level, V.
+    bits: of a word. order: chips per bit.
     """
     amplitude = measures.amplitude
-    active = amplitude > np.float32(threshold) * expected
+    active = amplitude > np.float32(active_share) * expected
     sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
     faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
     faint |= ~active & rises(measures.squares, expected, noise, bits)

@@ -5,8 +5,6 @@
 import csv
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -22,7 +20,7 @@ from schematics import FAST_SYNC_OHM, SYNC_OHM
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.firmware import FIRMWARE
-from test.support.waiting import PATIENCE_S
+from test.support.programs import run_python
 
 ROOT = FIRMWARE.parent
 KICAD = FIRMWARE / "boards" / "kicad"
@@ -126,20 +124,12 @@ def nodes_of(board: Netlist) -> list[tuple[str, str]]:
 
 
 def test_generated_files_are_fresh() -> None:
-    result = subprocess.run(
-        [sys.executable, str(GENERATOR), "--check"], capture_output=True, text=True, timeout=60
-    )
+    result = run_python(GENERATOR, "--check")
     assert result.returncode == 0, result.stdout + result.stderr
 
 
 def test_without_kicad_it_says_that_nothing_was_checked() -> None:
-    result = subprocess.run(
-        [sys.executable, str(GENERATOR), "--draw"],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        env={"PATH": "", "PYTHONPATH": str(ROOT)},
-    )
+    result = run_python(GENERATOR, "--draw", env={"PATH": "", "PYTHONPATH": str(ROOT)})
     assert result.stdout == f"boards={len(BOARDS)} up to date; not checked: no kicad-cli\n"
     assert result.returncode == 0, result.stderr
 

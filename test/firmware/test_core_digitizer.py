@@ -20,6 +20,7 @@ from tactile_cdma.wire._protocol import (
     SYNC_LEAD,
     SYNC_RESTART,
     SYNC_UNIT_US,
+    TURN_MOST_LOG2,
     PacketType,
     Result,
     SyncMode,
@@ -29,6 +30,7 @@ from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
     GetInfo,
+    Groups,
     Info,
     Packet,
     Quiet,
@@ -514,6 +516,53 @@ def test_a_roll_call_needs_marked_raw_frames(core: ctypes.CDLL) -> None:
         ((of_frame(SyncMode.NONE), Start(), RollCall()), REFUSED),
     ):
         assert of_kind(answers(digitizer, *asked), Ack)[-1].result == result
+    digitizer.close()
+
+
+def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:
+    """From the page: digit d of G + g, (d + 1) · 128 µs before the frame's pulse, 16 µs long."""
+    digitizer = digitizer_with(core, of_frame())
+    digitizer.samples(np.zeros(80))
+    digitizer.pulses(1)
+    turns = []
+    for log2 in (3, 3, 1, 4, 0):
+        digitizer.send(Groups(log2))
+        for _ in range(2**log2 + 1):
+            digits = []
+            while (pulse := digitizer.pulses(1)[0]).units == SYNC_RESTART:
+                digits.append(pulse.tick)
+            assert pulse.units == SYNC_FRAME
+            places = [(pulse.tick - tick) / (48 * 128) - 1 for tick in digits]
+            assert all(place.is_integer() for place in places)
+            turns.append(sum(1 << round(place) for place in places))
+            digitizer.samples(np.zeros(1024))
+    assert turns[:18] == [*range(8, 16), 8, *range(9, 16), 8, 9]
+    assert turns[18:21] == [2, 3, 2]
+    assert turns[21:38] == [*range(16, 32), 16]
+    assert turns[38:] == [0, 0]
+    told = [p.turn for p in of_kind(digitizer.packets(), Samples) if p.sync]
+    assert told[1:] == turns[: len(told) - 1]
+    digitizer.close()
+
+
+def test_groups_are_refused_where_nodes_could_not_hear_of_them(core: ctypes.CDLL) -> None:
+    digitizer = CoreDigitizer(core)
+    digitizer.packets()
+    frame_us = LAYOUT.order * LAYOUT.bits * LAYOUT.chip_ns // 1000
+    for asked, result in (
+        ((Groups(1),), REFUSED),
+        ((Start(), Groups(4)), Result.OK),
+        ((of_frame(SyncMode.NONE), Start(), Groups(1)), REFUSED),
+        ((of_frame(frame_period_us=frame_us + 831), Start(), Groups(1)), REFUSED),
+        ((of_frame(frame_period_us=frame_us + 832), Start(), Groups(1)), Result.OK),
+    ):
+        assert of_kind(answers(digitizer, *asked), Ack)[-1].result == result
+    digitizer.pulses(10)
+    assert [pulse.units for pulse in digitizer.pulses(2)] != [SYNC_FRAME] * 2
+    digitizer.send(Start())  # begins with one group
+    assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME] * 2
+    digitizer.receive(wrap(bytes([PacketType.GROUPS, 1, 0, TURN_MOST_LOG2 + 1])))
+    assert digitizer.packets()[-1].result == Result.OUT_OF_RANGE
     digitizer.close()
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
 from tactile_cdma.wire._protocol import (
     MAX_SAMPLES,
+    SYNC_RESTART,
     TAIL_CHIPS,
     Drive,
     PacketType,
@@ -35,6 +37,7 @@ from tactile_cdma.wire.messages import (
     Ack,
     Configure,
     FrameLayout,
+    Groups,
     Info,
     Pack,
     Packet,
@@ -104,6 +107,10 @@ SETUPS = {
 }
 
 
+GROUPS = {2: 1, 19: 3, 21: 2, 22: 0, 23: 3}
+"""log2_groups that are asked for in these frames."""
+
+
 @pytest.mark.parametrize("name", SETUPS)
 @pytest.mark.parametrize("chunk", [None, 37])
 def test_packets_are_those_of_the_virtual_digitizer(
@@ -124,20 +131,24 @@ def test_packets_are_those_of_the_virtual_digitizer(
     digitizer.pulses(1 if not setup.spec.resync_chips else 0)
     expected = []
     calling = marked and not setup.spec.resync_chips
+    grouping = calling and setup.spec.frame_period_s - setup.spec.frame_s > 832e-6
     for block in itertools.islice(stream(options, setup, calls), 150):
         if block.sync:
             turn += 1
             if turn > 1 and calling:
-                digitizer.pulses(1)
+                while digitizer.pulses(1)[0].units == SYNC_RESTART:
+                    pass  # of the frame's turn
+            if turn in GROUPS and grouping:
+                digitizer.send(Groups(GROUPS[turn]))
+                calls.asked_log2 = GROUPS[turn]
             if turn in (3, 24, 27) and calling:  # the next frame's pulse is not given out yet
                 digitizer.send(RollCall())
                 calls.asked = True
         counts = block.counts + np.int16(MIDDLE)
+        marks: Any = {"sync": block.sync, "called": block.called, "turn": block.turn}
         kind = Quiet.of if block.quiet else Samples
         time_us = math.floor(block.begin_s * 1e6 + 0.5 + 1e-6)
-        expected.append(
-            kind(time_us, block.first_index, counts, sync=block.sync, called=block.called)
-        )
+        expected.append(kind(time_us, block.first_index, counts, **marks))
         for part in (
             [counts] if chunk is None else np.split(counts, range(chunk, len(counts), chunk))
         ):
@@ -151,6 +162,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
         sent = {type(packet).__name__[0] for packet in got if packet.sync == sync}
         assert sent == set(letters)
     assert any(packet.called for packet in got) == calling
+    assert any(packet.turn for packet in got) == grouping
     assert not digitizer.parser.counters.lost_packets
     digitizer.close()
 

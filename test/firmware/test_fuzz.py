@@ -113,7 +113,7 @@ def planted(name: str, sources: Path, defect: tuple[str, str, str], folder: Path
         [user] = [path for path in sources.glob("*.c") if f'"{file}"' in path.read_text()]
         changed = Path(shutil.copy(user, folder))
     include = ("-I", sources, "-I", FIRMWARE / "fuzz")
-    run(need("cc"), *STRICT, *include, "-O1", "-g1", *SANITIZE, "-c", changed, cwd=folder)
+    run(need("cc"), *STRICT, *include, *SANITIZE, "-c", changed, cwd=folder)
     objects = [path for path in OBJECTS.glob("fuzz/*.o") if not path.stem.startswith("fuzz_")]
     objects += [OBJECTS / "fuzz" / f"fuzz_{name}.o", *OBJECTS.glob("core/*.o")]
     objects += OBJECTS.glob("kernel_sources/*.o") if sources == KERNEL else ()

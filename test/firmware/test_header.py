@@ -3,33 +3,24 @@
 """The generated C header: it compiles, its sizes hold, and its structs give the shared vectors."""
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tactile_cdma.wire._protocol import FLAG_CALLED, FLAG_OVERRUN, FLAG_SYNC, PacketType
+from tactile_cdma.wire._protocol import (
+    FLAG_CALLED,
+    FLAG_OVERRUN,
+    FLAG_SYNC,
+    TURN_SHIFT,
+    PacketType,
+)
 from tactile_cdma.wire.packets import MAX_PACKET
-from test.support.waiting import PATIENCE_S
+from test.support.firmware import CORE, FIRMWARE, need, run
+from test.support.programs import run_program
 
-HERE = Path(__file__).parent
-FIRMWARE = HERE.parents[1] / "firmware"
 VECTORS = json.loads((FIRMWARE / "vectors" / "protocol.json").read_text())["packets"]
-STRICT = ("-Wall", "-Wextra", "-Werror", "-I", str(FIRMWARE / "core"))
-
-
-def compiler(name: str) -> str:
-    path = shutil.which(name)
-    if path is None:
-        pytest.skip(f"no {name} on this machine: the C header is not tested with it")
-    return path
-
-
-def run(*command: str) -> None:
-    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert result.returncode == 0, result.stdout + result.stderr
+STRICT = ("-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 
 
 @pytest.mark.parametrize(
@@ -52,25 +43,24 @@ def test_header_compiles_by_itself_and_its_assertions_hold(
         '_Static_assert(sizeof(struct tp_info) == 65, "as in docs/protocol.md");\n'
         "int unit;\n"
     )
-    run(compiler(name), f"-std={standard}", *STRICT, "-fsyntax-only", str(source))
+    run(need(name), f"-std={standard}", *STRICT, "-fsyntax-only", source)
 
 
 def test_an_assertion_would_fail(tmp_path: Path) -> None:
     source = tmp_path / "header.c"
     source.write_text('#include "tactile_protocol.h"\nTP_ASSERT_AT(tp_info, frame, 32);\n')
-    command = [compiler("cc"), "-std=c11", *STRICT, "-fsyntax-only", str(source)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    result = run_program(need("cc"), "-std=c11", *STRICT, "-fsyntax-only", source)
     assert result.returncode != 0
     assert "tp_info.frame" in result.stderr
 
 
 def test_structs_give_the_vectors(tmp_path: Path) -> None:
-    cc = compiler("cc")
+    cc = need("cc")
     (tmp_path / "vectors.inc").write_text("".join(map(c_check, VECTORS)))
     program = tmp_path / "header_vectors"
-    source = HERE / "header_vectors.c"
-    run(cc, "-std=c11", *STRICT, "-I", str(tmp_path), str(source), "-o", str(program))
-    run(str(program))
+    source = Path(__file__).with_name("header_vectors.c")
+    run(cc, "-std=c11", *STRICT, "-I", tmp_path, source, "-o", program)
+    run(program)
 
 
 def c_check(vector: dict[str, Any]) -> str:
@@ -80,7 +70,7 @@ def c_check(vector: dict[str, Any]) -> str:
     declarations = []
     if vector["packet"] in ("Samples", "Packed", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
-        flags |= FLAG_CALLED * fields.pop("called")
+        flags |= FLAG_CALLED * fields.pop("called") | fields.pop("turn") << TURN_SHIFT
         fields["flags"] = flags
     if counts:
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")

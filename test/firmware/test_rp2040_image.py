@@ -3,13 +3,13 @@
 """The RP2040's image as the boot ROM and a bootloader read it."""
 
 import struct
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from test.support.firmware import FIRMWARE, need
+from test.support.firmware import FIRMWARE, need, run
+from test.support.programs import run_program
 
 FLASH, RAM, RAM_SIZE = 0x10000000, 0x20000000, 0x42000
 BOOT_SIZE = 256
@@ -43,12 +43,8 @@ def test_the_boot_rom_accepts_the_second_stage(built_rp2040: Path) -> None:
 
 def test_a_second_stage_that_is_too_long_is_refused(tmp_path: Path) -> None:
     (tmp_path / "linked.bin").write_bytes(b"\1" * 300)
-    done = subprocess.run(
-        ["python3", FIRMWARE / "digitizer/rp2040/image.py", "linked.bin", "a.bin", "a.uf2"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+    command = ("python3", FIRMWARE / "digitizer/rp2040/image.py", "linked.bin", "a.bin", "a.uf2")
+    done = run_program(*command, cwd=tmp_path)
     assert done.returncode and "boot stage is longer than 252 bytes" in done.stderr
     assert not (tmp_path / "a.uf2").exists()
 
@@ -73,12 +69,7 @@ def test_uf2_holds_the_image(built_rp2040: Path) -> None:
 
 def test_all_code_but_the_start_runs_from_ram(built_rp2040: Path) -> None:
     """Waits for flash would make times depend on its cache."""
-    listing = subprocess.run(
-        [need("arm-none-eabi-nm"), "-S", built_rp2040 / "digitizer.elf"],
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    listing = run(need("arm-none-eabi-nm"), "-S", built_rp2040 / "digitizer.elf")
     rows = [line.split() for line in listing.splitlines()]
     functions = {row[3]: int(row[0], 16) for row in rows if len(row) == 4 and row[2] in "tT"}
     in_flash = {name for name, address in functions.items() if address < RAM}

@@ -3,13 +3,12 @@
 """The core's tests again, under the compiler's sanitizers."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from test.support.firmware import SANITIZED, need, run
+from test.support.programs import run_python
 
 HERE = Path(__file__).parent
 TESTS = [*HERE.glob("test_core_[!r]*.py"), HERE / "test_node_core.py"]
@@ -25,12 +24,6 @@ def test_the_core_stays_within_its_memory_and_its_numbers() -> None:
     watched = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", SANITIZED: "1"}
     # Not captured: what a sanitizer says would be lost with the process that it ends.
     quietly = ("-q", "-x", "-s", "-p", "no:cacheprovider", "--hypothesis-profile", "quick")
-    command = [sys.executable, "-m", "pytest", *quietly, *TESTS]
-    result = subprocess.run(
-        [str(part) for part in command],
-        env={**os.environ, **watched},
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    command = ("-m", "pytest", *quietly, *TESTS)
+    result = run_python(*command, env={**os.environ, **watched}, timeout=600)
     assert result.returncode == 0, result.stdout[-5000:] + result.stderr[-5000:]

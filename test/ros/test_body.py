@@ -12,7 +12,6 @@ import math
 import re
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -34,6 +33,7 @@ from tactile_cdma.msg import TactileContact, TactileContacts
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.views.cloud import BODY_POINT
+from test.support.programs import run_python
 from test.support.spinning import spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -281,13 +281,7 @@ def messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body: Bod
 
 
 def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "tactile_cdma.ros.viewers.body_view", "--seconds", "6"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
+    done = run_python("-m", "tactile_cdma.ros.viewers.body_view", "--seconds", "6")
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
     counted = [line for line in lines if line != "nothing yet"]  # from the first message on

@@ -30,8 +30,9 @@ from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.driver.objects import sim_objects
 from tactile_cdma.sim import Box, Sphere
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
+from test.support.programs import run_python
 from test.support.skin_client import Client, running, wait_sending
-from test.support.waiting import PATIENCE_S, wait_for
+from test.support.waiting import wait_for
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 OF_DDS = re.compile(r"^.*RTPS_TRANSPORT_SHM.*\n", re.MULTILINE)
@@ -282,8 +283,7 @@ def forces_and_centres(output: IO[str]) -> NDArray[np.float64]:
 def test_tare_prints_the_answer_of_the_driver() -> None:
     with running(port="sim://?scene=idle&seed=1&threshold=0") as (_, client):
         wait_for(lambda: len(client.arrays) > 120)  # a tare takes a second of rest
-        command = [sys.executable, str(EXAMPLES / "tare.py")]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+        done = run_python(EXAMPLES / "tare.py")
     assert (done.returncode, done.stderr) == (0, "")
     assert OF_DDS.sub("", done.stdout).startswith("waiting for /skin/tare …\ntared: ")
 

@@ -27,6 +27,7 @@ from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.utilities import evaluate_parameters
 
+from test.support.programs import run_python
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -314,13 +315,7 @@ def test_simulated_skin_starts_and_publishes(namespace: str) -> None:
 def test_the_suite_of_launch_testing_passes() -> None:
     pytest.importorskip("launch_testing", reason="launch_testing comes with a ROS 2 installation")
     suite = ROOT / "test" / "launch" / "skin.test.py"
-    done = subprocess.run(
-        [sys.executable, "-m", "launch_testing.launch_test", str(suite)],
-        env={**os.environ, "PATH": PATH},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=180,
-    )
+    command = ("-m", "launch_testing.launch_test", suite)
+    done = run_python(*command, env={**os.environ, "PATH": PATH}, timeout=180)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr

@@ -126,9 +126,9 @@ class Lifecycle(RuleBasedStateMachine):
             self.held.close()
             self.held = None
 
-    @rule(nodes=st.sampled_from([12, 16]), threshold=st.floats(0.2, 0.8))
-    def set_parameters(self, nodes: int, threshold: float) -> None:
-        assert self.client.set(threshold=threshold) == (True, "")
+    @rule(nodes=st.sampled_from([12, 16]), active_share=st.floats(0.2, 0.8))
+    def set_parameters(self, nodes: int, active_share: float) -> None:
+        assert self.client.set(active_share=active_share) == (True, "")
         configured = self.state in (INACTIVE, ACTIVE)
         taken, _ = self.client.set(nodes=nodes)
         assert taken == (not configured or nodes == self.nodes)

@@ -3,11 +3,11 @@
 """examples/mujoco_grip.py: grips by touch, drops without its cue, stops when it goes blind."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from test.support.programs import run_python
 
 pytest.importorskip("mujoco", reason="MuJoCo (pip install mujoco) is not installed")
 
@@ -17,8 +17,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "mujoco_grip.py"
 
 def outcome(*arguments: str) -> dict[str, str]:
     """What the last line says."""
-    command = [sys.executable, str(EXAMPLE), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    done = run_python(EXAMPLE, *arguments, timeout=240)
     assert done.returncode == 0, done.stderr
     return dict(re.findall(r"(\w+)=(\S+)", done.stdout.splitlines()[-1]))
 

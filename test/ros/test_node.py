@@ -2,14 +2,11 @@
 
 """The driver node over real DDS: topics, parameters, lifecycle, faults."""
 
-import threading
 import time
 from itertools import islice, pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.time import Time
@@ -22,8 +19,7 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.ros.common.qos import PICTURE
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
-from test.support.boards import Board, plugged
-from test.support.skin_client import Client, running
+from test.support.skin_client import running
 from test.support.waiting import wait_for
 
 
@@ -89,41 +85,6 @@ def test_info_is_latched_and_complete() -> None:
     assert client.arrays[-1].info_id == info.info_id
 
 
-def test_heatmaps_are_drawn_only_while_somebody_looks_and_at_most_30_a_second() -> None:
-    with running(port="sim://?scene=all", heatmap_pixels=8) as (node, client):
-        wait_for(lambda: len(client.arrays) > 50)
-        assert node._pictures._drawn is None
-        subscription = client.create_subscription(
-            Image, "/skin/heatmap", client.images.append, PICTURE
-        )
-        wait_for(lambda: len(client.images) > 5)
-        start, before = time.monotonic(), len(client.images)
-        time.sleep(1.0)
-        rate_hz = (len(client.images) - before) / (time.monotonic() - start)
-        client.destroy_subscription(subscription)
-        wait_for(lambda: node._pictures._publishers["heatmap"].get_subscription_count() == 0)
-        time.sleep(0.1)
-        drawn = node._pictures._drawn
-        time.sleep(0.3)
-        assert node._pictures._drawn is drawn
-    assert 0 < rate_hz < 33
-    image = client.images[-1]
-    assert (image.encoding, image.height, image.width, image.step) == ("rgb8", 32, 32, 96)
-    assert len(image.data) == 32 * 96
-    assert len(set(bytes(image.data))) > 3
-
-
-def test_heatmaps_come_at_the_rate_asked_for() -> None:
-    with running(autostart=False) as (_, client):
-        assert client.set(visual_rate_hz=4.0) == (True, "")
-        assert client.change(Transition.TRANSITION_CONFIGURE)
-        client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
-        assert client.change(Transition.TRANSITION_ACTIVATE)
-        start = time.monotonic()
-        wait_for(lambda: len(client.images) >= 6)
-        assert time.monotonic() - start > 1.0
-
-
 def test_pictures_keep_coming_while_other_parameters_change_again_and_again() -> None:
     with running(visual_rate_hz=2.0) as (_, client):
         client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
@@ -151,12 +112,13 @@ def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
     with running() as (_, client):
         wait_for(lambda: client.arrays)
         for values, reason in (
-            ({"threshold": 5.0}, "0.9"),
-            ({"threshold": "high"}, "must be a number"),
+            ({"active_share": 5.0}, "0.9"),
+            ({"active_share": "high"}, "must be a number"),
             ({"colour_max_kpa": -1.0}, "0.1…"),
             ({"nodes": 17}, "cannot change while configured"),
             ({"autostart": False}, "only when the node starts"),
-            ({"thresold": 0.4}, "did you mean 'threshold'"),
+            ({"activ_share": 0.4}, "did you mean 'active_share'"),
+            ({"threshold": 0.4}, "the parameter threshold is called active_share now"),
             ({"mount_xyz_m": [1.0, 2.0]}, "must be 3 numbers"),
             ({"mount_rpy_rad": [0.0, 0.0, float("nan")]}, "mount_rpy_rad[2] is nan"),
         ):
@@ -172,11 +134,11 @@ def test_live_parameters_take_effect_at_once() -> None:
         wait_for(lambda: client.arrays)
         assert client.set(publish_voltage=True) == (True, "")
         assert client.set(chip_us=50.0) == (True, "")  # as it is: no change
-        assert client.set(threshold=0.6) == (True, "")
+        assert client.set(active_share=0.6) == (True, "")
         assert client.set(stale_after_s=9.0) == (True, "")
         wait_for(lambda: len(client.arrays[-1].voltage) == 16)
         assert node._driver is not None
-        assert node._driver.pipeline.config.threshold == 0.6
+        assert node._driver.pipeline.config.active_share == 0.6
         assert node._driver.pipeline.taxels.stale_after_s == 9.0
     assert np.nanmax(client.arrays[-1].voltage) <= 3.3
 
@@ -214,30 +176,7 @@ def test_configure_refuses_impossible_combinations_until_they_are_resolved() -> 
     assert len(client.arrays[-1].pressure) == 36
 
 
-def test_every_transition_works_again_and_again_without_leaking() -> None:
-    with running(autostart=False, port="sim://?scene=all") as (_, client):
-        threads = None
-        for _ in range(4):
-            assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
-            assert client.change(Transition.TRANSITION_CONFIGURE)
-            for _ in range(2):
-                assert client.change(Transition.TRANSITION_ACTIVATE)
-                before = len(client.arrays)
-                wait_for(lambda before=before: len(client.arrays) > before + 5)
-                assert client.change(Transition.TRANSITION_DEACTIVATE)
-                time.sleep(0.1)
-                after = len(client.arrays)
-                time.sleep(0.1)
-                assert len(client.arrays) == after
-            assert client.change(Transition.TRANSITION_CLEANUP)
-            threads = threads or threading.active_count()
-            assert threading.active_count() == threads
-        assert client.set(heatmap_pixels=4) == (True, "")
-        assert client.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
-        assert client.state() == State.PRIMARY_STATE_FINALIZED
-
-
-def test_impossible_transitions_are_refused_and_the_node_lives() -> None:
+def test_impossible_transitions_are_refused_and_the_node_publishes_until_it_is_inactive() -> None:
     with running() as (_, client):
         wait_for(lambda: client.arrays)
         assert client.state() == State.PRIMARY_STATE_ACTIVE
@@ -246,41 +185,11 @@ def test_impossible_transitions_are_refused_and_the_node_lives() -> None:
         assert not client.change(222)
         before = len(client.arrays)
         wait_for(lambda: len(client.arrays) > before + 10)
-
-
-def test_unplugging_stops_publishing_says_so_and_replugging_resumes(tmp_path: Path) -> None:
-    path = tmp_path / "skin"
-    with running(port=str(path)) as (_, client):
-        wait_for(lambda: any("no such port" in status.message for status in client.diagnostics))
-        assert client.arrays == []
-        for _ in range(2):
-            with plugged(Board, path):
-                before = len(client.arrays)
-                wait_for(lambda before=before: len(client.arrays) > before + 20)
-                wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.OK)
-            wait_for(lambda: client.diagnostics[-1].level == DiagnosticStatus.ERROR)
-            assert str(path) in client.diagnostics[-1].message
-            quiet = len(client.arrays)
-            time.sleep(0.3)
-            assert len(client.arrays) == quiet
-    sequences = [message.sequence for message in client.arrays]
-    assert sequences == sorted(set(sequences))
-
-
-def values_of(client: Client) -> dict[str, str]:
-    """The newest of what /diagnostics says of the driver."""
-    return {pair.key: pair.value for pair in client.diagnostics[-1].values}
-
-
-def test_diagnostics_report_rate_and_counts() -> None:
-    with running(port="sim://") as (_, client):
-        wait_for(lambda: [s.level for s in client.diagnostics].count(DiagnosticStatus.OK) >= 3)
-        # a busy machine may stall for a second
-        wait_for(lambda: float(values_of(client)["rate (Hz)"]) == pytest.approx(78.1, rel=0.3))
-        values = values_of(client)
-    assert float(values["expected rate (Hz)"]) == pytest.approx(78.125, abs=0.01)
-    lossless = ("crc errors", "lost packets", "lost frames", "digitizer packets dropped")
-    assert [values[name] for name in lossless] == ["0"] * 4
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        time.sleep(0.1)
+        after = len(client.arrays)
+        time.sleep(0.1)
+        assert len(client.arrays) == after
 
 
 def test_silence_can_be_published_less_often_and_touch_always_is() -> None:
@@ -299,11 +208,3 @@ def test_silence_can_be_published_less_often_and_touch_always_is() -> None:
     talking = [m.sequence for m in client.arrays if not silent(m)]
     runs = np.diff(talking)
     assert np.count_nonzero(runs == 1) > 50  # no frame of a touch is left out
-
-
-def test_diagnostics_name_the_nodes_that_are_not_heard() -> None:
-    with running(port="sim://?scene=idle&heartbeat=0&nodes=16") as (_, client):
-        wait_for(lambda: any("no node was heard" in s.message for s in client.diagnostics))
-    values = {pair.key: pair.value for pair in client.diagnostics[-1].values}
-    assert values["dead nodes"] == ", ".join(map(str, range(1, 17)))
-    assert values["doubled nodes"] == values["faulty nodes"] == values["weak nodes"] == ""

@@ -88,13 +88,6 @@ def test_a_simulation_that_nobody_asked_for_is_warned_of_once_and_for_as_long_as
     assert "set port" in warning
 
 
-def test_a_simulator_behind_a_device_path_does_not_pass_for_a_board(tmp_path: Path) -> None:
-    link = tmp_path / "ttyACM0"
-    with plugged(simulator, link), running(port=str(link)) as (_, client):
-        wait_for(told(client, WARN, f"{link} leads to a simulator"))
-        wait_for(lambda: origin(client) == (SIMULATED, SIMULATED, SIMULATOR_ID))
-
-
 def test_another_board_on_the_port_is_told_of_once(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -113,6 +113,7 @@ def test_points_say_where_they_are_what_they_feel_and_which_taxel_they_are(seen:
 def test_heatmap_points_and_markers_have_the_same_colours(seen: Any) -> None:
     pictures, pressure_pa = seen
     wanted = colours(pressure_pa, 140e3)
+    assert pictures["heatmap"].encoding == "rgb8"
     assert np.array_equal(pixels(pictures["heatmap"], np.uint8, 3), wanted[BALL.raster])
     points = records(pictures["points"])
     of_points = points["rgb"][:, None] >> np.array([16, 8, 0]) & 255

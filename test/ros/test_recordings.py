@@ -6,15 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lifecycle_msgs.msg import Transition
 from rosbags.highlevel import AnyReader
-from std_srvs.srv import Trigger
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.recording.offline import described_parameters, raw_frames
-from tactile_cdma.srv import Tare
 from test.support.skin_client import running
 from test.support.waiting import wait_for
 
@@ -83,17 +80,3 @@ def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path
         assert np.array(message.pressure).tobytes() == frame.readings.pressure_pa.tobytes()
         assert np.array(message.voltage).tobytes() == frame.readings.voltage_v.tobytes()
         assert np.array(message.status).tobytes() == frame.readings.status.tobytes()
-
-
-def test_a_replay_leaves_no_tare_behind(recording: Path, tmp_path: Path) -> None:
-    with running(port=f"replay://{recording}?loop=true", state_folder=str(tmp_path)) as (_, client):
-        tare = Tare.Request(force=True)
-        wait_for(lambda: client.call(Tare, "tare", tare).success)  # takes a second of frames
-        wait_for(lambda: any(client.infos[-1].tare))
-        answer = client.call(Trigger, "save_calibration", Trigger.Request())
-        assert not answer.success and "not kept" in answer.message
-        client.arrays.clear()
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
-        assert client.change(Transition.TRANSITION_ACTIVATE)
-        wait_for(lambda: len(client.arrays) > 5 and not client.infos[-1].tare)
-    assert list(tmp_path.iterdir()) == []

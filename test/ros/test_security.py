@@ -5,7 +5,6 @@
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,8 +17,9 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.ros.viewers.view import Viewer
 from test.support.boards import Board, plugged
 from test.support.calibrations import write_calibration
+from test.support.programs import run_program, run_python
 from test.support.skin_client import running
-from test.support.waiting import PATIENCE_S, wait_for
+from test.support.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 LIFE = ROOT / "test" / "support" / "watched_life.py"
@@ -69,13 +69,8 @@ def test_an_ordinary_user_s_driver_opens_its_port_and_dds_and_writes_its_state_o
     with plugged(Board, port):
         give_to_group(port)
         device = os.path.realpath(port)
-        run = subprocess.run(
-            [*ordinary(GROUP), sys.executable, LIFE, port, calibration],
-            env=environment(home),
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-        )
+        command = (*ordinary(GROUP), sys.executable, LIFE, port, calibration)
+        run = run_program(*command, env=environment(home))
     assert run.returncode == 0, run.stderr
     life = json.loads(run.stdout.splitlines()[-1])
     assert 0 not in life["user"]
@@ -109,13 +104,7 @@ def test_the_watcher_sees_what_must_not_be(tmp_path: Path) -> None:
         "print(w.written, w.changed, w.others, w.sockets()['tcp'], sep='\\n')\n"
     )
     path = str(tmp_path / "file")
-    run = subprocess.run(
-        [sys.executable, "-c", program, path],
-        env=environment(tmp_path / "home"),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    run = run_python("-c", program, path, env=environment(tmp_path / "home"), check=True)
     written, changed, others, tcp = run.stdout.splitlines()
     assert path in written and f"{path}.old" in changed
     assert all(word in others for word in ("subprocess.Popen", "pickle.find_class", "socket.bind"))
@@ -127,10 +116,7 @@ def test_a_port_of_a_group_that_one_is_not_in_is_refused_with_what_to_do(tmp_pat
     with plugged(Board, tmp_path / "tty"):
         give_to_group(tmp_path / "tty")
         command = [sys.executable, "-c", OPEN_PORT, tmp_path / "tty"]
-        own, other = (
-            subprocess.run([*ordinary(group), *command], capture_output=True, text=True)
-            for group in (GROUP, NO_GROUP)
-        )
+        own, other = (run_program(*ordinary(group), *command) for group in (GROUP, NO_GROUP))
     assert own.returncode == 0, own.stderr
     assert "no permission; add yourself to the port's group" in other.stderr
 
@@ -189,13 +175,8 @@ def test_without_its_keys_a_driver_that_must_have_them_does_not_start(tmp_path: 
         "ROS_SECURITY_KEYSTORE": str(tmp_path),
     }
     (tmp_path / "enclaves" / "skin").mkdir(parents=True)
-    driver = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "skin_driver", "--ros-args", "--enclave", "/skin"],
-        env={**os.environ, **security},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
+    command = (ROOT / "scripts" / "skin_driver", "--ros-args", "--enclave", "/skin")
+    driver = run_python(*command, env={**os.environ, **security})
     assert driver.returncode == 1
     assert "skin_driver: error creating node" in driver.stderr
     assert "Traceback" not in driver.stderr

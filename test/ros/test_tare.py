@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 
@@ -87,9 +86,7 @@ def test_a_tare_shows_in_readings_info_and_file_and_no_frame_is_lost(
     assert path.name == "skin-simulated.rest.yaml"
     assert np.allclose(yaml.safe_load(path.read_text())["rest_v"], REST_V)
     with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
-        for _ in range(
-            2
-        ):  # the next driver takes it over, and keeps it from one stream to the next
+        for _ in range(2):  # the next one takes it over, and keeps it from stream to stream
             before = len(client.arrays)
             wait_for(lambda before=before: len(client.arrays) > before + 10)
             assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
@@ -152,30 +149,12 @@ def test_a_home_that_nobody_has_is_a_reason_not_to_start(parameter: str) -> None
     assert "no such user's home" in client.diagnostics[-1].message
 
 
-def test_drift_is_followed_and_told_of_while_frames_come(
+def test_what_is_off_its_rest_the_tare_and_drift_are_told_of_while_frames_come(
     preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The skin rests a count off where it was tared; at this rate that takes no time."""
+    """Once tared, the skin rests a count off; at this rate following that takes no time."""
     monkeypatch.setattr(rest_keeper, "TELL_S", 0.1)
     monkeypatch.setattr("tactile_cdma.readings.drift.SETTLE_S", 0.5)
-    preload(800.0)
-    options = {"port": IDLE, "state_folder": str(tmp_path), "drift_pa_per_min": 0.0}
-    with running(**options) as (_, client):
-        assert tare_at_last(client).success
-        preload(920.0)
-        wait_for(lambda: np.allclose(client.arrays[-1].pressure, 97.66, atol=1))
-        assert client.set(drift_pa_per_min=1e4) == (True, "")
-        wait_for(lambda: len(client.infos) == 3)
-        assert np.allclose(client.infos[2].drift, 3.3 / 1024, rtol=0.1)
-        wait_for(lambda: client.arrays[-1].info_id == client.infos[2].info_id == 3)
-        wait_for(lambda: np.allclose(client.arrays[-1].pressure, 0, atol=2))
-    state = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())
-    assert np.allclose(state["drift_v"], 3.3 / 1024, rtol=0.1)
-
-
-def test_diagnostics_name_drift_tare_and_what_is_off_its_rest(
-    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr("tactile_cdma.readings.drift.STRAY_S", 0.5)
 
     def values() -> dict[str, str]:
@@ -190,44 +169,16 @@ def test_diagnostics_name_drift_tare_and_what_is_off_its_rest(
         wait_for(lambda: values()[OFF] == "")
         assert values()["tared"].startswith("20")
         assert values()["largest drift (mV)"] == "0.00, node 1"
-
-
-def test_the_calibration_is_read_again_while_frames_go_on(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
-    """The file saved of the curves in force, read five times: the tare stays, no frame is lost."""
-    preload(800.0)
-    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
-        assert tare_at_last(client).success
-        assert client.call(Trigger, "save_calibration", Trigger.Request()).success
-        for _ in range(5):
-            before = len(client.arrays)
-            assert client.set(
-                calibration_file=str(tmp_path / "skin-simulated.calibration.yaml")
-            ) == (
-                True,
-                "",
-            )
-            wait_for(lambda before=before: len(client.arrays) > before + 10)
-        wait_for(lambda: len(client.infos) == 7)
-    assert has_no_gap(client.arrays)
-    assert client.arrays[-1].info_id == client.infos[-1].info_id == 7
-    assert client.infos[-1].calibration_id != client.infos[0].calibration_id == ""
-    assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
-    assert np.allclose(client.infos[-1].tare, 781.25, atol=1)
-
-
-def test_a_tare_taken_under_load_is_told_of_when_the_load_is_gone(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
-    preload(20e3)
-    with running(port=IDLE, state_folder=str(tmp_path)) as (_, client):
-        assert tare_at_last(client, force=True).success
-        preload(0.0)
-        wait_for(lambda: "kPa below zero" in client.diagnostics[-1].message)
-    status = client.diagnostics[-1]
-    assert status.level == DiagnosticStatus.WARN
-    assert "nodes 1, 2, 3, 4, 5" in status.message and "20.0 kPa below" in status.message
+        assert client.set(drift_pa_per_min=0.0) == (True, "")
+        preload(920.0)
+        wait_for(lambda: np.allclose(client.arrays[-1].pressure, 97.66, atol=1))
+        assert client.set(drift_pa_per_min=1e4) == (True, "")
+        wait_for(lambda: len(client.infos) == 3)
+        assert np.allclose(client.infos[2].drift, 3.3 / 1024, rtol=0.1)
+        wait_for(lambda: client.arrays[-1].info_id == client.infos[2].info_id == 3)
+        wait_for(lambda: np.allclose(client.arrays[-1].pressure, 0, atol=2))
+    state = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())
+    assert np.allclose(state["drift_v"], 3.3 / 1024, rtol=0.1)
 
 
 def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> None:
@@ -247,10 +198,12 @@ def test_thousands_of_curves_are_read_apart_from_the_stream(tmp_path: Path) -> N
     assert has_no_gap(client.arrays)
 
 
-def test_other_curves_keep_the_tare_and_a_bad_file_changes_nothing(
+def test_curves_are_read_while_frames_go_on_the_tare_stays_and_a_bad_file_changes_nothing(
     preload: Callable[[float], None], tmp_path: Path
 ) -> None:
+    """At first those in force, as they are saved, again and again."""
     preload(800.0)
+    same = tmp_path / "skin-simulated.calibration.yaml"
     steep = Calibration.default(PressureCurve.two_stage(stage1_v_per_pa=0.066e-3, knee_pa=24e3), 16)
     path, bad = tmp_path / "steep.yaml", tmp_path / "bad.yaml"
     identity = write_calibration(path, steep, AdcScale())
@@ -265,16 +218,20 @@ def test_other_curves_keep_the_tare_and_a_bad_file_changes_nothing(
             taken, why = client.set(calibration_file=str(file))
             assert not taken and str(file) in why and reason in why
         assert client.arrays[-1].info_id == 2
-        assert client.set(calibration_file=str(path)) == (True, "")
-        wait_for(lambda: len(client.infos) == 3 and client.arrays[-1].info_id == 3)
-        assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
-        assert np.allclose(client.infos[-1].tare, 781.25 / 2, atol=15)
+        assert client.call(Trigger, "save_calibration", Trigger.Request()).success
+        for number, (file, tare_pa) in enumerate([*[(same, 781.25)] * 3, (path, 781.25 / 2)], 3):
+            assert client.set(calibration_file=str(file)) == (True, "")
+            wait_for(lambda number=number: client.infos[-1].info_id == number)
+            wait_for(lambda number=number: client.arrays[-1].info_id == number)
+            assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
+            assert np.allclose(client.infos[-1].tare, tare_pa, atol=15)
+            assert client.infos[-1].calibration_id != client.infos[0].calibration_id == ""
         assert client.infos[-1].calibration_id == identity
         assert client.set(calibration_file="") == (True, "")
         taken, why = client.set(knee_kpa=141.0)
         assert not taken and "knee" in why
         assert client.set(sensitivity1_v_per_kpa=0.0165) == (True, "")
-        wait_for(lambda: len(client.infos) == 5 and client.arrays[-1].info_id == 5)
+        wait_for(lambda: len(client.infos) == 8 and client.arrays[-1].info_id == 8)
         assert np.allclose(client.infos[-1].tare, 781.25 * 2, atol=30)
     assert has_no_gap(client.arrays)
     kept = yaml.safe_load((tmp_path / "skin-simulated.rest.yaml").read_text())

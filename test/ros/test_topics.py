@@ -195,13 +195,14 @@ def test_several_parameters_are_set_together_or_not_at_all() -> None:
             ({"autostart": False}, "only when the node starts"),
             ({"calibration_file": "/nowhere.yaml"}, "nowhere"),
         ):
-            taken, why = set_all(client, threshold=0.7, publish_voltage=True, **other)
+            taken, why = set_all(client, active_share=0.7, publish_voltage=True, **other)
             assert not taken
             assert reason in why
-            assert node._driver.pipeline.config.threshold == 0.5
-            assert node.get_parameter("threshold").value == 0.5
-        assert set_all(client, threshold=0.7, publish_voltage=True, visual_rate_hz=5) == (True, "")
-        assert node._driver.pipeline.config.threshold == 0.7
+            assert node._driver.pipeline.config.active_share == 0.5
+            assert node.get_parameter("active_share").value == 0.5
+        taken = set_all(client, active_share=0.7, publish_voltage=True, visual_rate_hz=5)
+        assert taken == (True, "")
+        assert node._driver.pipeline.config.active_share == 0.7
         wait_for(lambda: len(client.arrays[-1].voltage) == 16)
 
 

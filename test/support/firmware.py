@@ -3,7 +3,6 @@
 """Where the firmware is, and the programs that build it."""
 
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
@@ -11,6 +10,7 @@ from typing import TypeAlias
 import pytest
 
 from emulated import Node
+from test.support.programs import run_program
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CORE = FIRMWARE / "core"
@@ -33,8 +33,6 @@ def need(tool: str) -> str:
 
 def run(*command: str | Path, cwd: Path | None = None, timeout: float = 300) -> str:
     """Run a command that has to succeed; return what it printed."""
-    result = subprocess.run(
-        [str(part) for part in command], capture_output=True, text=True, timeout=timeout, cwd=cwd
-    )
+    result = run_program(*command, timeout=timeout, cwd=cwd)
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout

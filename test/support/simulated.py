@@ -55,7 +55,8 @@ class Truth:
     """
 
     def __init__(self, digitizer: VirtualDigitizer) -> None:
-        called = RollCalls(digitizer.roll_calls.starts)  # the stream begins those asked for
+        calls = digitizer.roll_calls  # the stream begins those asked for
+        called = RollCalls(calls.starts, divisions=calls.divisions)
         self._coming = truth(digitizer.options, digitizer.setup, called)
         self._known: list[NodeFrame] = []
 

@@ -215,7 +215,7 @@ def _export(
     last_ns = 0
     repeated: Counter[str] = Counter()  # commands that are older than others of their topics
     for row, is_in_pause in _rows(source, taken, aligner, episodes, progress):
-        reason = obstacle(row, streams, source, plan.policy)
+        reason = obstacle(row, streams, plan.policy, source.begin_ns, source.path)
         if is_in_pause and reason is None:
             reason = f"nothing had been recorded for {PAUSE_S:g} s"
         if plan.from_first_complete and not all(

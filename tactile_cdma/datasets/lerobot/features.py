@@ -11,7 +11,7 @@ import numpy as np
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
 from ..arrow import PNG_OR_JPEG
-from ..samples import NANO, Kind, RawImage, SampleSource, SampleStream
+from ..samples import NANO, Kind, RawImage, SampleStream
 from ..sources.images import check_size, encoded
 from ..touch import DROP, WINDOW, Touch
 
@@ -80,10 +80,11 @@ def column(stream: SampleStream) -> str:
 
 
 def obstacle(
-    row: Row, streams: Iterable[SampleStream], source: SampleSource, policy: str
+    row: Row, streams: Iterable[SampleStream], policy: str, begin_ns: int, source: object
 ) -> str | None:
     """Why a row has to be left out, in words; None if it is whole.
 
+    begin_ns: Unix time of the beginning of the source, which is called so.
     Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.
     An image or a state would be taken for the present one.
     """
@@ -92,8 +93,7 @@ def obstacle(
         if value is None and stream.kind not in (Kind.CONTACTS, Kind.WRENCH):
             if (last_ns := row.stopped.get(stream.key)) is None:
                 return f"{column(stream)} had not begun"
-            last_s = (last_ns - source.begin_ns) / NANO
-            since = f"first at {last_s:.3f} s of {source.path}"
+            since = f"first at {(last_ns - begin_ns) / NANO:.3f} s of {source}"
             return f"{column(stream)} ({stream.topic}) had stopped, {since}"
         if isinstance(value, Touch) and policy == DROP and not value.complete:
             return f"a taxel of {column(stream)} had no valid reading"

@@ -10,7 +10,7 @@ import numpy as np
 from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...driver.digitizer import Origin
-from ..samples import NANO, PatchInfo, SkinFrame, feature_name
+from ..samples import NANO, PatchInfo, SkinFrame, feature_name, in_order
 
 ARRAY, INFO = "tactile_cdma/msg/TactileArray", "tactile_cdma/msg/TactileSkinInfo"
 CONTACTS_TYPE, WRENCH_TYPE = "tactile_cdma/msg/TactileContacts", "geometry_msgs/msg/WrenchStamped"
@@ -132,14 +132,12 @@ def vector(message: Any, topic: str, names: tuple[str, ...]) -> Floats32:
 
     Raises CaptureError for other names or another number of values.
     """
-    values, its = _values(message), vector_names(message)
-    if its != names:
-        if sorted(its) != sorted(names):
-            raise CaptureError(
-                f"{topic}: a message has {', '.join(its) or 'no value'}, the first one "
-                f"{', '.join(names)}: do two programs publish there?"
-            )
-        values = values[[its.index(name) for name in names]]
+    its = vector_names(message)
+    if (values := in_order(_values(message), its, names)) is None:
+        raise CaptureError(
+            f"{topic}: a message has {', '.join(its) or 'no value'}, the first one "
+            f"{', '.join(names)}: do two programs publish there?"
+        )
     return values
 
 

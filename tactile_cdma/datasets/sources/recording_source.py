@@ -7,13 +7,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ... import __version__
 from ...base.errors import CaptureError
 from ...config.parameters import Value
 from ...driver.pipeline import TactileFrame
-from ...readings.contact import Contacts, ContactTracker
+from ...readings.contact import ContactTracker
 from ...recording.capture import is_text
 from ...recording.offline import RawCapture
 from ...recording.recording_file import describe, is_recording, read_end
@@ -28,6 +25,7 @@ from ..samples import (
     SkinFrame,
     feature_name,
 )
+from ..skin_samples import patch_info, samples_of
 
 
 class RecordingSource:
@@ -58,29 +56,8 @@ class RecordingSource:
     @property
     def patch(self) -> PatchInfo:
         """The skin, as far as the file has been decoded: its digitizer introduces itself there."""
-        config, source = self.capture.config, self.capture.source
-        layout = config.layout
-        return PatchInfo(
-            name=self.name,
-            topic="",
-            rows=layout.rows,
-            columns=layout.columns,
-            nodes=layout.nodes.astype(np.uint16),
-            positions_m=layout.positions_m.astype(np.float32),
-            normals=layout.normals.astype(np.float32),
-            areas_m2=layout.areas_m2.astype(np.float32),
-            frame_period_s=config.spec.frame_period_s,
-            about={
-                "file": self.path.name,
-                "origin": source.origin.name.lower(),
-                "measured_by": source.measured_by.name.lower(),
-                "skin": config.skin,
-                "digitizer_id": (source.digitizer_id or b"").hex().upper(),
-                "calibration_id": config.calibration.identity,
-                "parameters": self.capture.values,
-                "package_version": __version__,
-            },
-        )
+        about = {"file": self.path.name, "parameters": self.capture.values}
+        return patch_info(self.capture.config, self.capture.source, self.name, about)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -103,11 +80,8 @@ class RecordingSource:
                 end_ns is not None and stamp_ns > end_ns
             ):
                 continue  # every frame is decoded: a reading rests on all words before it
-            yield Sample(Kind.TACTILE, stamp_ns, stamp_ns, skin_frame(frame, wall_s))
-            if found is not None:
-                yield Sample(Kind.CONTACTS, stamp_ns, stamp_ns, _contacts(found))
-                total = np.concatenate([found.total_force_n, found.total_torque_nm])
-                yield Sample(Kind.WRENCH, stamp_ns, stamp_ns, total.astype(np.float32))
+            keys = Kind.TACTILE, Kind.CONTACTS, Kind.WRENCH
+            yield from samples_of(keys, skin_frame(frame, wall_s), found, stamp_ns, stamp_ns)
 
 
 def check_bytes(path: Path) -> None:
@@ -129,8 +103,3 @@ def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:
         voltage_v=readings.voltage_v,
         status=readings.status,
     )
-
-
-def _contacts(found: Contacts) -> np.ndarray[Any, np.dtype[np.float32]]:
-    counts = float(len(found) > 0), float(found.untouched), float(len(found))
-    return np.array([*counts, found.total_area_m2, *found.centre_m], dtype=np.float32)

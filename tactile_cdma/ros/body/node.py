@@ -24,6 +24,7 @@ from tactile_cdma.msg import TactileContacts
 
 from ...base.errors import TransformError
 from ...messages.cdr import Heading
+from ...messages.rounds import Rounds
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
 from ..common.convert import nanoseconds, point_cloud, wrench_stamped
@@ -36,7 +37,6 @@ from .names import body_names
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
 from .report import body_status, host_status
-from .rounds import Rounds
 
 NODE_NAME = "body"
 TICK_S = 0.2

@@ -20,16 +20,11 @@ from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
 from ..common.convert import nanoseconds, rows
 from ..common.following import Following
-from ..common.qos import LATCHED
+from ..common.qos import FRESH, LATCHED
 from ..common.touches import Touches
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of arrays: points are drawn less often than arrays arrive."""
-FRESH = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""QoS of contacts: a node that falls behind goes on with the newest instead of staying late. With
-reliable QoS a lost packet would hold up all that follow until it is repeated: on a network that
-loses 5 % of them, the body took 20 of 25 frames a second, some 0.4 s late (make torture
-ONLY=hosts)."""
 NewContacts = Callable[["PatchFeed", Touches], None]
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""

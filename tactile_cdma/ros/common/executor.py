@@ -12,8 +12,8 @@ of a message, and waits for what is only Polled, too.
 """
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -44,7 +44,8 @@ class LeanExecutor(Executor):
     """Runs the callbacks of nodes one after the other, in the thread that spins.
 
     For nodes with timers, subscriptions, services and event handlers, whose callbacks are plain
-    functions. Event handlers wake nobody. Guard conditions, clients and tasks are not served.
+    functions; that of a service may be a coroutine, which is gone on with after every wait. Event
+    handlers wake nobody. Guard conditions, clients and tasks are not served.
 
     What others send may make any callback raise, rclpy's own, too: see FAILURES.
     """
@@ -56,6 +57,7 @@ class LeanExecutor(Executor):
         self._event_handlers: list[Any] = []
         self._call: dict[int, tuple[Callable[[Any], object], Any]] = {}  # by rcl's pointer
         self._has_changed, self._events_due_s = True, 0.0
+        self._unanswered: list[tuple[Any, Any, Coroutine[Any, Any, Any]]] = []
 
     def add_node(self, node: Node) -> bool:
         """Serve a node too; returns False if it was served before."""
@@ -70,6 +72,8 @@ class LeanExecutor(Executor):
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """End; nobody may spin any more."""
         self._held.close()
+        for *_, work in self._unanswered:
+            work.close()
         return bool(super().shutdown(timeout_sec))
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
@@ -100,6 +104,31 @@ class LeanExecutor(Executor):
             if self._has_changed:  # perhaps destroyed by the last callback; others stay ready
                 break
             FAILURES.survive(*self._call[pointer])
+        unanswered, self._unanswered = self._unanswered, []
+        for waiting in unanswered:
+            FAILURES.survive(self._go_on, waiting)
+
+    def _call_service(self, service: Any) -> None:
+        request, header = service.handle.service_take_request(service.srv_type.Request)
+        if header is None:  # rcl also reports one that somebody else took
+            return
+        with _answering(service, header):
+            answer = service.callback(request, service.srv_type.Response())
+            if not isinstance(answer, Coroutine):
+                service.send_response(answer, header)
+                return
+        self._unanswered.append((service, header, answer))
+
+    def _go_on(self, waiting: tuple[Any, Any, Coroutine[Any, Any, Any]]) -> None:
+        """Let a service's coroutine look whether what it waits for, a timer, has come."""
+        service, header, work = waiting
+        with _answering(service, header):
+            try:
+                work.send(None)
+            except StopIteration as end:
+                service.send_response(end.value, header)
+            else:
+                self._unanswered.append(waiting)
 
     def _gather(self) -> None:
         """Take in what the nodes have at present, but for what their callback groups exclude."""
@@ -118,7 +147,7 @@ class LeanExecutor(Executor):
             ("guard_condition", guards, None),
             ("timer", timers, _call_timer),
             ("subscription", subscriptions, take_message),
-            ("service", services, _call_service),
+            ("service", services, self._call_service),
         ):
             add = getattr(self._wait_set, f"add_{kind}")
             for entity in entities:
@@ -152,13 +181,11 @@ def _call_timer(timer: Any) -> None:
         timer.callback()
 
 
-def _call_service(service: Any) -> None:
-    request, header = service.handle.service_take_request(service.srv_type.Request)
-    if header is None:  # rcl also reports one that somebody else took
-        return
+@contextmanager
+def _answering(service: Any, header: Any) -> Iterator[None]:
+    """Sends an empty answer where there is none, or the caller would wait."""
     try:
-        response = service.callback(request, service.srv_type.Response())
+        yield
     except Exception:
-        service.send_response(service.srv_type.Response(), header)  # or its caller would wait
+        service.send_response(service.srv_type.Response(), header)
         raise
-    service.send_response(response, header)

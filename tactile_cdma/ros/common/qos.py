@@ -23,6 +23,11 @@ LATCHED = QoSProfile(
 """For what rarely changes: late subscribers receive the last message."""
 RELIABLE = QoSProfile(depth=10)
 """For small messages that rviz and controllers may both subscribe to."""
+FRESH = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For whoever acts on contacts: who falls behind goes on with the newest instead of staying late.
+With reliable QoS a lost packet would hold up all that follow until it is repeated: on a network
+that loses 5 % of them, a body took 20 of 25 frames a second, some 0.4 s late (make torture
+ONLY=hosts)."""
 PICTURE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 """For pictures; the depth is small because only the newest matters."""
 QUEUE = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -38,7 +38,7 @@ def contacts_message(
         absent=[],
         taxels_in_service=contacts.coverage.in_service,
         taxels_valid=contacts.coverage.valid,
-        touched=len(contacts) > 0,
+        touched=contacts.touched,
         untouched=contacts.untouched,
         area_m2=contacts.total_area_m2,
         position_m=contacts.centre_m,

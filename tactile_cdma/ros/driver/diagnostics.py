@@ -152,6 +152,7 @@ def _load_values(pipeline: Pipeline) -> Values:
         "nodes at once, peak": load.peak,
         "nodes at once, capacity": load.capacity,
         "frames beyond the capacity": load.overloads,
+        "groups by turns": 1 << pipeline.groups.now_log2,
     }
 
 

@@ -2,16 +2,25 @@
 
 """The services ~/tare and ~/save_calibration."""
 
+import time
 from collections.abc import Callable
 
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from tactile_cdma.srv import Tare
 
-from ...base.errors import RestError, TactileError
+from ...base.errors import Refusal, RestError, TactileError
 from ...rest.rest_keeper import RestKeeper
 from ..common.convert import by_taxel
+
+RETRY_S = 0.1
+"""Interval of attempts to tare, s; chosen: short for whoever waits, and they cost little."""
+MOST_WAIT_S = 600.0
+"""Longest wait of a tare, s; chosen: nobody stays that long."""
 
 
 class RestServices:
@@ -19,29 +28,57 @@ class RestServices:
 
     def __init__(self, node: LifecycleNode, keeper: Callable[[], RestKeeper | None]) -> None:
         """keeper: returns that of the skin; None while the node is not configured."""
-        self._keeper, self._log = keeper, node.get_logger()
-        node.create_service(Tare, "~/tare", self._tare)
+        self._keeper, self._log, self._node = keeper, node.get_logger(), node
+        self._steady = Clock(
+            clock_type=ClockType.STEADY_TIME
+        )  # goes on where simulated time stands
+        self._group = ReentrantCallbackGroup()  # a tare that waits holds up nothing else
+        node.create_service(Tare, "~/tare", self._tare, callback_group=self._group)
         node.create_service(Trigger, "~/save_calibration", self._save)
 
-    def _tare(self, request: Tare.Request, response: Tare.Response) -> Tare.Response:
+    async def _tare(self, request: Tare.Request, response: Tare.Response) -> Tare.Response:
+        end_s = time.monotonic() + min(request.wait, MOST_WAIT_S)
+        while True:
+            try:
+                response.message = self._tared(request)
+                response.success = True
+                break
+            except RestError as error:
+                response.message, response.reason = str(error), int(error.reason)
+                if not error.reason.may_pass or not time.monotonic() < end_s:
+                    self._log.warning(response.message)
+                    break
+            await self._pause()
         keeper = self._keeper()
-        try:
-            if keeper is None:
-                raise RestError("not tared: the skin is not active; activate the node first")
-            response.message = "tare and drift are forgotten"
-            if request.clear:
-                keeper.clear()
-            else:
-                response.message = str(keeper.tare(request.force))
-            response.success = True
-        except RestError as error:
-            response.message = str(error)
-            self._log.warning(response.message)
+        if response.success:
+            response.reason = Tare.Response.REASON_NONE
         if keeper is not None and keeper.baseline is not None:
             layout, baseline = keeper.config.layout, keeper.baseline
             response.offset = by_taxel(layout, baseline.tare_pa)
             response.drift = by_taxel(layout, baseline.drift_v)
         return response
+
+    def _tared(self, request: Tare.Request) -> str:
+        """Do it, and say so; raises RestError."""
+        if (keeper := self._keeper()) is None:
+            text = "not tared: the skin is not active; activate the node first"
+            raise RestError(text, Refusal.INACTIVE)
+        if request.clear:
+            keeper.clear()
+            return "tare and drift are forgotten"
+        return str(keeper.tare(request.force))
+
+    def _pause(self) -> Future:
+        """A future that is done after RETRY_S, while the node serves others."""
+        future: Future = Future()
+
+        def end() -> None:
+            self._node.destroy_timer(timer)
+            future.set_result(None)
+
+        group = self._group
+        timer = self._node.create_timer(RETRY_S, end, callback_group=group, clock=self._steady)
+        return future
 
     def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         keeper = self._keeper()

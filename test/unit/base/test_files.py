@@ -5,8 +5,6 @@
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,6 +13,7 @@ from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.base.interrupt import terminable
 from tactile_cdma.base.named_file import existing, expanded, open_named, read_named
 from tactile_cdma.base.whole_file import replace_file, replacing, whole_folder
+from test.support.programs import run_python
 
 
 def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
@@ -131,9 +130,7 @@ def test_a_write_beyond_the_size_limit_leaves_the_old_file(tmp_path: Path) -> No
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100));"
         "replace_file(Path(sys.argv[1]), 'x' * 200)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=60
-    )
+    done = run_python("-c", program, path)
     assert "OSError: [Errno 27] File too large" in done.stderr
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
@@ -161,7 +158,7 @@ def test_what_killed_writers_leave_goes_with_the_next_write(tmp_path: Path) -> N
         "    file.write(b'half'); file.flush(); os.kill(os.getpid(), 9)"
     )
     for _ in range(2):
-        subprocess.run([sys.executable, "-c", program, str(path)], timeout=60)
+        run_python("-c", program, path)
     (tmp_path / ".skin[1].yaml.backup").write_text("precious")
     [left] = tmp_path.glob(".skin*.????????")
     assert path.read_text() == "first"

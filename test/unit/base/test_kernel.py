@@ -18,16 +18,14 @@ from tactile_cdma.code.codes import code_book, is_feasible
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import frame_fields, frame_settings
 from tactile_cdma.code.transform import compiled_transform, correlate, numpy_transform
+from test.support.programs import run_python
 
 needs_kernel = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 WHICH = "from tactile_cdma.base import kernel; print(kernel.compiled and 'compiled')"
 
 
 def started_with(choice: str, program: str = WHICH) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, kernel.VARIABLE: choice}
-    return subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
-    )
+    return run_python("-c", program, env={**os.environ, kernel.VARIABLE: choice})
 
 
 def test_numpy_can_be_chosen() -> None:

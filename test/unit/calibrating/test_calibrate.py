@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_cdma.base.errors import TactileError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
@@ -110,7 +111,7 @@ def test_a_bad_node_stops_all_unless_it_may_be_missing(
     )
     assert not output.exists()
     assert main(["calibrate", str(loads), "-o", str(output), "--allow-missing"]) == 0
-    assert "node 5: no curve: the voltage falls by 0 mV only" in capsys.readouterr().out
+    assert "node 5: no curve: the voltage changes by 0 mV only" in capsys.readouterr().out
     config = SkinConfig.of({"calibration_file": str(output)})
     assert config.calibration.curves[4] == SIMULATED
     capture = tmp_path / "skin.raw"
@@ -450,3 +451,69 @@ def test_points_follow_on_a_line_of_their_own(
     refusal(capsys, *live, points, "--append")
     lines = points.read_text().splitlines()
     assert lines[1:3] == ["1,20,2.64", "1,0,3.296777"]
+
+
+def write_fsr(path: Path, nodes: tuple[int, ...], half_pa: float) -> None:
+    """Weights on sensors of 7 cm² whose voltages rise, as a person's table has them."""
+    lines, adc = ["Sensor,Weight [kg],Vout (mV)"], ADC
+    for node in nodes:
+        for weight_kg in (0, 0.2, 0.4, 0.8, 1.2, 1.6, 2, 2.5, 3, 4, 5, 6, 7, 8, 9, 10):
+            load_pa = weight_kg * 9.80665 / 7e-4
+            ratio = (load_pa / half_pa) ** 0.8
+            volts = adc.voltage(adc.code(3.3 * ratio / (1 + ratio)))
+            lines.append(f"{node},{weight_kg},{1e3 * volts:.1f}")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_rising_table_is_calibrated_updated_compared_and_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loads, output, old = tmp_path / "fsr.csv", tmp_path / "fsr.yaml", tmp_path / "old.yaml"
+    write_fsr(loads, (1, 2, 3), 30e3)
+    table = ["calibrate", str(loads), "--nodes", "3", "--area-mm2", "700", "-o"]
+    assert main([*table, str(old)]) == 0
+    told = capsys.readouterr().out
+    assert "voltages rise with the pressure: all nodes" in told
+    assert "advice: --power-law would be off by" in told and "expect errors, rms, of" in told
+    assert main([*table, str(output), "--power-law"]) == 0
+    assert float(pairs(capsys.readouterr().out)["error_kpa"]) < 0.5
+    values = {"nodes": 3, "calibration_file": str(output)}
+    curves = SkinConfig.of(values).calibration.curves
+    load_pa = np.array([5e3, 50e3, 130e3])
+    ratio = (load_pa / 30e3) ** 0.8
+    found_pa = curves.pressure((3.3 * ratio / (1 + ratio)).astype(np.float32))
+    assert found_pa == pytest.approx(load_pa, abs=0.005 * 140e3)
+    before = read_calibration(output, 3, ADC, SIMULATED).curves
+    write_fsr(loads, (2,), 40e3)
+    assert (
+        main(["calibrate", str(loads), "--area-mm2", "700", "--power-law", "--update", str(output)])
+        == 0
+    )
+    after = read_calibration(output, 3, ADC, SIMULATED).curves
+    assert after[0] == before[0] and after[2] == before[2] and after[1] != before[1]
+    capsys.readouterr()
+    assert main(["calibrate", "--compare", str(old), str(output)]) == 0
+    compared = capsys.readouterr().out
+    assert compared.startswith("node 2: up to ")
+    worst_pa = max(
+        abs(after[1].pressure(one.voltage(load)) - load)
+        for one in [read_calibration(old, 3, ADC, SIMULATED).curves[1]]
+        for load in np.linspace(0, one.pressure_pa[-1], 300)
+    )
+    assert float(pairs(compared)["most_kpa"]) == pytest.approx(worst_pa / 1e3, rel=0.02)
+
+
+def test_loads_beyond_what_the_sensors_bear_need_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loads, output = tmp_path / "fsr.csv", tmp_path / "fsr.yaml"
+    write_fsr(loads, (1,), 300e3)
+    table = ["calibrate", str(loads), "--nodes", "1", "--area-mm2", "70", "-o", str(output)]
+    assert main([*table, "--power-law"]) == 1
+    assert "1401 kPa are 10 times range_kpa (140)" in capsys.readouterr().err
+    assert not output.exists()
+    assert main([*table, "--power-law", "--force"]) == 0
+    with pytest.raises(TactileError, match="10 times range_kpa"):
+        SkinConfig.of({"nodes": 1, "calibration_file": str(output)})
+    curve = {"range_kpa": 1400.0, "sensitivity1_v_per_kpa": 3e-3, "sensitivity2_v_per_kpa": 1e-3}
+    SkinConfig.of({"nodes": 1, "calibration_file": str(output), **curve})

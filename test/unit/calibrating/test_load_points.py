@@ -39,6 +39,8 @@ def path(tmp_path: Path) -> Path:
         ("node;pressure_bar;voltage_v\n3;0;3,2\n3;0,5;1,65\n", None),
         ("node\tpressure_mpa\tvoltage_v\n3\t0\t3,2\n3\t0.05\t1.65\n", None),
         ("node,force_n,voltage_v\n3,0,3.2\n3,2.5,1.65\n", 50e-6),
+        ("Sensor,Weight [kg],Vout (mV)\n3,0,3200\n3,0.254929,1650\n", 50e-6),
+        ("taxel;Pressure (psi);Voltage V\n3;0;3,2\n3;7,25189;1,65\n", None),
         ('"node","pressure_kpa", "voltage_v"\n"3","0","3.2"\n3,50,"1.65"\n', None),
         ('"# by hand"\n;;\nnode;pressure_kpa;voltage_v\n3;0;3,2\n3;50;1,65\n', None),
     ],
@@ -50,6 +52,21 @@ def test_units_and_separators(path: Path, text: str, area_m2: float | None) -> N
     assert points.voltage_v == pytest.approx([3.2, 1.65])
     last = len(text.splitlines())
     assert points.line.tolist() == [last - 1, last]
+
+
+def test_units_that_headings_do_not_name_are_asked_for_and_taken_from_the_option(
+    path: Path,
+) -> None:
+    path.write_text("Load,Output\n0,3200\n250,1650\n")
+    with pytest.raises(CalibrationError, match=r"column 'Load' has no unit .* --units"):
+        read_points(path, 16, 3.3, 50e-6)
+    points = read_points(path, 16, 3.3, 50e-6, ["g", "mV"], node=7)
+    assert points.node.tolist() == [7, 7]
+    assert points.pressure_pa == pytest.approx([0, 0.25 * 9.80665 / 50e-6])
+    assert points.voltage_v == pytest.approx([3.2, 1.65])
+    path.write_text("Weight,Voltage_V\n0,3.2\n250,1.65\n")
+    with pytest.raises(CalibrationError, match="column 'Weight' has no unit"):
+        read_points(path, 16, 3.3, 50e-6, ["kPa"], node=7)  # a weight is no pressure
 
 
 def test_empty_rows_of_a_spreadsheet_are_none(path: Path) -> None:
@@ -86,9 +103,12 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         ("", "the file is empty"),
         (HEADING, "there is a heading, but no numbers"),
         (GOOD, "line 1: 1 where a heading should be; .* as in node,pressure_kpa,voltage_v"),
-        (f"node,pressure,voltage_v\n{GOOD}", "'pressure' has no unit .*; use pressure_pa, .*kpa"),
-        (f"node,presure_kpa,voltage_v\n{GOOD}", "'presure_kpa'; did you mean 'pressure_kpa'"),
-        (f"node,pressure_psi,voltage_v\n{GOOD}", "'pressure_psi' has no unit that is known"),
+        (
+            f"node,pressure,voltage_v\n{GOOD}",
+            "'pressure' has no unit .*; name it as in pressure_pa, .*kpa.*--units",
+        ),
+        (f"node,presure_kpb,voltage_v\n{GOOD}", "'presure_kpb'; did you mean 'pressure_kpa'"),
+        (f"node,pressure_torr,voltage_v\n{GOOD}", "'pressure_torr' has no unit that is known"),
         (f"node,pressure_kpa,pressure_pa\n{GOOD}", "two columns of pressure"),
         ("node,pressure_kpa\n1,0\n", "no column voltage_v$"),
         ("time_s,pressure_kpa\n1,9\n", r"no column node \(with times instead, give --capture\)"),

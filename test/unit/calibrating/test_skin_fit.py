@@ -10,11 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.base.errors import CalibrationError
 from tactile_cdma.calibrating.load_points import LoadPoints
-from tactile_cdma.calibrating.report import describe, results, stages, warnings
-from tactile_cdma.calibrating.skin_fit import SkinFit, fit_skin
-from tactile_cdma.readings.calibration import AdcScale, PressureCurve
+from tactile_cdma.calibrating.report import (
+    advice,
+    describe,
+    errors,
+    results,
+    rms_pa,
+    stages,
+    warnings,
+)
+from tactile_cdma.calibrating.skin_fit import POWER_LAW, SkinFit, fit_skin
+from tactile_cdma.readings.calibration import POWER_PIECES, AdcScale, PressureCurve
 
 ADC = AdcScale()
 CURVE = PressureCurve.two_stage(v0_v=3.0)
@@ -73,14 +80,14 @@ def _rising_at_the_end() -> np.ndarray:
 @pytest.mark.parametrize(
     ("volts", "reason"),
     [
-        (np.full(len(LOADS_PA), 3.0), "falls by 0 mV only.*was the load on this node"),
+        (np.full(len(LOADS_PA), 3.0), "changes by 0 mV only.*was the load on this node"),
         (np.full(len(LOADS_PA), 3.3 - ADC.lsb_v), "41 of 41 voltages are at an end.*connected"),
         (np.zeros(len(LOADS_PA)), "41 of 41 voltages are at an end"),
         (_noisy(), "too noisy: .* V rms from point to point"),
         (_contradicting(), r"10 of 41 points contradict the others \(lines 3, 15, 27, 39"),
         (_rising_at_the_end(), "does not fall from 50.* to 140.0 kPa .lines "),
         (3.0 - 0.01e-3 * LOADS_PA, "no knee up to 140 kPa: the loads do not reach it"),
-        (1.0 + 0.01e-3 * LOADS_PA, "falls by -.* mV only"),
+        (1.0 + 0.01e-3 * LOADS_PA, "no knee up to 140 kPa"),
     ],
 )
 def test_a_bad_node_is_refused_with_the_reason_and_the_others_are_not(
@@ -126,10 +133,48 @@ def test_a_node_without_points_is_named() -> None:
     assert fit.refused == {2: "no points", 4: "no points"}
 
 
-def test_voltages_that_rise_on_most_nodes_are_refused_as_a_whole() -> None:
-    rising = 1.0 + 0.01e-3 * LOADS_PA
-    with pytest.raises(CalibrationError, match=r"loads\.csv: voltages rise .* on 2 of 3 nodes"):
-        fit_skin(points_of(LOADS_PA, {1: rising, 2: read(LOADS_PA), 3: rising}), NODES, ADC)
+def test_voltages_may_rise_on_one_node_and_fall_on_others() -> None:
+    rises = PressureCurve(CURVE.pressure_pa, tuple(3.1 - volts for volts in CURVE.voltage_v))
+    fit = fit_with(read(LOADS_PA, rises))
+    assert not fit.refused
+    assert fit.curves[2].pressure_pa == pytest.approx(rises.pressure_pa, abs=150)
+    assert fit.curves[2].voltage_v == pytest.approx(rises.voltage_v, abs=ADC.lsb_v)
+    assert "voltages rise with the pressure: node 2" in describe(fit)
+    assert np.abs(fit.residual_pa).max() < 1.1 * ADC.lsb_v / 5.9e-6
+
+
+FSR_402_G = np.array([20, 50, 100, 250, 500, 1000, 2000, 4000, 7000, 10_000])
+FSR_402_OHM = np.array([30e3, 10e3, 6e3, 3.5e3, 2e3, 1250, 750, 450, 300, 250])
+"""Interlink's FSR 402, force and resistance as its integration guide draws them."""
+
+
+@pytest.mark.parametrize("rises", [True, False])
+def test_a_power_law_is_advised_where_it_fits_better(rises: bool) -> None:
+    """On a sensor's data sheet, over 1 cm²: 24 kPa rms of 981 with it, 95 with two pieces."""
+    load_pa, fixed_ohm = FSR_402_G * 9.80665e-3 / 1e-4, 1e3
+    share = fixed_ohm / (FSR_402_OHM + fixed_ohm)
+    volts = ADC.voltage(ADC.code(3.3 * (share if rises else 1 - share)))
+    points = points_of(np.append(load_pa, 0.0), {1: np.append(volts, 0.0 if rises else 3.3)})
+    in_pieces = fit_skin(points, 1, ADC)
+    assert rms_pa(in_pieces) == pytest.approx(95e3, rel=0.03)
+    assert re.match("--power-law would be off by 1.* kPa .*, not ", advice(in_pieces, 1) or "")
+    fit = fit_skin(points, 1, ADC, POWER_LAW)
+    assert rms_pa(fit) == pytest.approx(24e3, rel=0.05)
+    assert advice(fit, 1) is None
+    read_pa = fit.curves[1].pressure(volts)
+    assert math.sqrt(np.mean(np.square(read_pa - load_pa))) == pytest.approx(24e3, rel=0.15)
+    assert [end_pa for end_pa, _ in errors(fit)][-1] == pytest.approx(load_pa[-1])
+
+
+def test_a_power_law_is_found_in_spite_of_outliers_and_not_where_there_is_none() -> None:
+    ratio = (UP_PA / 30e3) ** 0.8
+    exact = ADC.voltage(ADC.code(3.3 * ratio / (1 + ratio)))
+    volts = np.where(np.isin(np.arange(len(UP_PA)), [4, 9]), 2.9, exact)
+    fit = fit_skin(points_of(UP_PA, {1: volts}), 1, ADC, POWER_LAW)
+    assert np.flatnonzero(fit.outlier & (UP_PA > 0)).tolist() == [4, 9]
+    np.testing.assert_allclose(fit.curves[1].pressure(exact), UP_PA, atol=0.005 * 140e3)
+    assert advice(fit_with(read(LOADS_PA)), NODES) is None
+    assert "--pieces 2" in (advice(fit_with(read(LOADS_PA), pieces=1), NODES) or "")
 
 
 def test_what_the_converter_cuts_off_does_not_bend_the_curve() -> None:
@@ -224,8 +269,8 @@ def test_outliers_are_named_by_their_lines() -> None:
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 60))
-def test_any_points_give_falling_curves_or_reasons(seed: int, pieces: int, count: int) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4), st.integers(1, 60))
+def test_any_points_give_monotone_curves_or_reasons(seed: int, pieces: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     loads_pa = rng.choice([0.0, 30e3, 60e3, 140e3], (3, count))
     loads_pa += rng.choice([0.0, 1e3, 1e5]) * rng.random((3, count))
@@ -238,13 +283,9 @@ def test_any_points_give_falling_curves_or_reasons(seed: int, pieces: int, count
         line=np.arange(3 * count),
         source="any.csv",
     )
-    try:
-        fit = fit_skin(points, NODES, ADC, pieces)
-    except CalibrationError as error:
-        assert "rise" in str(error)
-        return
+    fit = fit_skin(points, NODES, ADC, pieces)
     assert sorted([*fit.curves, *fit.refused]) == [1, 2, 3]
     for curve in fit.curves.values():
-        assert (np.diff(curve.voltage_v) < 0).all()
-        assert len(curve.pressure_pa) == pieces + 1
+        assert len(set(np.sign(np.diff(curve.voltage_v)))) == 1
+        assert len(curve.pressure_pa) == (pieces or POWER_PIECES) + 1
     assert describe(fit)

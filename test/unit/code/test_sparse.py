@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code.detect import Detector, numpy_detect, numpy_loudness
+from tactile_cdma.code.detect import Before, Detected, Detector, numpy_detect, numpy_loudness
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
 from tactile_cdma.code.sparse import TAPS
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.framing.sparse_timing import certificate
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout
 from test.support.sparse_codes import code_number, node_chips, octets
@@ -30,6 +32,17 @@ PAGE = Path(__file__).parents[3] / "docs/protocol.md"
 def sparse(nodes: int, order: int, **changes: Any) -> FrameSpec:
     fields: dict[str, Any] = {"amplitude_v": 1.0, "chip_s": 1e-6, "frame_period_s": 1.0}
     return FrameSpec(nodes=nodes, order=order, codes="sparse", **{**fields, **changes})
+
+
+def nothing(spec: FrameSpec) -> Before:
+    """No frame was before."""
+    return Before(np.zeros(spec.nodes, np.bool_), np.ones(spec.nodes, np.float32))
+
+
+def in_numpy(
+    chips: NDArray[np.float32], spec: FrameSpec, damping: float = 0, before: Before | None = None
+) -> Detected:
+    return numpy_detect(chips, spec, damping, before or nothing(spec))
 
 
 @pytest.mark.parametrize("m", TAPS)
@@ -117,7 +130,7 @@ def test_all_who_speak_are_found(data: st.DataObject) -> None:
         words[node] = rng.choice([-1.0, 1.0], spec.bits)
         sent = node_chips(node, nodes, order, spec.bits) * words[node][:, None]
         chips += rng.uniform(0.6, 1.05) * sent.astype(np.float32)
-    found = numpy_detect(chips, spec)
+    found = in_numpy(chips, spec)
     assert found.settled
     assert set(np.flatnonzero(found.heard) + 1) == speakers
     for node, word in words.items():
@@ -131,13 +144,17 @@ def test_all_who_speak_are_found(data: st.DataObject) -> None:
 def test_the_kernel_finds_what_numpy_finds(nodes: int, order: int, damping: float) -> None:
     """Whatever the frame: of nobody, of some, of more than can be found."""
     spec = sparse(nodes, order)
-    detector, rng = Detector(spec), np.random.default_rng(order)
+    detector, before, rng = (
+        Detector(spec, certificate(spec)),
+        nothing(spec),
+        np.random.default_rng(order),
+    )
     book = np.stack([node_chips(node, nodes, order, 10) for node in range(1, nodes + 1)])
     for speakers in (0, 1, order // 3, order // 3, nodes):
         words = rng.choice([-1.0, 1.0], (nodes, 10)) * (rng.permutation(nodes) < speakers)[:, None]
         chips = np.einsum("nb,nbc->bc", words, book) + rng.normal(0.1, order**0.5 / 40, (10, order))
         chips = chips.astype(np.float32)
-        found, expected = detector.detect(chips, damping), numpy_detect(chips, spec, damping)
+        found, expected = detector.detect(chips, damping), in_numpy(chips, spec, damping, before)
         if speakers == nodes > 40:
             continue  # rounding decides where it ends
         assert found.settled == expected.settled
@@ -155,9 +172,9 @@ def test_chips_that_are_no_numbers_have_no_words() -> None:
     spec = sparse(40, 16)
     chips = np.zeros((10, 16), np.float32)
     chips[3, 4] = np.nan
-    assert not Detector(spec).detect(chips).settled
+    assert not Detector(spec, certificate(spec)).detect(chips).settled
     with np.errstate(invalid="ignore"):
-        assert not numpy_detect(chips, spec).settled
+        assert not in_numpy(chips, spec).settled
 
 
 @pytest.mark.parametrize(

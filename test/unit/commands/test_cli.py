@@ -4,6 +4,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
+from test.support.programs import run_program
 from test.support.simulated import scope_capture
 from test.support.waiting import PATIENCE_S
 
@@ -27,13 +29,18 @@ def frames_of(text: str) -> list[dict]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-@pytest.fixture
-def capture(tmp_path: Path) -> Path:
-    """A raw capture of about a second of the simulated skin with every node speaking."""
-    path = tmp_path / "skin.skin"
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """About two seconds of the simulated skin with every node speaking."""
+    path = tmp_path_factory.mktemp("recording") / "skin.skin"
     url = "sim://?scene=all&seed=3&threshold=0&speed=2"
     assert main(["record", url, str(path), "--seconds", "1"]) == 0
     return path
+
+
+@pytest.fixture
+def capture(recording: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(recording, tmp_path))
 
 
 def test_a_recording_decodes_without_being_told_anything(
@@ -138,53 +145,9 @@ def test_what_the_system_refuses_is_one_clear_error(
 
 def test_a_terminal_of_another_alphabet_is_served() -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    words = [*COMMAND, "decode", "--help"]
-    run = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True)
+    run = run_program(*COMMAND, "decode", "--help", cwd=ROOT, env=environment)
     assert run.returncode == 0
-    assert b"\\xb5s" in run.stdout and run.stderr == b""
-
-
-def test_a_missing_capture_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["decode", "/nowhere/at.all"]) == 1
-    assert "/nowhere/at.all: No such file" in capsys.readouterr().err
-
-
-def write_scope(path: Path, options: list[str], rate_hz: float = 200e3) -> None:
-    from tactile_cdma.code.frame import FrameSpec
-
-    spec = FrameSpec()
-    frames = [([(37 * i + 400) % 1024 for i in range(16)], [True] * 16)] * 4
-    time_s, volts = scope_capture(spec, frames, rate_hz)
-    lines = [f"{t:.6f},{v:.5f}" for t, v in zip(time_s, volts, strict=True)]
-    path.write_text("\n".join(options + lines))
-
-
-def test_a_scope_capture_with_broken_samples_is_decoded_around_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "scope.csv"
-    write_scope(path, ["second,Volt"])
-    lines = path.read_text().splitlines()
-    lines[3500] = lines[3500].split(",")[0] + ",NaN"
-    path.write_text("\n".join(lines))
-    assert main(["decode", str(path), "--timing", "gap", "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert " samples are no numbers (first in line 3501)" in err
-    frames = frames_of(out)
-    assert len(frames) == 3  # the second one holds the broken sample
-    for frame in frames:
-        assert [node["code"] for node in frame["nodes"]] == [
-            (37 * i + 400) % 1024 for i in range(16)
-        ]
-
-
-def test_a_capture_that_is_too_coarse_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "scope.csv"
-    write_scope(path, [], rate_hz=30e3)
-    assert main(["decode", str(path)]) == 1
-    assert "1.5 per chip of 50 µs; 3 or more are needed" in capsys.readouterr().err
+    assert "\\xb5s" in run.stdout and run.stderr == ""
 
 
 @pytest.mark.parametrize(
@@ -202,7 +165,7 @@ def test_bad_options_are_one_clear_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:
     path = tmp_path / "scope.csv"
-    write_scope(path, [])
+    path.write_text("\n".join(f"{i * 5e-6:.6f},{i % 7}" for i in range(400)))
     assert main(["decode", str(path), *options]) == 1
     err = capsys.readouterr().err
     assert message in err
@@ -281,7 +244,7 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
 def test_a_shell_that_asks_is_told_what_can_follow(line: str, completions: set[str]) -> None:
     pytest.importorskip("argcomplete")
     asks = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
-    command = ["sh", "-c", f"{sys.executable} -m tactile_cdma 8>&1 9>&2"]  # it answers on 8
+    command = f"{sys.executable} -m tactile_cdma 8>&1 9>&2"  # it answers on 8
     environment = os.environ | asks | {"COMP_POINT": str(len(line))}
-    answer = subprocess.run(command, capture_output=True, text=True, env=environment)
+    answer = run_program("sh", "-c", command, env=environment)
     assert set(answer.stdout.split()) == completions

@@ -5,8 +5,6 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +21,7 @@ from tactile_cdma.wire.messages import FrameLayout, Info
 from tactile_cdma.wire.packets import PacketWriter, wrap
 from tactile_cdma.wire.port import Port
 from test.support.boards import board, board_id, chattering, plugged
+from test.support.programs import run_python
 
 Doctor = Callable[..., tuple[int, dict[str, str]]]
 
@@ -241,10 +240,7 @@ def test_a_choice_of_kernel_that_is_none_is_a_problem() -> None:
     program = (
         "from tactile_cdma.doctor.installation import compiled_kernel; print(compiled_kernel())"
     )
-    environment = {**os.environ, kernel.VARIABLE: "x"}
-    run = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
-    )
+    run = run_python("-c", program, env={**os.environ, kernel.VARIABLE: "x"})
     assert "problem" in run.stdout
     assert "TACTILE_CDMA_KERNEL is 'x'; it must be" in run.stdout
 
@@ -293,16 +289,11 @@ def test_a_program_without_our_packages_says_what_is_missing(tmp_path: Path) -> 
         f"sys.path.insert(0, {str(root)!r}); sys.argv = ['doctor', *sys.argv[1:]];"
         "runpy.run_module('tactile_cdma.doctor', run_name='__main__')"
     )
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-I", "-S", "-c", program, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-
-    installed = run()
+    installed = run_python("-I", "-S", "-c", program, cwd=tmp_path)
     assert installed.returncode == 1
     assert "problem  packaging: missing" in installed.stdout
     assert "Traceback" not in installed.stderr
-    on_port = run("sim://")
+    on_port = run_python("-I", "-S", "-c", program, "sim://", cwd=tmp_path)
     assert on_port.returncode == 1
     assert "problem  packages: No module named" in on_port.stdout
     assert "Traceback" not in on_port.stderr

@@ -561,7 +561,11 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     made.give(b"\1\2", 0.0, False)
     with pytest.raises(RuntimeError, match="not used up"):
         made.give(b"\3", 0.0, False)
-    for answer, arguments in ((made.open, (1,)), (made.decide, (1, 2, 0.0)), (made.look, (1,))):
+    for answer, arguments in (
+        (made.open, (1,)),
+        (made.decide, (1, 2, 0.0, 0.0)),
+        (made.look, (1,)),
+    ):
         with pytest.raises(ValueError, match="nothing of the kind was asked"):
             answer(*arguments)
     with pytest.raises(ValueError, match="nothing of the kind was asked"):

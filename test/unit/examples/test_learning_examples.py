@@ -4,7 +4,6 @@
 
 import os
 import re
-import subprocess
 import sys
 import threading
 from collections import deque
@@ -24,6 +23,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
+from test.support.programs import run_python
 from test.support.waiting import PATIENCE_S
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -45,14 +45,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(name: str, *words: str) -> dict[str, float]:
     """The figures that the last line of an example's output names."""
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *words],
-        env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent)},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent)}
+    done = run_python(EXAMPLES / name, *words, env=environment)
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
     return {name: float(value) for name, value in re.findall(r"(\w+)=([\d.]+)", last)}

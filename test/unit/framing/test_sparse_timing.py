@@ -20,7 +20,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing import sparse_timing
 from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
 from tactile_cdma.framing.sparse_timing import LEARNT, SparseRecogniser, capacity
-from tactile_cdma.words.decode import Words, decode
+from tactile_cdma.words.decode import Words, decode, silent
 from test.support.sparse_codes import node_chips
 
 SPEC = FrameSpec(
@@ -68,9 +68,9 @@ class Rig:
         noise = self.rng.normal(0, np.sqrt(self.spec.order) / self.rho, line.size)
         verdict = self.recogniser.recognise(MarkedFrame(0, 0.2 + line + noise, True))
         assert verdict.frame is not None
-        self.late = verdict.frame.levels.late if verdict.frame.levels else ()
-        assert verdict.frame.levels is not None
-        words = decode(verdict.frame.levels, self.spec)
+        levels = verdict.frame.levels
+        self.late = levels.late if levels else ()
+        words = decode(levels, self.spec) if levels else silent(self.spec.nodes, 0.0)
         doubtful = verdict.frame.doubtful
         return words if doubtful is None else words.doubted(doubtful)
 
@@ -90,7 +90,7 @@ def test_frames_are_certain_and_right_up_to_their_capacity(share: float) -> None
     for _ in range(30):
         words = rig.some(speakers)
         read = rig.read(rig.sent(words))
-        assert certain(read).all() and rig.recogniser.speakers == speakers
+        assert certain(read).all() and (not speakers or rig.recogniser.speakers == speakers)
         assert told(read) == words
 
 

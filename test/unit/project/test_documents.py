@@ -4,12 +4,12 @@
 
 import ast
 import re
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
 import pytest
+
+from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[3]
 MOST_WORDS = 40_000
@@ -65,9 +65,7 @@ def test_the_program_of_the_calibration_page_writes_the_loads_of_its_scene(tmp_p
     program = re.search(r"^    # loads\.py\n(?:    .*\n|\n)+", page, re.MULTILINE)
     assert program is not None
     (tmp_path / "loads.py").write_text(textwrap.dedent(program[0]))
-    done = subprocess.run(
-        [sys.executable, tmp_path / "loads.py"], capture_output=True, text=True, timeout=60
-    )
+    done = run_python(tmp_path / "loads.py")
     heading, *lines = done.stdout.splitlines()
     assert (heading, len(lines), done.stderr) == ("time_s,pressure_kpa", 4000, "")
     loads = dict(line.split(",") for line in lines)

@@ -4,12 +4,11 @@
 
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from test.support.waiting import PATIENCE_S
+from test.support.programs import run_python
 
 pytest.importorskip("yaml", reason="pyyaml, which the generator needs, is not installed")
 ROOT = Path(__file__).parents[3]
@@ -18,12 +17,7 @@ PACKAGE = ("", "base", "code", "wire")
 
 
 def generate(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(root / "firmware" / "generate.py"), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
+    return run_python(root / "firmware" / "generate.py", *arguments)
 
 
 def test_generated_files_are_fresh() -> None:

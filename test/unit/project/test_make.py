@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from test.support.waiting import PATIENCE_S
+from test.support.programs import run_program
 
 ROOT = Path(__file__).resolve().parents[3]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -22,15 +22,7 @@ pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="make is no
 def make(*words: str) -> subprocess.CompletedProcess[str]:
     # Without the variables of a `make test` that runs this.
     environment = {name: text for name, text in os.environ.items() if "MAKE" not in name}
-    return subprocess.run(
-        ["make", *words],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    return run_program("make", *words, cwd=ROOT, env=environment)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@
 
 import ast
 import re
-import subprocess
-import sys
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -14,6 +12,7 @@ import pytest
 
 import tactile_cdma
 from tactile_cdma.readings.status import Status
+from test.support.programs import run_python
 
 pytestmark = pytest.mark.xdist_group("package")  # its fixture is made once
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,6 +35,8 @@ LOAD_SERIAL = {
     "sim.pressing",
     "sim.protocol_sim",
     "skin",
+    "body",
+    "live_observation",
     "wire.discovery",
     "wire.introduction",
     "wire.port",
@@ -135,8 +136,7 @@ def test_core_modules_load_neither_ros_nor_serial() -> None:
     names = [
         module for module in MODULES if module.removeprefix("tactile_cdma.") not in LOAD_SERIAL
     ]
-    command = [sys.executable, "-c", program, *names]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    run = run_python("-c", program, *names, cwd=ROOT)
     assert run.returncode == 0, run.stderr
 
 

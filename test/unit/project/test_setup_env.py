@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from test.support.programs import run_program, run_python
+
 TOOLS = Path(__file__).resolve().parents[3] / "tools"
 CHOOSE = "import setup_env; print(setup_env.choose_interpreter(any_version=True))"
 
@@ -21,18 +23,15 @@ def test_inside_a_venv_the_interpreter_is_the_same(tmp_path: Path) -> None:
     subprocess.run([base, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
 
     def chosen(python: Path) -> str:
-        command = [python, "-c", CHOOSE]
-        return subprocess.run(command, cwd=TOOLS, capture_output=True, text=True, check=True).stdout
+        return run_program(python, "-c", CHOOSE, cwd=TOOLS, check=True).stdout
 
     assert chosen(base) == chosen(tmp_path / "venv" / "bin" / "python")
 
 
 def setup(tmp_path: Path, distro: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "setup_env.py", "--venv", tmp_path / "venv", "--distro", distro]
+    command = ("setup_env.py", "--venv", tmp_path / "venv", "--distro", distro)
     inherited = {name: text for name, text in os.environ.items() if name != "ROS_DISTRO"}
-    return subprocess.run(
-        command, cwd=TOOLS, env={**inherited, **environment}, capture_output=True, text=True
-    )
+    return run_python(*command, cwd=TOOLS, env={**inherited, **environment})
 
 
 @pytest.mark.parametrize(

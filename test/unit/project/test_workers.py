@@ -2,13 +2,13 @@
 
 """A worker of pytest that dies, or hangs, fails the test that it was at; nothing waits for it."""
 
+import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from test.support.waiting import PATIENCE_S
+from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[3]
 LETHAL = """
@@ -38,19 +38,14 @@ def test_hung():
     time.sleep(3600)
 """
 LAST = LETHAL.split("@pytest.mark")[0] + "def test_last(dying):\n    pass\n"
-PLUGINS = ("-p", "test.support.workers", "-p", "no:cacheprovider")
+PLUGINS = ("-p", "xdist.plugin", "-p", "test.support.workers", "-p", "no:cacheprovider")
 
 
 def run(folder: Path, text: str, *options: str) -> subprocess.CompletedProcess[str]:
     (folder / "test_these.py").write_text(text)
-    command = (sys.executable, "-m", "pytest", *PLUGINS, "--dist", "loadgroup", "-q", *options)
-    return subprocess.run(
-        [*command, "-c", "/dev/null", folder],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
+    command = ("-m", "pytest", *PLUGINS, "--dist", "loadgroup", "-q", *options)
+    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    return run_python(*command, "-c", "/dev/null", folder, cwd=ROOT, env=environment)
 
 
 @pytest.mark.slow

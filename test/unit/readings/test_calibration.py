@@ -66,8 +66,12 @@ def test_outside_the_range_is_clamped() -> None:
     ("changes", "message"),
     [
         ({"knee_pa": 150e3}, "knee at 150 kPa must lie between 0 and the range's end at 140 kPa"),
-        ({"stage1_v_per_pa": -0.033e-3}, "positive V/kPa"),
-        ({"v0_v": 2.0}, "below 0 V"),
+        ({"stage1_v_per_pa": -0.033e-3}, r"negative .it rises., got -0\.033 and 0\.0059 V/kPa"),
+        ({"v0_v": 2.0}, "reaches -0.181 V at 140 kPa; a node measures 0…3.3 V"),
+        (
+            {"v0_v": 1.2, "stage1_v_per_pa": -0.033e-3, "stage2_v_per_pa": -0.0059e-3},
+            "reaches 3.381 V at 140 kPa; a node measures 0…3.3 V",
+        ),
     ],
 )
 def test_impossible_curves_are_refused(changes: dict, message: str) -> None:
@@ -75,11 +79,27 @@ def test_impossible_curves_are_refused(changes: dict, message: str) -> None:
         PressureCurve.two_stage(**changes)
 
 
-def test_a_curve_must_fall() -> None:
-    with pytest.raises(SpecError, match="fall strictly"):
-        PressureCurve((0.0, 1e3), (1.0, 2.0))
+def test_a_curve_must_fall_or_rise() -> None:
+    for volts in ((1.0, 1.0), (1.0, 2.0, 1.5), (2.0, 1.0, 1.5)):
+        with pytest.raises(SpecError, match="fall, or rise, strictly"):
+            PressureCurve(tuple(1e3 * corner for corner in range(len(volts))), volts)
     with pytest.raises(SpecError, match="two or more corners"):
         PressureCurve((0.0,), (1.0,))
+
+
+@pytest.mark.parametrize("rises", [True, False])
+@given(st.floats(5e3, 500e3), st.floats(0.5, 1.5))
+def test_a_power_law_in_pieces_is_that_of_its_divider(
+    rises: bool, half_pa: float, exponent: float
+) -> None:
+    """Truth: Ohm's law. R ∝ P^−a beside a fixed resistor, equal to it at half_pa."""
+    curve = PressureCurve.power_law(half_pa, exponent, 140e3, 5.0, rises)
+    pressure_pa = np.linspace(0.0, 140e3, 500)[1:]
+    ohm, fixed_ohm = 1e4 * (half_pa / pressure_pa) ** exponent, 1e4
+    volts = 5.0 * (fixed_ohm if rises else ohm) / (ohm + fixed_ohm)
+    if volts.max() < 4.5 and volts.min() > 0.5 * (not rises):
+        np.testing.assert_allclose(curve.pressure(volts), pressure_pa, atol=0.003 * 140e3)
+    assert curve.rises == rises and curve.voltage_v[0] == (0.0 if rises else 5.0)
 
 
 @st.composite

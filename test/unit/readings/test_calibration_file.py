@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CalibrationError, SpecError, TactileError
 from tactile_cdma.base.marked_yaml import MOST_BYTES
+from tactile_cdma.config.parameters import DEFAULTS
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration, seal_calibration
@@ -81,10 +82,11 @@ def test_dynamics_of_earlier_versions_are_refused_with_what_to_do(path: Path) ->
 @st.composite
 def curves(draw: st.DrawFn) -> PressureCurve:
     corners = draw(st.integers(2, 6))
-    steps_pa = draw(st.lists(st.floats(0.01, 1e6), min_size=corners - 1, max_size=corners - 1))
+    steps_pa = draw(st.lists(st.floats(0.01, 8e4), min_size=corners - 1, max_size=corners - 1))
     falls = draw(st.lists(st.floats(0.01, 1.0), min_size=corners, max_size=corners))
     fall_v = 3.3 * np.cumsum(falls[::-1])[::-1] / sum(falls)
-    return PressureCurve((0.0, *np.cumsum(steps_pa)), tuple(fall_v))
+    volts = fall_v if draw(st.booleans()) else 3.3 - fall_v
+    return PressureCurve((0.0, *np.cumsum(steps_pa)), tuple(volts))
 
 
 @given(st.lists(curves(), min_size=1, max_size=5), st.data())
@@ -132,6 +134,20 @@ def test_the_skin_configuration_reads_it(path: Path, monkeypatch: pytest.MonkeyP
         SkinConfig.of(values | {"calibration_file": "none.yaml"})
 
 
+def test_loads_in_a_wrong_unit_are_refused_until_the_sensors_range_says_otherwise(
+    path: Path,
+) -> None:
+    beyond = PressureCurve((0.0, 430e3), (3.2, 1.0))
+    write_calibration(path, Calibration.of_nodes(CURVES | {2: beyond}, DEFAULT, NODES), ADC, "palm")
+    assert "node 2: loads up to 430 kPa are 3.07 times range_kpa (140)" in refusal(path)
+    values = {"nodes": NODES, "skin": "palm", "calibration_file": str(path)}
+    with pytest.raises(CalibrationError, match=r"3\.07 times range_kpa"):
+        SkinConfig.of(values)
+    config = SkinConfig.of(values | {"range_kpa": 150.0})
+    with pytest.raises(CalibrationError, match=r"3\.07 times range_kpa"):  # of a running driver
+        config.recalibrated({**DEFAULTS, **values})
+
+
 def test_a_file_for_another_skin_is_refused(path: Path) -> None:
     assert "made for skin palm, this skin has skin thumb" in refusal(path, skin="thumb")
     assert read(path, skin="").identity  # a skin without a name takes any
@@ -169,7 +185,8 @@ def test_a_file_for_another_skin_is_refused(path: Path) -> None:
         ("skin: palm", "skin: [palm]", "skin is a list; it must be text"),
         ("vref_v: 3.3", "vref_v: .nan", r"vref_v is \.nan; it must be finite"),
         ("vref_v: 3.3", "vref_v: -1", r"vref_v is -1; it must lie within 0\.1…100 V"),
-        ("3.25", "1.65", "node 2, corner 2: 1.7 V after 1.65 V"),
+        ("3.25", "1.65", "node 2, corner 3: 1.1 V after 1.7 V"),
+        ("1.7, 1.1]", "3.25, 1.1]", "node 2, corner 2: 3.25 V after 3.25 V"),
         ("48000.0", "148000.0", "node 2, corner 3: 140000 Pa after 148000 Pa"),
         ("48000.0", "inf", "node 2, corner 2: pressure is inf; it must be finite"),
         ("48000.0", "-.INF", r"node 2, corner 2: pressure is -\.INF; it must be finite"),
@@ -178,7 +195,7 @@ def test_a_file_for_another_skin_is_refused(path: Path) -> None:
         ("[0.0, 48000.0, 140000.0]", "[0.0, 48000.0]", "node 2: 2 pressures and 3 voltages"),
         ("[0.0, 48000.0, 140000.0]", "high", "node 2: pressure is 'high'; it must be a list"),
         (", 1.1]", ", -0.1]", r"corner 3: voltage is -0\.1; it must lie within 0…3\.3 V"),
-        ("3.25", "4.25", r"corner 1: voltage is 4\.25; it must lie within 0…4\.125 V"),
+        ("3.25", "4.25", r"corner 1: voltage is 4\.25; it must lie within -0\.825…4\.125 V"),
         ("pressure: [0.0, 48000.0", "pressur: [0.0, 48000.0", "did you mean 'pressure'"),
         ("  2: {", "  1: {", "'1' again; it stands in line 1[0-9] already"),
         ("  2: {", "  02: {", "a node's number is '02'; it must be a whole number"),
@@ -261,7 +278,7 @@ def test_an_edited_file_can_be_sealed_anew(path: Path) -> None:
         seal_calibration(path)
     path.write_text(text)
     edit(path, "3.24", "1.24")
-    with pytest.raises(CalibrationError, match="node 2, corner 2"):
+    with pytest.raises(CalibrationError, match="node 2, corner 3"):
         seal_calibration(path)
 
 

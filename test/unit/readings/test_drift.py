@@ -28,6 +28,9 @@ ADC = AdcScale()
 REST_V = 930 * ADC.lsb_v
 BELOW_TOP = PressureCurve.two_stage(v0_v=REST_V)
 """A sensor whose voltage at rest the converter can see rise and fall."""
+RISING = PressureCurve(
+    BELOW_TOP.pressure_pa, tuple(REST_V + 100 * ADC.lsb_v - volts for volts in BELOW_TOP.voltage_v)
+)
 LSB_PA = ADC.lsb_v / 33e-6
 RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1000.0, release_pa=500.0)
 HOUR_S = 3600.0
@@ -37,13 +40,17 @@ class Rig:
     """Sensors of one kind behind a converter and the chain, in time of its own."""
 
     def __init__(
-        self, nodes: int, rules: RestRules = RULES, beside: np.ndarray | None = None
+        self,
+        nodes: int,
+        rules: RestRules = RULES,
+        beside: np.ndarray | None = None,
+        curve: PressureCurve = BELOW_TOP,
     ) -> None:
-        self.curve = BELOW_TOP
+        self.curve = curve
         self.calibration = Calibration.default(self.curve, nodes)
         beside = np.arange(nodes, dtype=np.int32)[:, None] if beside is None else beside
         self.baseline = Baseline(nodes)
-        self.tracker = DriftTracker(ADC.lsb_v, beside, rules)
+        self.tracker = DriftTracker(ADC, beside, rules)
         self.chain = PressureChain(self.calibration, self.baseline, self.tracker)
         self.valid = np.ones(nodes, bool)
         self.nodes, self.t_s = nodes, 0.0
@@ -165,7 +172,7 @@ def test_a_slow_load_and_a_slow_tear_are_followed_so_far_and_no_farther() -> Non
     offset_v = np.zeros(4)
     for _ in range(5):
         kept_v = rig.baseline.drift_v, rig.baseline.tared_drift_v
-        rig.tracker = rig.chain.tracker = DriftTracker(ADC.lsb_v, rig.tracker._beside, RULES)
+        rig.tracker = rig.chain.tracker = DriftTracker(ADC, rig.tracker._beside, RULES)
         rig.baseline.drift_v, rig.baseline.tared_drift_v = kept_v
         begin_s, begin_v = rig.t_s, offset_v
         rig.run(
@@ -206,14 +213,17 @@ def test_a_contact_during_drift_keeps_its_pressure(rise: float) -> None:
     assert lost_pa.max() < 1.1 * LSB_PA  # rounding to codes, twice
 
 
-def test_drift_is_followed_again_after_a_contact_even_if_the_rest_moved_by_a_count() -> None:
-    rig = Rig(1)
+@pytest.mark.parametrize("curve", [BELOW_TOP, RISING])
+def test_drift_is_followed_again_after_a_contact_even_if_the_rest_moved_by_a_count(
+    curve: PressureCurve,
+) -> None:
+    rig, moved_v = Rig(1, curve=curve), ADC.lsb_v if curve.rises else -ADC.lsb_v
     rig.run(60)
-    rig.run(600, 5e3, lambda t_s: -ADC.lsb_v * min(1.0, (t_s - 60) / 300))
-    rig.run(9, 0.0, -ADC.lsb_v)  # the sensor may have to settle
+    rig.run(600, 5e3, lambda t_s: moved_v * min(1.0, (t_s - 60) / 300))
+    rig.run(9, 0.0, moved_v)  # the sensor may have to settle
     assert rig.baseline.drift_v[0] == 0
-    rig.run(300, 0.0, -ADC.lsb_v)
-    assert abs(rig.read(0.0, -ADC.lsb_v)[0]) < 0.02 * LSB_PA
+    rig.run(300, 0.0, moved_v)
+    assert abs(rig.read(0.0, moved_v)[0]) < 0.02 * LSB_PA
 
 
 def test_two_counts_are_a_contact_while_a_count_of_drift_is_still_being_followed() -> None:

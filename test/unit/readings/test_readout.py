@@ -51,12 +51,13 @@ class Side:
         for _ in range(nodes):
             corners_pa = np.cumsum(rng.uniform(1e3, 5e4, rng.integers(1, 4)))
             corners_v = 3.2 - np.cumsum(rng.uniform(0.1, 0.8, len(corners_pa) + 1))
+            corners_v = corners_v if rng.random() < 0.5 else 3.1 - corners_v
             curves.append(PressureCurve((0.0, *corners_pa.tolist()), tuple(corners_v.tolist())))
         calibration = Calibration(Curves.of(curves), rng.random(nodes) < 0.2)
         baseline, adc = Baseline(nodes), AdcScale(spec.bits)
         baseline.tare_pa = rng.uniform(0, 500, nodes).astype(np.float32)
         baseline.drift_v = rng.uniform(-0.1, 0.1, nodes).astype(np.float32)
-        tracker = DriftTracker(adc.lsb_v, nodes_beside(layout, nodes), RestRules(5e3, 1e3, 500.0))
+        tracker = DriftTracker(adc, nodes_beside(layout, nodes), RestRules(5e3, 1e3, 500.0))
         chain = PressureChain(calibration, baseline, tracker)
         self.taxels = Taxels(nodes, adc, chain, layout, STALE_S)
 

@@ -62,14 +62,6 @@ def test_times_of_few_digits_are_taken_as_evenly_spaced(tmp_path: Path) -> None:
     assert capture.rate_hz == pytest.approx(200e3, rel=0.06)
 
 
-@pytest.mark.parametrize("sep", [";", "\t"])
-def test_decimal_commas_are_understood(tmp_path: Path, sep: str) -> None:
-    lines = [line.replace(".", ",") for line in rows(sep=sep)]
-    [(start_s, volts)] = read_scope_csv(write(tmp_path / "scope.csv", lines)).pieces
-    assert start_s == pytest.approx(-1e-3)
-    assert np.allclose(volts, VOLTS, atol=1e-3)
-
-
 @pytest.mark.parametrize("bad", ["nan", "inf", "9.9E+37"])
 def test_non_numbers_split_the_recording_and_are_noted(tmp_path: Path, bad: str) -> None:
     lines = rows()

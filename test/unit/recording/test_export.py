@@ -38,13 +38,15 @@ def skin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFr
     folder = tmp_path_factory.mktemp("export")
     raw, path = folder / "touch.raw", folder / "touch.skin"
     record(raw, SimOptions(scene="moving", seed=2, dead="5"), 1.5)
-    with Recorder(path, "sim://", 9600, {"amplitude_mv": 300.0, "frame_id": "palm"}) as recorder:
+    asked = {"amplitude_mv": 300.0, "frame_id": "palm", "threshold": 0.45}  # its earlier name
+    with Recorder(path, "sim://", 9600, asked) as recorder:
         begin_s = describe(path).monotonic_ns * 1e-9
         data = raw.read_bytes()
         for i in range(0, len(data), 1000):
             recorder.write(data[i : i + 1000], begin_s + 1.5 * i / len(data))
-    frames = list(RawCapture(path, {}).frames())
-    assert len(frames) > 80
+    capture = RawCapture(path, {})
+    frames = list(capture.frames())
+    assert len(frames) > 80 and capture.config.active_share == 0.45
     return path, frames
 
 

@@ -337,7 +337,7 @@ def test_a_calibration_with_the_same_curves_keeps_the_tare(
     run.set(calibration_file=str(calibration))
     assert run.changes == 3 and run.log.infos[-1].endswith("tare and drift stay, by its curves")
     assert np.allclose(run.stream(0.1).pressure_pa, 0, atol=15)
-    run.set(threshold=0.6)
+    run.set(active_share=0.6)
     assert run.changes == 3
 
 

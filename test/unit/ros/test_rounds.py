@@ -7,7 +7,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.ros.body.rounds import Rounds
+from tactile_cdma.messages.rounds import Rounds
 
 
 class Gatherer:

@@ -3,8 +3,6 @@
 """sim://?scene=external: what a program presses, through sensors, ADC, line and decoder."""
 
 import re
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pressing import press
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.programs import run_python
 
 STEPPED = "sim://?scene=external&speed=0"
 LAYOUT = Layout.grid(16, 4, 4, 7e-3, 7e-3)
@@ -183,7 +182,7 @@ def test_other_ports_are_not_pressed() -> None:
 
 def test_the_example_feels_what_it_presses() -> None:
     example = Path(__file__).resolve().parents[3] / "examples" / "press_a_skin.py"
-    done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True)
+    done = run_python(example)
     assert (done.returncode, done.stderr) == (0, "")
     lines = [re.findall(r"[\d.]+(?= N| mm)", line) for line in done.stdout.splitlines()]
     depth_mm, pressed_n, felt_n, felt_mm, true_mm = np.array(lines, dtype=float).T

@@ -3,8 +3,6 @@
 """What is logged: files, ports and whatever changes how frames are made, but no single frame."""
 
 import logging
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
+from test.support.programs import run_python
 from test.support.simulated import record
 
 
@@ -86,8 +85,6 @@ def test_a_digitizer_is_logged_and_a_replay_that_begins_again(
 @pytest.mark.parametrize("verbose", [True, False])
 def test_the_command_logs_on_stderr_if_asked_to(recording: Path, verbose: bool) -> None:
     words = ["-v"] * verbose + ["info", str(recording)]
-    done = subprocess.run(
-        [sys.executable, "-m", "tactile_cdma", *words], capture_output=True, text=True, check=True
-    )
+    done = run_python("-m", "tactile_cdma", *words, check=True)
     assert (f"tactile_cdma.base.named_file: reading {recording}\n" in done.stderr) == verbose
     assert "checksum: right" in done.stdout

@@ -6,7 +6,6 @@ import doctest
 import gc
 import math
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -21,6 +20,7 @@ from tactile_cdma import Decoder, Frame, Origin, Skin, Status, read_recording
 from tactile_cdma.base.errors import ParameterError, PortError, RestError, SpecError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.recording.recording_file import Recorder
+from test.support.programs import run_python
 from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("public_skin")
@@ -63,9 +63,7 @@ def test_every_public_name_is_there_and_nothing_else_is_loaded_before() -> None:
         "print([getattr(t, name).__doc__ is not None for name in t.__all__])\n"
         "print('rclpy' in sys.modules, set(t.__all__) <= set(dir(t)))\n"
     )
-    answer = subprocess.run(
-        [sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    answer = run_python("-c", probe, cwd=ROOT, check=True)
     assert "False" not in answer.stdout.splitlines()[0]
     assert answer.stdout.splitlines()[1] == "False True"
     with pytest.raises(AttributeError, match="no attribute 'Skim'"):

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the metadata of an exported dataset say of its columns."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import CaptureError
+from ..samples import CONTACT_NAMES, WRENCH_NAMES, Kind, PatchInfo, SampleStream
+from ..touch import MODES, POLICIES
+from . import ABOUT, INFO
+from .features import Feature, column, features_of
+
+_GROUPS = {Kind.CONTACTS: CONTACT_NAMES, Kind.WRENCH: WRENCH_NAMES}
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetMeta:
+    """An exported dataset, as far as its rows are made of skins and a state.
+
+    patches, slots: the skins, and how many samples of each a tick has, by name. streams: by column.
+    others: the observations that something else makes, such as images. about: what is known of the
+    patches in the first file, by name.
+    """
+
+    path: Path
+    fps: int
+    mode: str
+    policy: str
+    patches: dict[str, PatchInfo]
+    streams: dict[str, SampleStream]
+    slots: dict[str, int]
+    features: list[Feature]
+    others: list[str]
+    about: dict[str, dict[str, Any]]
+
+    @classmethod
+    def read(cls, folder: Path) -> DatasetMeta:
+        """Raises CaptureError for a folder that `tactile-cdma export --lerobot` did not write."""
+        info, tactile = (_content(folder / name) for name in (INFO, ABOUT))
+        try:
+            patches = {name: _patch(name, taxels) for name, taxels in tactile["taxels"].items()}
+            slots = {name: int(taxels["samples"]) for name, taxels in tactile["taxels"].items()}
+            streams = [_stream(name, patches, info["features"]) for name in info["features"]]
+            found = {column(stream): stream for stream in streams if stream is not None}
+            mode, policy, fps = tactile["samples"], tactile["nan"], int(info["fps"])
+            if mode not in MODES or policy not in POLICIES:
+                raise ValueError(f"samples {mode!r}, nan {policy!r}")
+            features = features_of(found.values(), slots, mode)
+            for feature in features:
+                if info["features"].get(feature.name) != feature.content():
+                    raise ValueError(f"another {feature.name}")
+            about = {patch["patch"]: patch for patch in reversed(tactile["patches"])}
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise CaptureError(f"{folder}: no dataset of this version's export: {error}") from None
+        made = {feature.name for feature in features}
+        others = [name for name in info["features"] if name.startswith("observation.")]
+        others = [name for name in others if name not in made]
+        return cls(folder, fps, mode, policy, patches, found, slots, features, others, about)
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise CaptureError(
+            f"{path}: not read: {reason}; is its folder a dataset of tactile-cdma export --lerobot?"
+        ) from None
+    if not isinstance(found, dict):
+        raise CaptureError(f"{path}: not an object")
+    return found
+
+
+def _stream(
+    name: str, patches: dict[str, PatchInfo], features: dict[str, Any]
+) -> SampleStream | None:
+    """The stream of a column of the skins or of the state; None for any other."""
+    if name == "observation.state":
+        names = tuple(features[name]["names"])
+        return SampleStream(name, Kind.STATE, "state", (len(names),), names)
+    kind, _, feature = name.removeprefix("observation.").partition(".")
+    if feature not in patches:
+        return None
+    if kind == Kind.TACTILE:
+        patch = patches[feature]
+        return SampleStream(name, Kind.TACTILE, feature, (len(patch),), patch=patch)
+    for derived, names in _GROUPS.items():
+        if kind == derived:
+            return SampleStream(name, derived, feature, (len(names),), names)
+    return None
+
+
+def _patch(name: str, taxels: dict[str, Any]) -> PatchInfo:
+    count = len(taxels["node"])
+    places = [
+        np.full(shape, np.nan) if taxels[key] is None else np.array(taxels[key]).reshape(shape)
+        for key, shape in (
+            ("position_m", (count, 3)),
+            ("normal", (count, 3)),
+            ("area_m2", (count,)),
+        )
+    ]
+    return PatchInfo(
+        name=name,
+        topic="",
+        rows=int(taxels["rows"]),
+        columns=int(taxels["columns"]),
+        nodes=np.array(taxels["node"], dtype=np.uint16),
+        positions_m=places[0].astype(np.float32),
+        normals=places[1].astype(np.float32),
+        areas_m2=places[2].astype(np.float32),
+        frame_period_s=float("nan"),
+        about={},
+    )

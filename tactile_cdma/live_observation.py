@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a policy was trained on, live: the features of an exported dataset, from running skins."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .base.errors import CaptureError, ObservationError, ParameterError
+from .config.parameters import BY_NAME
+from .config.skin_config import CURVE_PARAMETERS, FRAME_PARAMETERS
+from .datasets.alignment import Present, Tick
+from .datasets.lerobot.features import cells, obstacle
+from .datasets.lerobot.meta import DatasetMeta
+from .datasets.samples import (
+    NANO,
+    Kind,
+    Sample,
+    SkinFrame,
+    check_taxels,
+    differences,
+    in_order,
+)
+from .datasets.skin_samples import patch_info, samples_of
+from .datasets.touch import TouchStream
+from .skin import Frame, Skin
+
+LAG_S = 0.1
+"""An observation is as of the moment that every stream has passed, but at most this old, s, or two
+frame periods of the slowest skin. Chosen: above what a frame takes from its middle on the wire."""
+_READING = (
+    *(
+        *FRAME_PARAMETERS,
+        "chip_us",
+        "sign_seed",
+        "amplitude_mv",
+        "timing",
+        "vref_v",
+        "active_share",
+    ),
+    *(*sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "drift_pa_per_min"),
+    *("contact_kpa", "release_kpa"),
+)
+"""Parameters that readings or contacts depend on; a calibration has its identity."""
+_DERIVED = Kind.TACTILE, Kind.CONTACTS, Kind.WRENCH
+
+
+class LiveObservation:
+    """The observation of a dataset, feature by feature, by the code that exported it.
+
+        with Skin(port, contacts=True, **LiveObservation.parameters("grasps")) as skin:
+            observation = LiveObservation("grasps", skin)
+            while True:
+                observation.state(joints)
+                action = policy(observation.read())
+
+    dataset: a folder that `tactile-cdma export --lerobot` wrote.
+    skins: open skins by the name that their patch has in the dataset; one skin where it has one
+        patch. Their frames go here: nobody else must read them. contacts=True is needed where the
+        dataset has contacts or wrench.
+    features: shape and dtype of what read() gives, by name. others: the dataset's observations that
+        the program has to add itself, such as images.
+
+    CaptureError: raised for a folder that is no such dataset, and for other taxels than its.
+    ParameterError: raised where a skin is missing, is too many, or does not find contacts.
+    """
+
+    def __init__(self, dataset: str | PathLike[str], skins: Skin | Mapping[str, Skin]) -> None:
+        self._meta = meta = DatasetMeta.read(Path(dataset))
+        self._skins = {next(iter(meta.slots)): skins} if isinstance(skins, Skin) else dict(skins)
+        if self._skins.keys() != meta.slots.keys():
+            names = ", ".join(meta.slots)
+            raise ParameterError(f"skins {', '.join(self._skins) or 'none'}; {dataset} has {names}")
+        for name, skin in self._skins.items():
+            self._check(name, skin)
+        touch = {
+            key: TouchStream(stream.shape[0], meta.slots[stream.feature], meta.mode, meta.policy)
+            for key, stream in meta.streams.items()
+            if stream.kind == Kind.TACTILE
+        }
+        self._present = Present(meta.streams, touch, meta.fps)
+        self._ahead_ns = time.time_ns() - time.monotonic_ns()  # of the monotonic clock
+        self._begin_ns = time.time_ns()
+        slowest_s = max(skin.config.spec.frame_period_s for skin in self._skins.values())
+        self._lag_ns = round(max(LAG_S, 2 * slowest_s) * NANO)
+        self.features = {one.name: (one.shape, np.dtype(one.dtype)) for one in meta.features}
+        self.others = tuple(meta.others)
+
+    def __repr__(self) -> str:
+        return f"LiveObservation({str(self._meta.path)!r}, {len(self.features)} features)"
+
+    @staticmethod
+    def parameters(dataset: str | PathLike[str], patch: str = "") -> dict[str, Any]:
+        """Parameters with which a patch of the dataset was decoded, for Skin.
+
+        patch: its name; may be missing where there is one. Raises CaptureError where it was not
+        decoded by the export: of a bag, the driver's parameters are not known.
+        """
+        meta = DatasetMeta.read(Path(dataset))
+        found = meta.about.get(patch or next(iter(meta.slots)), {}).get("parameters")
+        if found is None:
+            raise CaptureError(f"{dataset}: no parameters of {patch or 'its patch'}: of a bag?")
+        return {name: value for name, value in found.items() if name in BY_NAME and name != "port"}
+
+    @property
+    def notes(self) -> list[str]:
+        """How what these skins find may differ from what the dataset holds, in sentences."""
+        return [
+            difference
+            for name, skin in self._skins.items()
+            for difference in _differences(name, skin, self._meta.about.get(name, {}))
+        ]
+
+    def state(
+        self,
+        values: ArrayLike | Mapping[str, float],
+        names: Sequence[str] = (),
+        stamp_ns: int | None = None,
+    ) -> None:
+        """Take the robot's state, observation.state: call it as often as one is measured.
+
+        values: by name, or in the order of names; without names, in the order of the dataset.
+        stamp_ns: Unix time at which it was measured; now, unless it is given. Raises
+        ParameterError for other names than the dataset's, or another number of values.
+        """
+        key = "observation.state"
+        if (stream := self._meta.streams.get(key)) is None:
+            raise ParameterError(f"{self._meta.path} has no {key}")
+        if isinstance(values, Mapping):
+            names, values = tuple(values), list(values.values())
+        array = np.asarray(values, dtype=np.float32)
+        given = tuple(names) or stream.names
+        if array.shape != (len(given),) or (found := in_order(array, given, stream.names)) is None:
+            raise ParameterError(
+                f"{key} has {array.size} values of {', '.join(given)}; the dataset's are "
+                f"{', '.join(stream.names)}"
+            )
+        now_ns = self._now_ns()
+        self._present.add(Sample(key, now_ns if stamp_ns is None else stamp_ns, now_ns, found))
+
+    def read(self) -> dict[str, NDArray[Any]]:
+        """The observation of the present, at once: arrays as the dataset has them, by feature.
+
+        Of the newest moment that all streams have passed, so that nothing of it can still be on its
+        way, but none older than LAG_S. Raises ObservationError, with the reason, where the dataset
+        would have no row: a stream has not begun, the state is too old, or, with --nan drop, a
+        taxel has no valid reading. PortError if a skin is closed.
+        """
+        for name, skin in self._skins.items():
+            for frame in skin.waiting():
+                self.take(frame, name)
+        now_ns = self._now_ns()
+        passed_ns = min((stamp for stamp, _ in self._present.newest.values()), default=now_ns)
+        return self.at(max(min(now_ns, passed_ns), now_ns - self._lag_ns, self._present.done_ns))
+
+    def take(
+        self,
+        frame: Frame,
+        patch: str = "",
+        stamp_ns: int | None = None,
+        uncertainty_s: float = 0.0,
+    ) -> None:
+        """Take a frame that the program has read itself; read() does so with all that wait.
+
+        patch: its name in the dataset; may be missing where there is one. stamp_ns: Unix time of
+        its middle, if that is not t_host, as in a replay, and what it may be off by, s.
+        """
+        patch = patch or next(iter(self._skins))
+        if stamp_ns is None:
+            uncertainty_s = frame.stamp_uncertainty_s
+            stamp_ns = round(frame.t_host * NANO) + self._ahead_ns
+        touch = SkinFrame(
+            sequence=frame.sequence,
+            device_time_s=frame.t_device,
+            wall_time_s=stamp_ns / NANO,
+            stamp_uncertainty_s=uncertainty_s,
+            noise_v=frame.noise_rms_v,
+            pressure_pa=frame.pressure_pa,
+            voltage_v=frame.voltage_v,
+            status=frame.status,
+        )
+        keys = [f"observation.{kind}.{patch}" for kind in _DERIVED]
+        for sample in samples_of(keys, touch, frame.contacts, stamp_ns, self._now_ns()):
+            if sample.stream in self._meta.streams:
+                self._present.add(sample)
+
+    def at(self, time_ns: int) -> dict[str, NDArray[Any]]:
+        """The observation of a moment, Unix time, of what was taken; not before the last one's.
+
+        Raises ObservationError as read().
+        """
+        row = self._present.row(Tick(time_ns, 0, self._present.done_ns))
+        streams = self._meta.streams.values()
+        reason = obstacle(row, streams, self._meta.policy, self._begin_ns, "this run")
+        if reason is not None:
+            raise ObservationError(reason + self._problems())
+        found = cells(row, streams)
+        return {
+            name: np.asarray(found[name], dtype=dtype).reshape(shape)
+            for name, (shape, dtype) in self.features.items()
+        }
+
+    def _problems(self) -> str:
+        """Why skins send nothing, as far as they know."""
+        found = [skin.problem for skin in self._skins.values() if skin.problem]
+        return f" ({'; '.join(found)})" if found else ""
+
+    def _now_ns(self) -> int:
+        return time.monotonic_ns() + self._ahead_ns
+
+    def _check(self, name: str, skin: Skin) -> None:
+        """Refuse a skin whose taxels are not those of the dataset, or that finds no contacts."""
+        mine, its = patch_info(skin.config, skin.source, name, {}), self._meta.patches[name]
+        if np.isfinite(its.positions_m).all():  # else the dataset's bag did not say
+            check_taxels(mine, its, self._meta.path, "the skin")
+        elif len(mine) != len(its):
+            raise CaptureError(f"{self._meta.path}: {name} has {len(its)} taxels, not {len(mine)}")
+        derived = [f"observation.{kind}.{name}" for kind in (Kind.CONTACTS, Kind.WRENCH)]
+        if not skin.contacts and not self._meta.streams.keys().isdisjoint(derived):
+            raise ParameterError(
+                f"{self._meta.path} has contacts of {name}: open it with Skin(…, contacts=True)"
+            )
+
+
+def _differences(name: str, skin: Skin, about: Mapping[str, Any]) -> Iterator[str]:
+    """How what a skin finds may differ from what it found for a dataset, by about."""
+    mine = patch_info(skin.config, skin.source, name, {}).about
+    yield from differences(name, about, mine, "the dataset")
+    if (asked := about.get("parameters")) is None:
+        return  # of a bag, which does not say
+    for parameter in _READING:
+        default = BY_NAME[parameter].default
+        now, then = (some.get(parameter, default) for some in (skin.parameters, asked))
+        if now != then:
+            yield f"{parameter} of patch {name} is {now!r}, in the dataset {then!r}"

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A skin for programs of rclpy: what it feels, whether that can be relied on, and its services."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from numpy.typing import NDArray
+from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
+
+from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
+from tactile_cdma.srv import Tare
+
+from ..base.arrays import Bools, Floats, Floats32
+from ..base.errors import MessageError, ParameterError, PortError
+from ..readings.status import is_certain
+from .common.convert import readings_of, rows
+from .common.qos import FRESH, LATCHED
+from .common.touches import STATE, Touches
+
+SILENT_S = 0.5
+"""A skin that has sent nothing for longer, s, is not felt any more; chosen for control."""
+ANSWER_S = 5.0
+"""Longest wait for a service, s, besides what was asked of it; chosen: discovery takes a second."""
+SETTLED_S = 0.3
+"""A contact's speed counts from this age on, s: until then it is still spreading; chosen."""
+_NO_STATES = np.zeros(0, dtype=STATE)
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """What a skin feels.
+
+    problem: why nothing is to be concluded from it, in words; empty if every taxel in service has a
+        certain reading.
+    contacts: the newest message, as arrays; None if the skin is silent.
+    """
+
+    problem: str
+    contacts: Touches | None
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether touched, untouched and all amounts are to be relied on."""
+        return not self.problem
+
+    @property
+    def touched(self) -> bool:
+        """Whether there is a contact, by certain readings; also where others are blind."""
+        return self.contacts is not None and self.contacts.touched
+
+    @property
+    def pressure_pa(self) -> float:
+        """Pressure of the most loaded taxel in contact, Pa; 0 without a contact."""
+        return float(self._states["pressure_max"].max(initial=0.0))
+
+    @property
+    def force_n(self) -> Floats:
+        """(3,) resultant force on the skin, N; NaN if it is not known."""
+        return np.full(3, np.nan) if self.contacts is None else self.contacts.force_n
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the fastest contact that has settled, m/s: it slides, or rolls."""
+        if self.contacts is None:
+            return 0.0
+        velocities = self._states["velocity"][self.contacts.ids["age"] > SETTLED_S]
+        return float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
+
+    @property
+    def _states(self) -> NDArray[np.void]:
+        return _NO_STATES if self.contacts is None else self.contacts.states
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TaxelFrame:
+    """One TactileArray, with the places of its taxels.
+
+    pressure_pa: (t,) float32, Pa, NaN without a reading. valid: (t,) bool, with a certain one.
+    positions_m, normals: (t, 3) float64. areas_m2: (t,) float32.
+    """
+
+    message: TactileArray
+    pressure_pa: Floats32
+    valid: Bools
+    positions_m: Floats
+    normals: Floats
+    areas_m2: Floats32
+
+
+class SkinClient:
+    """A driver's topics and services, for a node of the program's own.
+
+        skin = SkinClient(node, "/left_palm/skin", on_touch=feel)
+
+    on_touch: called with a Touch for every frame, and repeatedly, with a problem, while the skin is
+        silent. frames: also receive the taxels, see frame.
+    touch, info: the newest; a touch that is too old has a problem. info: None before the first one.
+
+    Methods that wait for an answer are for threads other than the one that spins the node: in
+    callbacks use tare_async.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        skin: str = "/skin",
+        on_touch: Callable[[Touch], None] | None = None,
+        frames: bool = False,
+        silent_after_s: float = SILENT_S,
+    ) -> None:
+        self.info: TactileSkinInfo | None = None
+        self._node, self._on_touch = node, on_touch
+        self._silent_after_s = silent_after_s
+        self._contacts: Touches | None = None
+        self._heard_s = self._array_s = -math.inf
+        self._array: TactileArray | None = None
+        subscribe = node.create_subscription
+        self._topic = subscribe(
+            TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True
+        ).topic_name
+        subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
+        if frames:
+            subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
+        self._tare = node.create_client(Tare, f"{skin}/tare")
+        self._get_state = node.create_client(GetState, f"{skin}/get_state")
+        self._change_state = node.create_client(ChangeState, f"{skin}/change_state")
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
+        node.create_timer(silent_after_s / 2, self._watch, clock=steady)
+
+    @property
+    def touch(self) -> Touch:
+        """What the skin feels now."""
+        silent_s, found = time.monotonic() - self._heard_s, self._contacts
+        if found is None or silent_s > self._silent_after_s:
+            return Touch(self._silence(silent_s), None)
+        problem = ""
+        if not found.taxels_valid == found.taxels_in_service > 0:
+            valid, of = found.taxels_valid, found.taxels_in_service
+            problem = f"blind: {valid} of {of} taxels in service have a certain reading"
+        elif not (found.touched or found.untouched):
+            problem = "uncertain: a taxel reads below its zero, so whether it is touched is unknown"
+        return Touch(problem, found)
+
+    @property
+    def frame(self) -> TaxelFrame | None:
+        """The newest frame of the taxels; None if it is too old, or without its info."""
+        array, info = self._array, self.info
+        if array is None or info is None or array.info_id != info.info_id:
+            return None
+        if time.monotonic() - self._array_s > self._silent_after_s:
+            return None
+        try:
+            pressure_pa, status = readings_of(array)
+        except MessageError:
+            return None
+        if len(pressure_pa) != len(info.positions):
+            return None
+        return TaxelFrame(
+            message=array,
+            pressure_pa=pressure_pa,
+            valid=np.isfinite(pressure_pa) & is_certain(status),
+            positions_m=rows(info.positions),
+            normals=rows(info.normals),
+            areas_m2=np.array(info.area, dtype=np.float32),
+        )
+
+    def tare(self, force: bool = False, wait_s: float = 0.0) -> Tare.Response:
+        """Take the present reading as zero; waits up to wait_s for what may pass.
+
+        Returns the answer, with success, message and reason. Raises PortError without one.
+        """
+        return self._call(self._tare, Tare.Request(force=force, wait=wait_s), wait_s)
+
+    def tare_async(self, force: bool = False, wait_s: float = 0.0) -> Future:
+        """The same, for callbacks: a future of the answer, which is not done without a driver."""
+        return self._tare.call_async(Tare.Request(force=force, wait=wait_s))
+
+    def state(self) -> str:
+        """Of the driver's lifecycle: unconfigured, inactive, active, …; raises PortError."""
+        return str(self._call(self._get_state, GetState.Request()).current_state.label)
+
+    def change(self, transition: str) -> bool:
+        """Ask for one of TRANSITIONS; returns whether it succeeded. Raises PortError."""
+        if (number := TRANSITIONS.get(transition)) is None:
+            raise ParameterError(f"no transition {transition!r}: {', '.join(TRANSITIONS)}")
+        request = ChangeState.Request(transition=Transition(id=number))
+        return bool(self._call(self._change_state, request).success)
+
+    def _call(self, client: Client, request: Any, wait_s: float = 0.0) -> Any:
+        if not client.wait_for_service(timeout_sec=ANSWER_S):
+            raise PortError(f"no {client.srv_name}: does the driver run, with that name?")
+        future, done = client.call_async(request), threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(ANSWER_S + wait_s):
+            client.remove_pending_request(future)
+            raise PortError(
+                f"{client.srv_name} did not answer within {ANSWER_S + wait_s:g} s; does another "
+                "thread spin this node?"
+            )
+        return future.result()
+
+    def _silence(self, silent_s: float) -> str:
+        if not self._node.count_publishers(self._topic):
+            return f"silent: no driver publishes {self._topic}"
+        since = f" for {silent_s:.1f} s" if silent_s < math.inf else " yet"
+        return f"silent: nothing on {self._topic}{since}; /diagnostics tell why"
+
+    def _watch(self) -> None:
+        if self._on_touch and time.monotonic() - self._heard_s > self._silent_after_s:
+            self._on_touch(self.touch)
+
+    def _take_contacts(self, message: bytes) -> None:
+        with suppress(MessageError):  # of no driver of ours; it would end the program's executor
+            self._contacts, self._heard_s = Touches.read(message), time.monotonic()
+        if self._on_touch:
+            self._on_touch(self.touch)
+
+    def _take_info(self, message: TactileSkinInfo) -> None:
+        self.info = message
+
+    def _take_array(self, message: TactileArray) -> None:
+        self._array, self._array_s = message, time.monotonic()

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The drivers of many patches in one process: `skin_patches body.yaml --only left_palm`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.utilities import remove_ros_args
+from std_msgs.msg import Header
+
+from ...base.errors import TactileError
+from ...base.plain_text import plain
+from ...config.body_file import Patch, read_body
+from ..common.convert import diagnostic
+from ..common.process import run_node
+from .node import SkinNode
+
+RETRY_S = 2.0
+"""Time between attempts to make a node, s; chosen as between those to start it."""
+
+
+class PatchesNode(Node):
+    """Has a SkinNode for every patch, served by the executor that serves this one.
+
+    A node that cannot be made, because of its parameters, say, takes no other with it: /diagnostics
+    and the log say why, and it is tried again with its parameter file as it is then.
+    """
+
+    def __init__(self, patches: Sequence[Patch]) -> None:
+        super().__init__("patches", namespace=f"/{patches[0].name}")
+        self._missing = list(patches)
+        self._faults: dict[str, str] = {}  # by node
+        self._nodes: list[SkinNode] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
+        self._first = self.create_timer(0.0, self._make, clock=steady)
+        self._timer = self.create_timer(RETRY_S, self._make, clock=steady)
+
+    def destroy_node(self) -> None:
+        """End the patches' nodes, too."""
+        for node in self._nodes:
+            node.destroy_node()
+        super().destroy_node()
+
+    def _make(self) -> None:
+        """Make the nodes that are missing; report those that cannot be made."""
+        self._first.cancel()
+        for patch in list(self._missing):
+            try:
+                node = made(patch)
+            except Exception as error:  # whatever it is, it is this patch's
+                self._report(patch.node, plain(str(error)) or type(error).__name__)
+                continue
+            self._missing.remove(patch)
+            self._nodes.append(node)
+            assert self.executor is not None
+            self.executor.add_node(node)
+        if not self._missing:
+            self._timer.cancel()
+
+    def _report(self, name: str, fault: str) -> None:
+        if self._faults.get(name) != fault:
+            self._faults[name] = fault
+            self.get_logger().error(f"{name} cannot run: {fault}")
+        entry = diagnostic(f"{name.lstrip('/')}: process", DiagnosticStatus.ERROR, fault, {})
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=[entry]))
+
+
+def made(patch: Patch) -> SkinNode:
+    """The driver node of a patch; raises what rcl, or the node, does not take."""
+    overrides: list[Any] = [
+        Parameter(name, value=list(value) if isinstance(value, tuple) else value)
+        for name, value in patch.parameters.items()
+    ]
+    file = ["--ros-args", "--params-file", str(patch.params_file)] if patch.params_file else None
+    return SkinNode(namespace=f"/{patch.name}", parameter_overrides=overrides, cli_args=file)
+
+
+def main() -> int:
+    """Run the nodes until interrupted; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="skin_patches", description=__doc__, allow_abbrev=False)
+    parser.add_argument("body_file", type=Path)
+    parser.add_argument("--only", default="", metavar="NAMES", help="left_palm,left_arm; all")
+    arguments = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    try:
+        patches = read_body(arguments.body_file.expanduser()).only(arguments.only)
+    except TactileError as error:
+        print(f"skin_patches: {error}", file=sys.stderr)
+        return 1
+    return run_node(partial(PatchesNode, patches), "skin_patches")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

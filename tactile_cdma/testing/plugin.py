@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The pytest plugin that comes with this package; docs/programs.md shows its use.
+
+Its fixtures are simulated_skin and simulated_driver. They take parameters of the skin, and sim for
+more options of its URL, from a marker:
+
+    @pytest.mark.simulated_skin(nodes=24, frame_period_ms=16.0, sim="dead=3,4")
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from ..ros.client import SkinClient, Touch
+    from ..sim.indenters import Indenter
+    from ..skin import Skin
+
+MARKER = "simulated_skin"
+PORT = "sim://?scene=external&speed=0&threshold=0"
+"""A skin that a test presses, frame by frame; every node speaks in every frame."""
+_OF_BOTH = {name: name for name in ("nodes", "rows", "columns", "pitch_mm")}
+_OF_BOTH |= {"layout_file": "layout"}
+"""Parameters that the simulated skin needs as options, too, so that it is the same skin."""
+START_S = 30.0
+"""Longest wait for a driver's start, s; chosen for a busy computer."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the marker."""
+    config.addinivalue_line(
+        "markers", f"{MARKER}(sim='', **parameters): the skin of simulated_skin, simulated_driver"
+    )
+
+
+@pytest.fixture
+def simulated_skin(request: pytest.FixtureRequest) -> Iterator[Skin]:
+    """An open Skin that a test presses: frame = simulated_skin.step(Sphere(…)); without ROS."""
+    from ..skin import Skin
+
+    with Skin(contacts=True, **_parameters(request)) as skin:
+        yield skin
+
+
+@pytest.fixture
+def simulated_driver(request: pytest.FixtureRequest) -> Iterator[SimulatedDriver]:
+    """A driver node, /skin, in a process of its own, that a test presses: simulated_driver.step().
+
+    It is in the ROS domain of the environment, and so are the nodes that are to be tested.
+    """
+    with ExitStack() as ends:
+        yield SimulatedDriver(_parameters(request), ends)
+
+
+class SimulatedDriver:
+    """A driver of a simulated skin, and a client of it.
+
+    client: a SkinClient; step() has it receive what is new.
+    """
+
+    client: SkinClient
+
+    def __init__(self, parameters: dict[str, Any], ends: ExitStack) -> None:
+        """ends: ends everything, when it is closed.
+
+        Raises what Skin does for wrong parameters, RuntimeError if the driver ends, TimeoutError.
+        """
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+
+        from ..msg import SimObjects
+        from ..ros.client import SkinClient
+        from ..skin import Skin
+
+        Skin(**parameters)  # a driver would only wait for better ones
+        folder = ends.enter_context(tempfile.TemporaryDirectory())
+        given = [
+            f"{name}:={value}" for name, value in ({"state_folder": folder} | parameters).items()
+        ]
+        words = [word for one in given for word in ("-p", one)]
+        command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args", *words]
+        self.process = subprocess.Popen(command)
+        ends.callback(self._end)
+        context = rclpy.Context()
+        context.init()
+        ends.callback(context.try_shutdown)
+        node = Node("simulated_driver_client", context=context)
+        ends.callback(node.destroy_node)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(node)
+        ends.callback(self._executor.shutdown)
+        self._touches: list[Touch] = []
+        self.client = SkinClient(node, on_touch=self._touches.append, silent_after_s=START_S)
+        self._objects = node.create_publisher(SimObjects, "/skin/sim/objects", 10)
+        self._spin_until(
+            lambda: (
+                node.count_publishers("/skin/contacts") and self._objects.get_subscription_count()
+            ),
+            START_S,
+        )
+        # Discovery goes both ways: the first frames may pass unheard.
+        self._spin_until(lambda: self._heard(()), START_S)
+
+    def step(self, *objects: Indenter, timeout_s: float = 5.0) -> Touch:
+        """Let these objects, and no others, touch the skin for one frame; returns what it feels."""
+        from ..ros.driver.objects import sim_objects
+
+        self._touches.clear()
+        self._objects.publish(sim_objects(objects))
+        self._spin_until(lambda: self._touches, timeout_s)
+        return self._touches[-1]
+
+    def _heard(self, objects: tuple[Indenter, ...]) -> bool:
+        try:
+            self.step(*objects, timeout_s=0.5)
+        except TimeoutError:
+            return False
+        return True
+
+    def _spin_until(self, condition: Callable[[], object], timeout_s: float) -> None:
+        end_s = time.monotonic() + timeout_s
+        while not condition():
+            if self.process.poll() is not None:
+                raise RuntimeError("the driver has ended; what it says is above")
+            if time.monotonic() > end_s:
+                raise TimeoutError(f"no answer of the driver within {timeout_s:g} s")
+            self._executor.spin_once(0.05)
+
+    def _end(self) -> None:
+        self.process.terminate()
+        try:
+            self.process.wait(10)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+def _parameters(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Of the skin that a test's marker asks for, its port among them."""
+    marker = request.node.get_closest_marker(MARKER)
+    parameters = dict(marker.kwargs) if marker else {}
+    options = [f"{own}={parameters[name]}" for name, own in _OF_BOTH.items() if name in parameters]
+    if more := parameters.pop("sim", ""):
+        options.append(more)
+    return {"port": "&".join([PORT, *options])} | parameters

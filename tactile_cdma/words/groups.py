@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""In how many groups the nodes transmit by turns, where more want to speak than a frame holds."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from ..base.arrays import Bools
+from ..wire._protocol import TURN_MOST_LOG2
+
+OVERLOADS = 2
+"""Frames in a row beyond the capacity that divide the nodes. Chosen: one is a disturbed frame."""
+FULL, CALM = 0.8, 0.5
+"""Share of the capacity that a group may fill; and that all nodes together have to stay below for
+CALM_S until they speak at once again. Chosen: how many spoke is an estimate, and no to and fro."""
+CALM_S = 1.0
+
+
+def groups_of(turn: int) -> int:
+    """Into how many groups nodes are divided in a frame of this turn; see docs/protocol.md."""
+    return 1 << turn.bit_length() - 1 if turn else 1
+
+
+def out_of_turn(turn: int, nodes: int) -> Bools:
+    """The nodes that keep silent whatever they have to say, (n,)."""
+    groups = groups_of(turn)
+    waits: Bools = np.arange(1, nodes + 1) % groups != turn % groups
+    return waits
+
+
+class Groups:
+    """Follows how many speak, and decides into how many groups they should be divided.
+
+    Of those that speak in their turn, who did in the one before would speak in every frame; all
+    others, as heartbeats do, in one of a round.
+
+    now_log2: of the newest frame. wanted_log2: what the digitizer is to be asked for.
+    """
+
+    def __init__(self, nodes: int, capacity: int, period_s: float) -> None:
+        """capacity: nodes that may speak in one frame. period_s: of frames."""
+        self.now_log2 = self.wanted_log2 = 0
+        self._capacity, self._calm_frames = capacity, math.ceil(CALM_S / period_s)
+        self._spoke = np.zeros(nodes, np.bool_)  # in its last turn
+        # How many of each group would speak, if all did at once.
+        self._round: deque[float] = deque(maxlen=1)
+        self._over = self._calm = 0
+
+    def take(self, turn: int, speakers: int, active: Bools) -> None:
+        """Take in how many spoke in a frame of this turn, and as far as is known, who, (n,)."""
+        log2 = groups_of(turn).bit_length() - 1
+        if log2 != self.now_log2:
+            self.now_log2, self._over, self._calm = log2, 0, 0
+            self._round = deque(maxlen=1 << log2)
+        if log2:
+            again = int(np.count_nonzero(active & self._spoke))
+            self._spoke = np.where(out_of_turn(turn, active.size), self._spoke, active)
+            self._round.append(again + (speakers - again) / (1 << log2))
+        else:
+            self._round.append(speakers)
+        is_over = speakers > self._capacity
+        is_whole = len(self._round) == self._round.maxlen
+        is_calm = is_whole and sum(self._round) <= CALM * self._capacity
+        self._over = self._over + 1 if is_over else 0
+        self._calm = self._calm + 1 if is_calm else 0
+        if self._over >= OVERLOADS and log2 < TURN_MOST_LOG2:
+            more = math.ceil(math.log2(speakers / (FULL * self._capacity)))
+            self.wanted_log2 = min(max(log2 + max(more, 1), self.wanted_log2), TURN_MOST_LOG2)
+        elif self._calm >= self._calm_frames:
+            self.wanted_log2 = 0

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a policy gets at run time is what it was trained on: recorded, exported, replayed."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from tactile_cdma import CaptureError, LiveObservation, ObservationError, ParameterError, Skin
+from tactile_cdma.commands.cli import main
+from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from test.support.bags import BagMaker
+
+pytestmark = pytest.mark.xdist_group("public_skin")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("observation") / "touch.skin"
+    port = "sim://?scene=all&seed=3&heartbeat=40"
+    assert main(["record", port, str(path), "--seconds", "1.2"]) == 0
+    return path
+
+
+def exported(source: Path, folder: Path, *options: str) -> Path:
+    assert main(["export", str(source), "--lerobot", str(folder), "--fps", "20", *options]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    "options", [("--samples", "window"), ("--samples", "last", "--nan", "zero")], ids=" ".join
+)
+def test_a_replay_gives_the_rows_of_the_dataset_bit_for_bit(
+    recording: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    dataset = exported(recording, tmp_path / "set", *options)
+    table = pyarrow.parquet.read_table(dataset / "data/chunk-000/file-000.parquet")
+    columns = {name for name in table.column_names if name.startswith(("observation.", "unix_"))}
+    source = RecordingSource(recording, {}, derived=False)
+    stamps = {
+        sample.value.sequence: (sample.stamp_ns, sample.value.stamp_uncertainty_s)
+        for sample in source.samples(None, None)
+    }
+    parameters = LiveObservation.parameters(dataset)
+    touched = 0
+    with Skin(f"replay://{recording}?speed=0", contacts=True, **parameters) as skin:
+        observation = LiveObservation(dataset, skin)
+        assert observation.features.keys() == columns and not observation.others
+        frames = iter(skin)
+        ahead = next(frames)
+        for row in table.to_pylist():
+            while ahead is not None and stamps[ahead.sequence][0] <= row["unix_time_ns"]:
+                observation.take(ahead, "skin", *stamps[ahead.sequence])
+                ahead = next(frames, None)  # type: ignore[arg-type]
+            found = observation.at(row["unix_time_ns"])
+            for name, array in found.items():
+                expected = np.array(row[name], dtype=array.dtype).reshape(array.shape)
+                assert array.tobytes() == expected.tobytes(), name
+            touched += found["observation.contacts.skin"][0] == 1.0
+        assert observation.notes == []
+    assert len(table) > 15 and touched > 0
+
+
+def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
+    recording: Path, tmp_path: Path
+) -> None:
+    dataset = exported(recording, tmp_path / "set")
+    with Skin("sim://?scene=all&seed=3", contacts=True) as skin:
+        observation = LiveObservation(dataset, skin)
+        with pytest.raises(ObservationError, match=r"observation.tactile.skin had not begun"):
+            observation.read()
+        time.sleep(1.6)  # the first second's stamps are not certain
+        found = observation.read()
+        assert found["observation.tactile.skin"].shape == (4, 16)
+        assert found["observation.tactile.skin.valid"].any()
+        ages_s = found["observation.tactile.skin.age_s"]
+        assert (np.diff(ages_s) < 0).all() and 0 <= ages_s[-1] < 0.1
+        assert "amplitude_mv of patch skin is 300.0, in the dataset 0.0" in observation.notes[-1]
+
+
+def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
+    maker = BagMaker()
+    maker.skin("/skin", 2.0)
+    maker.messages = [one for one in maker.messages if one[1] != "/skin/info"]  # places unknown
+    maker.joints("/joint_states", 2.0)
+    maker.contacts("/skin", 2.0, end_s=2.0)
+    dataset = exported(maker.write(tmp_path / "bag"), tmp_path / "set", "--state", "/joint_states")
+    names = json.loads((dataset / "meta/info.json").read_text())["features"]["observation.state"]
+    names = names["names"]
+    with Skin("sim://?scene=all", contacts=True) as skin:
+        observation = LiveObservation(dataset, skin)
+        time.sleep(1.0)
+        with pytest.raises(ObservationError, match=r"observation.state had not begun"):
+            observation.read()
+        values = dict(zip(names, np.arange(len(names), dtype=float), strict=True))
+        observation.state(dict(reversed(values.items())))
+        time.sleep(0.15)  # an observation is as of the skin's newest frame, which was before it
+        found = observation.read()["observation.state"]
+        assert found.tolist() == list(values.values())
+        for wrong in ({"elbow": 1.0}, [0.0] * (len(names) + 1)):
+            with pytest.raises(ParameterError, match=f"the dataset's are {names[0]}"):
+                observation.state(wrong)
+        time.sleep(0.8)
+        with pytest.raises(ObservationError, match=r"observation.state .* had stopped"):
+            observation.read()
+    with pytest.raises(CaptureError, match="no parameters of its patch"):
+        LiveObservation.parameters(dataset)
+
+
+def test_what_does_not_fit_the_dataset_is_refused(recording: Path, tmp_path: Path) -> None:
+    dataset = exported(recording, tmp_path / "set")
+    with pytest.raises(CaptureError, match="4 × 4 taxels, in the skin 4 × 6"):
+        LiveObservation(dataset, Skin("sim://", nodes=24, frame_period_ms=16.0, contacts=True))
+    with pytest.raises(CaptureError, match="positions of the taxels"):
+        LiveObservation(dataset, Skin("sim://", pitch_mm=9.0, contacts=True))
+    with pytest.raises(ParameterError, match="contacts=True"):
+        LiveObservation(dataset, Skin("sim://"))
+    with pytest.raises(ParameterError, match=r"skins palm; .* has skin"):
+        LiveObservation(dataset, {"palm": Skin("sim://", contacts=True)})
+    with pytest.raises(CaptureError, match=r"meta/info\.json: not read: No such file"):
+        LiveObservation(tmp_path, Skin("sim://", contacts=True))
+    about = dataset / "meta/tactile.json"
+    for text in ("{}", "[]", "nonsense", about.read_text().replace('"window"', '"some"')):
+        about.write_text(text)
+        with pytest.raises(CaptureError, match=r"tactile.json|no dataset of this version's export"):
+            LiveObservation(dataset, Skin("sim://", contacts=True))
