@@ -8,7 +8,8 @@
 # make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
 # make firmware         build the images of nodes and digitizer, in firmware/build
 # make firmware-test    run them in emulators, 16 nodes on one wire; the last line has the counts
-# make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes
+# make firmware-thousand 900 fast nodes on one wire, to the pin, in half a minute; QUICK=1: 128 nodes;
+#                         NODES=4000: with sparse codes, in some minutes; QUICK=1: 600 of their images
 # make demo    the image that makes a Pico a skin; copied to a demonstrator, or to the board at PORT
 # make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
 # make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
@@ -124,7 +125,7 @@ firmware-test: firmware
 	@"$(BIN)/python" firmware/sim/check.py
 
 firmware-thousand: firmware
-	@"$(BIN)/python" firmware/sim/thousand.py $(if $(filter-out 0,$(QUICK)),--quick)
+	@"$(BIN)/python" firmware/sim/thousand.py $(if $(filter-out 0,$(QUICK)),--quick) $(NODES:%=--nodes %)
 
 amplifier: setup
 	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%")

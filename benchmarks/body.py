@@ -6,16 +6,25 @@ Three processes: one publishes what eight drivers would, 50 frames per second ea
 with four contacts of 20 taxels in each; the second is the body's node; this one subscribes to it.
 A message's age begins with the stamp of its newest frame, which is when that was published, and
 ends in the subscriber's callback. The share of a core is what Linux counts of the body's node.
+
+And of one process with the drivers of 16 patches. In the place of their boards a process writes
+into 16 ttys, in real time, what simulated ones sent to a recorder; every node speaks in every
+frame. /body/contacts and /body/tactile are subscribed to meanwhile.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import subprocess
 import sys
+import tempfile
 import time
+import tty
 from array import array
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event as EventType
 from pathlib import Path
@@ -24,11 +33,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from tactile_cdma import Decoder, read_recording
 from tactile_cdma.places.layout import Layout
 
 from .report import QUICK, Report, be_alone
 
 PATCHES, RATE_HZ = 8, 50.0
+MANY, SIZES = 16, (24, 48, 72, 96)
+"""Patches of one process, and their numbers of taxels in turn."""
 CONTACTS, TAXELS_OF_CONTACT = 4, 20
 LOADS: dict[str, tuple[bool, int]] = {
     "contacts": (True, 16),
@@ -40,22 +52,30 @@ LOADS: dict[str, tuple[bool, int]] = {
 """Whether contacts are subscribed to, and the number of taxels of a patch."""
 SECONDS = 4.0 if QUICK else 20.0
 WARM_UP_S = 1.0
-SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "skin_body"
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPT = ROOT / "scripts" / "skin_body"
 PATCH_NAMES = [f"/p{i}/skin" for i in range(PATCHES)]
 
 
 @dataclass(slots=True)
 class Result:
-    """age_ms: of every message of contacts. points: messages. share: of a core."""
+    """age_ms: of every message of contacts. points, taxels: messages. share: of a core.
+
+    patches: there in the last message of taxels. sequences: of one patch's frames.
+    """
 
     age_ms: list[float] = field(default_factory=list)
     points: int = 0
     share: float = 0.0
+    taxels: int = 0
+    patches: int = 0
+    sequences: list[int] = field(default_factory=list)
 
 
 def main() -> None:
     be_alone()
     report = Report("body", f"A body's node: {PATCHES} patches at {RATE_HZ:g} Hz")
+    percent, rss_mb, frames_hz = one_process()
     found = {load: measure(load, *asked) for load, asked in LOADS.items()}
     rows = []
     for load, result in found.items():
@@ -64,9 +84,13 @@ def main() -> None:
         rows.append([load, 100 * result.share, contacts_hz, p50_ms, p99_ms, points_hz])
     headers = ["asked for", "% of a core", "contacts Hz", "age p50 ms", "p99", "points Hz"]
     report.table(headers, rows)
+    headers = ["drivers in one process", "% of a core", "RSS MB", "frames Hz"]
+    report.table(headers, [[f"{MANY} of 24 to 96 taxels", percent, rss_mb, frames_hz]])
     alone, both = found["contacts"], found["contacts, points of 8 × 4096"]
     report.finish(
         picture(found),
+        percent_16_patches=percent,
+        rss_mb_16_patches=rss_mb,
         percent_contacts=100 * alone.share,
         percent_points_4096=100 * found["points of 8 × 4096"].share,
         percent_both_4096=100 * both.share,
@@ -92,6 +116,125 @@ def measure(load: str, contacts: bool, taxels: int) -> Result:
         body.wait(10)
         stop.set()
         drivers.join(10)
+
+
+def one_process() -> tuple[float, float, float]:
+    """Of a process of MANY drivers: percent of a core, RSS, MB, frames of a patch per s."""
+    with ExitStack() as ends:
+        folder = Path(ends.enter_context(tempfile.TemporaryDirectory()))
+        stop = multiprocessing.get_context("spawn").Event()
+        boards = multiprocessing.get_context("spawn").Process(target=write, args=(folder, stop))
+        boards.start()
+        ends.callback(boards.join, 20)
+        ends.callback(stop.set)
+        while not (folder / f"tty{MANY - 1}").exists():
+            time.sleep(0.1)
+        processes = [
+            started(ROOT / "scripts" / "skin_patches", str(many_patches(folder))),
+            started(SCRIPT, "--ros-args", "-p", f"body_file:={folder / 'body.yaml'}"),
+        ]
+        for process in processes:
+            ends.callback(process.wait, 20)
+            ends.callback(process.terminate)
+        drivers = processes[0]
+        result = Result()
+        with subscribed(result) as spin_until:
+            while not result.taxels or result.patches < MANY:
+                spin_until(time.monotonic() + 0.1)
+            spin_until(time.monotonic() + WARM_UP_S)
+            result.sequences.clear()
+            busy_s, begin_s = cpu_s(drivers.pid), time.monotonic()
+            spin_until(begin_s + SECONDS)
+            passed_s = time.monotonic() - begin_s
+        rss_kb = re.findall(r"VmRSS:\s+(\d+)", Path(f"/proc/{drivers.pid}/status").read_text())[0]
+        share = (cpu_s(drivers.pid) - busy_s) / passed_s
+        frames = result.sequences[-1] - result.sequences[0]
+        return 100 * share, int(rss_kb) / 1024, frames / passed_s
+
+
+def write(folder: Path, stop: EventType) -> None:
+    """Write into ttys what boards send; runs in its own process."""
+    from tactile_cdma.commands.cli import main as tactile_cdma
+
+    sent = {}
+    for nodes in SIZES:
+        path, skin = folder / f"{nodes}.skin", ("--nodes", str(nodes), "--chip-us", "10")
+        port = "sim://?scene=all&threshold=0&speed=0"
+        period = ("--frame-period-ms", str(1e3 / RATE_HZ))
+        tactile_cdma(["record", port, str(path), "--seconds", "2", *skin, *period])
+        data = b"".join(data for data, _ in read_recording(path))
+        decoder = Decoder(nodes=nodes, chip_us=10.0, frame_period_ms=1e3 / RATE_HZ)
+        frames = decoder.feed(data, 0.0)
+        size = len(data) // (frames[-1].sequence + 1)  # of a period
+        sent[nodes] = [data[i : i + size] for i in range(0, len(data), size)]
+    lines = []
+    for i in range(MANY):
+        master, line = os.openpty()
+        tty.setraw(line)
+        os.set_blocking(master, False)
+        lines.append((master, sent[SIZES[i % len(SIZES)]]))
+        (folder / f"tty{i}").symlink_to(os.ttyname(line))
+    begin_s, count = time.monotonic(), 0
+    while not stop.is_set():
+        for master, pieces in lines:
+            with suppress(BlockingIOError):  # nobody reads yet
+                os.read(master, 4096)
+            with suppress(BlockingIOError):
+                os.write(master, pieces[count % len(pieces)])
+        count += 1
+        time.sleep(max(0.0, begin_s + count / RATE_HZ - time.monotonic()))
+
+
+def many_patches(folder: Path) -> Path:
+    """A body file of MANY patches of 24 to 96 taxels at RATE_HZ."""
+    lines = ["process: one", "patches:"]
+    for i in range(MANY):
+        nodes, place = SIZES[i % len(SIZES)], f"[{0.1 * i}, 0.0, 0.0]"
+        lines.append(
+            f"  p{i}: {{parameters: {{port: {folder}/tty{i}, nodes: {nodes}, chip_us: 10.0, "
+            f"frame_period_ms: {1e3 / RATE_HZ}, mount_xyz_m: {place}}}}}"
+        )
+    path = folder / "body.yaml"
+    path.write_text("\n".join(lines))
+    return path
+
+
+def started(script: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    """A program of ours in a process of its own."""
+    return subprocess.Popen([sys.executable, str(script), *arguments], stdout=subprocess.DEVNULL)
+
+
+@contextmanager
+def subscribed(result: Result) -> Iterator[Callable[[float], None]]:
+    """Count what comes of a body's taxels, and take its contacts; yields a function that spins."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import qos_profile_sensor_data
+
+    from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts
+
+    def take_array(message: Any) -> None:
+        result.sequences.append(message.sequence)
+
+    def take(message: Any) -> None:
+        result.taxels += 1
+        result.patches = len(message.patches) - len(message.absent)
+
+    rclpy.init()
+    node, executor = rclpy.create_node("listener"), SingleThreadedExecutor()
+    node.create_subscription(TactileBody, "/body/tactile", take, qos_profile_sensor_data)
+    node.create_subscription(TactileArray, "/p0/skin/tactile", take_array, qos_profile_sensor_data)
+    node.create_subscription(TactileContacts, "/body/contacts", lambda _: None, 10, raw=True)
+    executor.add_node(node)
+
+    def spin_until(deadline_s: float) -> None:
+        while time.monotonic() < deadline_s:
+            executor.spin_once(0.1)
+
+    yield spin_until
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 def listen(body_pid: int, contacts: bool, points: bool) -> Result:

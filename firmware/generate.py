@@ -16,7 +16,7 @@ import argparse
 import importlib
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -376,38 +376,43 @@ def document(definition: Definition, examples: dict[str, str]) -> str:
 
 def field_table(definition: Definition, name: str) -> str:
     message = messages(definition)[name]
-    rows = ["| offset | size | type | field | unit | meaning |", "|--:|--:|---|---|---|---|"]
-    offset = 0
+    rows, offset = [("offset", "size", "type", "field", "meaning")], 0
     for field in message["fields"]:
         size = size_of(definition, field["type"])
         meaning = field["doc"]
+        if "unit" in field:
+            meaning = f"{field['unit']}: {meaning}"
         if "range" in field:
             low, high = field["range"]
             meaning += f"; {low}…" + (f"{high}" if high < 2**32 - 1 else "")
-        unit = field.get("unit", "")
-        rows.append(
-            f"| {offset} | {size} | {field['type']} | `{field['name']}` | {unit} | {meaning} |"
-        )
+        rows.append((str(offset), str(size), field["type"], field["name"], meaning))
         offset += size
+    most = definition["max_samples"]
     if "words" in message:
-        rows.append(
-            f"| {offset} | 2·m | u16 | `words` | | m = 1…{definition['max_samples']} i16 counts, "
-            f"each XOR 0x{definition['sample_xor']:04X} |"
-        )
+        meaning = f"m = 1…{most} i16 counts, each XOR 0x{definition['sample_xor']:04X}"
+        rows.append((str(offset), "2·m", "u16", "words", meaning))
     if "values" in message:
         bits = definition["packed"]["bits"]
         mask = definition["sample_xor"] & ((1 << bits) - 1)
-        rows.append(
-            f"| {offset} | ⌈1.5·m⌉ | u8 | `values` | | m = 1…{definition['max_samples']} values of "
-            f"{bits} bits, each XOR 0x{mask:03X} |"
-        )
-    return "\n".join(rows) + "\n"
+        meaning = f"m = 1…{most} values of {bits} bits, each XOR 0x{mask:03X}"
+        rows.append((str(offset), "⌈1.5·m⌉", "u8", "values", meaning))
+    return in_columns(rows)
 
 
 def enum_table(enum: Definition) -> str:
-    rows = ["| value | name | meaning |", "|--:|---|---|"]
-    rows += [f"| {item['value']} | {key} | {item['doc']} |" for key, item in enum["values"].items()]
-    return "\n".join(rows) + "\n"
+    return in_columns(
+        [(str(item["value"]), key, item["doc"]) for key, item in enum["values"].items()]
+    )
+
+
+def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
+    """Rows as preformatted text, columns as wide as they need."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = (
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+    return "".join(f"    {line}\n" for line in lines)
 
 
 if __name__ == "__main__":

@@ -244,7 +244,7 @@ struct burst_beside burst_beside(const struct burst_search *search, const double
     size_t before = side_of(volts + begin, first - begin, level, search->half, true, scratch);
     size_t after =
         end < stop ? side_of(volts + end, stop - end, level, search->half, false, scratch + before) : 0;
-    struct burst_beside found = {0, variance, true};
+    struct burst_beside found = {0, variance, true, variance};
     float *steps = scratch + before + after;
     size_t count = 0;
 
@@ -257,9 +257,11 @@ struct burst_beside burst_beside(const struct burst_search *search, const double
     if (count >= 8) {
         double noise = (double)fit_ranked(steps, (ptrdiff_t)count, (ptrdiff_t)count / 2);
         noise /= 2 * search->median;
+        found.noise = noise;
         if (noise > 0)
             found.variance = most_of(noise, least_of(variance, search->drifting * noise));
     }
+    found.noise *= (double)search->half;
     found.quiet = is_quiet(search, scratch, before, found.variance, power) &&
                   is_quiet(search, scratch + before, after, found.variance, power);
     return found;

@@ -34,6 +34,7 @@ struct burst_found {
 struct burst_beside {
     double level, variance;
     bool quiet;
+    double noise;
 };
 
 /* Means of half chips: size / half. */

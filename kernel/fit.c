@@ -69,6 +69,26 @@ VECTORS void fit_levels(const struct fit_line *line, const struct fit *fit, doub
     }
 }
 
+VECTORS double fit_turned(const struct fit_line *line, const struct fit *fit, double inner, double blur,
+                          size_t count)
+{
+    double sums[3][BLOCK], numbers[3][BLOCK], squares = 0;
+
+    for (size_t done = 0; done < count; done += BLOCK) {
+        size_t size = count - done < BLOCK ? count - done : BLOCK;
+        double middle = fit->start + fit->chip * ((double)done + 0.5);
+        for (int edge = 0; edge < 3; edge++)
+            integrate(line, middle + (edge - 1) * inner * fit->chip, fit->chip, blur, size, sums[edge], numbers[edge]);
+        for (size_t i = 0; i < size; i++) {
+            double before = numbers[1][i] - numbers[0][i], behind = numbers[2][i] - numbers[1][i];
+            double turn = (sums[2][i] - sums[1][i]) / (behind < 0.5 ? 0.5 : behind) -
+                          (sums[1][i] - sums[0][i]) / (before < 0.5 ? 0.5 : before);
+            squares += turn * turn;
+        }
+    }
+    return squares / (double)count;
+}
+
 void fit_chips(const struct fit_code *code, const float *levels, size_t bits, float *chips)
 {
     size_t size = bits * code->frame.order;

@@ -50,6 +50,10 @@ void fit_sums(const double *values, size_t size, double level, double *sums);
 void fit_levels(const struct fit_line *line, const struct fit *fit, double blur, size_t lead,
                 size_t count, float *levels);
 
+/* Mean square by which the level of `count` chips changes in their middle: from the mean of a share `inner` of a
+ * chip before it to that behind it. */
+double fit_turned(const struct fit_line *line, const struct fit *fit, double inner, double blur, size_t count);
+
 /* The chips at `places` of these levels, without flips: (bits, N), of the first `bits` bits. */
 void fit_chips(const struct fit_code *code, const float *levels, size_t bits, float *chips);
 

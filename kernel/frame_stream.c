@@ -69,8 +69,7 @@ struct stream {
     struct stream_passed passed[STREAM_MOST_PASSED];
     size_t passed_count;
 
-    float volts[TP_MAX_SAMPLES];
-    double *store; /* samples: `kept` of them, the last one before `end` */
+    float *store; /* samples: `kept` of them, the last one before `end` */
     size_t room, first, kept;
 };
 
@@ -105,7 +104,7 @@ static bool make_room(struct stream *stream, size_t samples)
 
     if (room <= stream->room)
         return true;
-    double *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
+    float *store = samples <= STREAM_MOST_SAMPLES ? malloc(room * sizeof *store) : NULL;
     if (!store)
         return false;
     if (stream->kept)
@@ -118,7 +117,7 @@ static bool make_room(struct stream *stream, size_t samples)
 }
 
 /* Samples from index `begin` on, as far as they are kept, up to `end`. */
-static const double *samples_from(const struct stream *stream, int64_t begin, int64_t end,
+static const float *samples_from(const struct stream *stream, int64_t begin, int64_t end,
                                   size_t *count)
 {
     int64_t first = stream->end - (int64_t)stream->kept;
@@ -136,40 +135,36 @@ static void forget_before(struct stream *stream, int64_t index)
     if (count > (int64_t)stream->kept)
         count = (int64_t)stream->kept;
     if (count > 0) {
-        stream->first += (size_t)count;
         stream->kept -= (size_t)count;
+        stream->first = stream->kept ? stream->first + (size_t)count : 0; /* memory that is cached */
     }
 }
 
-static void append(struct stream *stream, size_t count)
-{
-    if (stream->first + stream->kept + count > stream->room) {
-        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
-        stream->first = 0;
-    }
-    samples_copy(stream->volts, count, stream->rules.most_volts,
-                 stream->store + stream->first + stream->kept);
-    stream->kept += count;
-    stream->end += (int64_t)count;
-    stream->filled += (uint32_t)count;
-}
-
-/* The next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
+/* Takes in the next samples of the packet at hand; of a quiet one made up, as QuietBlock.samples does. */
 static void fill(struct stream *stream)
 {
     const struct arrival *now = stream->now;
     double zero = stream->rules.zero_count, per_count = stream->rules.volts_per_count;
+    float most = (float)stream->rules.most_volts;
     size_t count = now->count - stream->filled;
 
+    count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+    if (stream->first + stream->kept + count > stream->room) {
+        memmove(stream->store, stream->store + stream->first, stream->kept * sizeof *stream->store);
+        stream->first = 0;
+    }
+    float *volts = stream->store + stream->first + stream->kept;
     if (now->quiet) {
         float mean = (float)((now->mean - zero) * per_count);
         float deviation = (float)sqrt(now->variance * (per_count * per_count));
-        count = count < TP_MAX_SAMPLES ? count : TP_MAX_SAMPLES; /* of both kinds alike */
+        const float levels[2] = {mean + deviation, mean - deviation};
         for (size_t i = 0; i < count; i++)
-            stream->volts[i] = i % 2 ? mean - deviation : mean + deviation;
+            volts[i] = fabsf(levels[i % 2]) < most ? levels[i % 2] : NAN;
     } else
-        samples_volts(now->counts, count, (float)zero, (float)per_count, stream->volts);
-    append(stream, count);
+        samples_volts(now->counts, count, (float)zero, (float)per_count, most, volts);
+    stream->kept += count;
+    stream->end += (int64_t)count;
+    stream->filled += (uint32_t)count;
 }
 
 /* ---- the line at rest -------------------------------------------------------------------------- */
@@ -195,7 +190,7 @@ static void learn_gap(struct stream *stream)
     int64_t earliest = stream->end - (int64_t)stream->rules.gap_size;
     int64_t begin = stream->gap_begin > earliest ? stream->gap_begin : earliest;
     size_t count;
-    const double *volts = samples_from(stream, begin, stream->end, &count);
+    const float *volts = samples_from(stream, begin, stream->end, &count);
 
     if (!count)
         return;
@@ -477,11 +472,9 @@ static enum stream_event sum_up(struct stream *stream)
     }
     tell(stream, look, true);
     subject->summed_up = true;
+    subject->mean = mean;
     subject->variance = variance;
-    stream->store[0] = mean; /* nothing else is kept from the mark on */
-    stream->first = 0;
-    subject->volts = stream->store;
-    subject->count = 1;
+    subject->count = 0;
     return STREAM_DOUBT;
 }
 

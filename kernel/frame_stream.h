@@ -85,8 +85,8 @@ struct stream_subject {
     bool called, final;        /* of a roll call; no more samples will follow */
     uint8_t turn;              /* whose, as the frame's packet says */
     bool summed_up;            /* only mean and variance of the frame are known, V and V² */
-    double variance;
-    const double *volts;       /* NaN where absurd; until the stream goes on */
+    double mean, variance;
+    const float *volts;        /* NaN where absurd; until the stream goes on */
     size_t count;
     size_t marks, uses, ended; /* frames opened, timing used, ends seen at rest: since last asked */
     enum frame_look look;      /* why it is in doubt; FRAME_SILENT: it is asked about in any case */

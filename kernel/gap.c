@@ -176,6 +176,64 @@ static bool are_sound(const struct words_frame *frame, const struct gap_rules *r
            (double)*words->misfit < rules->left * noise / power + rules->misfit;
 }
 
+/* Size of the mean level beside a frame, without the sample that is farthest off: an impulse is a single one. */
+static double level_beside(const struct fit_line *line, double first, double end, double level)
+{
+    double sum = 0, low = INFINITY, high = -INFINITY;
+    size_t begin = first > 0 ? (size_t)ceil(first) : 0, stop = end > 0 ? (size_t)ceil(end) : 0;
+
+    stop = stop < line->size ? stop : line->size;
+    if (stop < begin + 2)
+        return 0;
+    for (size_t i = begin; i < stop; i++) {
+        double volt = line->volts[i] - level;
+        sum += volt;
+        low = volt < low ? volt : low;
+        high = volt > high ? volt : high;
+    }
+    low = fabs(sum - low);
+    high = fabs(sum - high);
+    return (low < high ? low : high) / (double)(stop - begin - 1);
+}
+
+/* Whether a word has the same bit throughout, or changes it once. */
+static bool has_equal_bits(const struct words_frame *frame, const struct judge_found *words)
+{
+    for (size_t i = 0; i < frame->nodes; i++) {
+        const float *row = words->rows + frame->first + i;
+        size_t changes = 0;
+        for (size_t bit = 1; bit < frame->bits; bit++)
+            changes += (row[bit * frame->order] > 0) != (row[(bit - 1) * frame->order] > 0);
+        if (words->amplitude[i] > 0 && changes <= 1)
+            return true;
+    }
+    return false;
+}
+
+/* As `strays` in framing/stray.py, where it finds nothing without a closer look. least: amplitude of a node, V. */
+static bool are_in_time(const struct fit_code *code, const struct gap_rules *rules, const struct fit_line *line,
+                        double blur, double least, const struct gap_seen *seen)
+{
+    const struct words_frame *frame = &code->frame;
+    double start = seen->fit.start, chip = seen->fit.chip, end = start + (double)code->span * chip;
+    double noise = seen->beside.noise > 1e-30 ? seen->beside.noise : 1e-30, power = (double)*seen->words.power;
+    double deviation = rules->perhaps * sqrt(noise / chip), most = rules->beside * least;
+    double left = (double)*seen->words.misfit * power, level = line->level + seen->beside.level;
+
+    most = most > deviation ? most : deviation;
+    if (level_beside(line, start - rules->far * chip, start - rules->near * chip, level) > most ||
+        level_beside(line, end + rules->near * chip, end + rules->far * chip, level) > most)
+        return false;
+    left -= noise / chip * (1 + rules->scatter * sqrt(2 / (double)(frame->bits * frame->order)));
+    if (rules->twins && (left > rules->stray_left * least * least / (double)frame->order ||
+                         (noise / chip > square(rules->clear * least) && has_equal_bits(frame, &seen->words))))
+        return false;
+    size_t count = code->span < rules->most_turned ? code->span : rules->most_turned;
+    double by_noise = 2 * noise / (rules->inner * chip);
+    return fit_turned(line, &seen->fit, rules->inner, blur, count) <=
+           rules->turned * least * least + by_noise * (1 + rules->scatter * sqrt(2 / (double)count));
+}
+
 /* Whether there may be a weaker burst before this one, as GapTiming._first_burst asks. */
 static bool may_have_another(const struct burst_search *search, const struct gap_rules *rules,
                              const struct burst_found *burst, size_t size)
@@ -241,7 +299,8 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     seen->beside = burst_beside(search, volts, size, line.level, first > 0 ? (size_t)first : 0, (size_t)end,
                                 burst->variance, burst->power, scratch);
     noise = seen->beside.variance * (double)search->half / seen->fit.chip;
-    seen->sound = seen->beside.quiet && are_sound(&code->frame, rules, &seen->words, noise);
+    seen->sound = seen->beside.quiet && are_sound(&code->frame, rules, &seen->words, noise) &&
+                  are_in_time(code, rules, &line, limits->blur, sqrt(least_power) / rules->faint, seen);
     seen->noise = words_noise(&code->frame, seen->words.rows, rules->spare, rules->spare_count);
     *look = GAP_FRAME;
     return true;

@@ -11,13 +11,16 @@
 
 #define GAP_MOST 16 /* candidates; where more are possible, Python looks */
 
-/* As `Limits` in limits.py and constants of gap.py, raster.py, judge.py and fit.py. shortest, longest: frames,
- * samples; bit: of nominal chips. spare, spare_count: rows that show the noise. */
+/* As `Limits` in limits.py and constants of gap.py, raster.py, judge.py, fit.py and stray.py. shortest, longest:
+ * frames, samples; bit: of nominal chips. near, far: BESIDE_CHIPS. spare, spare_count: rows that show the noise.
+ * twins: whether a node out of time may be taken for another one. */
 struct gap_rules {
     double shortest, longest, bit, period;
     double beyond, carried_noise, carried_misfit, doubt, disturbed, wide, ruled_out, settled_chips;
     double still_misfit, least_chip, uneven, spread, left, misfit;
-    size_t spare, spare_count;
+    double faint, near, far, beside, perhaps, inner, turned, scatter, stray_left, clear;
+    size_t most_turned, spare, spare_count;
+    bool twins;
 };
 
 /* As Expected; chip: 0 where no frame is surely expected. */
@@ -33,8 +36,8 @@ enum gap_look {
 };
 
 /* proven: until which sample silence has to last to prove that the frame is over; 0 where none is carried.
- * unaided: whether the waveform alone places the frame. sound: its words are even, and leave nothing over, and
- * the line is at rest beside it; then noise: of a row's levels, V. words: of one candidate, as in judge_found. */
+ * unaided: whether the waveform alone places the frame. sound: its words are even, and leave nothing over, the
+ * line is at rest beside it, and nothing shows a node out of time; then noise: of a row's levels, V. words: of one candidate, as in judge_found. */
 struct gap_seen {
     struct burst_gap gap;
     struct burst_found burst;

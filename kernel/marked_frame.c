@@ -7,54 +7,67 @@
 #include "vectors.h"
 
 #define CLEARLY 0.9 /* share of a limit below which sums in any order are */
-#define LANES 8 /* sums that are kept apart, so that they can be added at once */
 
 /* ---- samples → chips ----------------------------------------------------------------------------- */
 
-VECTORS void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts)
+VECTORS void samples_volts(const int16_t *restrict counts, size_t size, float zero, float per_count, float most,
+                           float *restrict volts)
 {
-    for (size_t i = 0; i < size; i++)
-        volts[i] = ((float)counts[i] - zero) * per_count;
+    for (size_t i = 0; i < size; i++) {
+        float level = ((float)counts[i] - zero) * per_count;
+        volts[i] = fabsf(level) < most ? level : NAN;
+    }
 }
 
-VECTORS void samples_copy(const float *volts, size_t size, double most, double *copy)
+/* Adds up floats, or doubles if `wide`, which is a constant where this is inlined. */
+INLINE struct samples_sums add_up(const void *volts, const bool wide, size_t size)
 {
-    for (size_t i = 0; i < size; i++)
-        copy[i] = fabs((double)volts[i]) < most ? (double)volts[i] : (double)NAN;
-}
-
-VECTORS struct samples_sums samples_add(const double *volts, size_t size)
-{
-    double sum[LANES] = {0}, squares[LANES] = {0};
+    const double *doubles = volts;
+    const float *floats = volts;
+    doubles4 sum[2] = {{0}, {0}}, squares[2] = {{0}, {0}};
     struct samples_sums all = {0, 0};
     size_t i = 0;
 
-    for (; i + LANES <= size; i += LANES)
-        for (size_t lane = 0; lane < LANES; lane++) {
-            sum[lane] += volts[i + lane];
-            squares[lane] += volts[i + lane] * volts[i + lane];
+    for (; i + 8 <= size; i += 8)
+        for (size_t half = 0; half < 2; half++) {
+            size_t at = i + 4 * half;
+            doubles4 four = wide ? *(const doubles4 *)(doubles + at)
+                                 : __builtin_convertvector(*(const floats4 *)(floats + at), doubles4);
+            sum[half] += four;
+            squares[half] += four * four;
         }
     for (; i < size; i++) {
-        all.sum += volts[i];
-        all.squares += volts[i] * volts[i];
+        double level = wide ? doubles[i] : (double)floats[i];
+        all.sum += level;
+        all.squares += level * level;
     }
-    for (size_t lane = 0; lane < LANES; lane++) {
-        all.sum += sum[lane];
-        all.squares += squares[lane];
+    for (size_t lane = 0; lane < 8; lane++) {
+        all.sum += sum[lane / 4][lane % 4];
+        all.squares += squares[lane / 4][lane % 4];
     }
     return all;
 }
 
-VECTORS size_t samples_outside(const double *volts, size_t size, double low, double high)
+VECTORS struct samples_sums samples_add(const float *volts, size_t size)
+{
+    return add_up(volts, false, size);
+}
+
+VECTORS struct samples_sums samples_add_wide(const double *volts, size_t size)
+{
+    return add_up(volts, true, size);
+}
+
+VECTORS size_t samples_outside(const float *volts, size_t size, double low, double high)
 {
     size_t count = 0;
 
     for (size_t i = 0; i < size; i++)
-        count += (size_t)(volts[i] <= low) | (size_t)(volts[i] >= high);
+        count += (size_t)((double)volts[i] <= low) | (size_t)((double)volts[i] >= high);
     return count;
 }
 
-bool samples_chips(const double *volts, size_t samples, double level,
+bool samples_chips(const float *volts, size_t samples, double level,
                    const struct samples_edges *edges, const int32_t *places, size_t size, float *chips)
 {
     double sum = 0, before = 0;
@@ -65,8 +78,8 @@ bool samples_chips(const double *volts, size_t samples, double level,
         if (whole < 0 || (size_t)whole < next || (size_t)whole >= samples)
             return false;
         for (; next < (size_t)whole; next++)
-            sum += volts[next] - level;
-        double until = sum + edges->share[edge] * (volts[next] - level);
+            sum += (double)volts[next] - level;
+        double until = sum + edges->share[edge] * ((double)volts[next] - level);
         if (edge && places[chip] == (int32_t)edge - 1)
             chips[chip++] = (float)((until - before) / edges->number[edge - 1]);
         before = until;
@@ -76,14 +89,14 @@ bool samples_chips(const double *volts, size_t samples, double level,
 
 /* ---- frames ------------------------------------------------------------------------------------- */
 
-static double share_clipped(const struct frame_rules *rules, const double *volts, size_t size)
+static double share_clipped(const struct frame_rules *rules, const float *volts, size_t size)
 {
     return (double)samples_outside(volts, size, rules->rail_low, rules->rail_high) / (double)size;
 }
 
 /* Without an unknown offset, V²; NaN where a sample is absurd. Finds the offset, if that is the mean. */
 static double power_of(const struct frame_rules *rules, const struct frame_rest *rest,
-                       const double *volts, double *level)
+                       const float *volts, double *level)
 {
     struct samples_sums sums = samples_add(volts, rules->size);
     double mean = sums.sum / (double)rules->size, power = sums.squares / (double)rules->size;
@@ -112,27 +125,10 @@ static enum frame_look silent(const struct frame_rules *rules, const struct fram
 enum frame_look frame_summed_up(const struct frame_rules *rules, const struct frame_rest *rest,
                                 double mean, double variance, struct frame_found *found)
 {
-    *found = (struct frame_found){
-        .level = rest->level, .clipped = share_clipped(rules, &mean, 1), .rest = rest->noise};
+    *found = (struct frame_found){.level = rest->level,
+                                  .clipped = mean <= rules->rail_low || mean >= rules->rail_high,
+                                  .rest = rest->noise};
     return silent(rules, rest, variance, found);
-}
-
-/* As WordFit._most_left; amplitude: (n,) V, of the words. */
-static double most_left(const struct frame_rules *rules, const float *rows, const float *amplitude)
-{
-    const struct words_frame *frame = &rules->frame;
-    double sum = 0, most = -INFINITY;
-
-    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
-        double left = 0;
-        for (size_t row = frame->first ? 1 : 0; row < frame->order; row++)
-            left += (double)(rows[row] * rows[row]);
-        for (size_t node = 0; node < frame->nodes; node++)
-            left -= 2 * fabs((double)rows[frame->first + node]) * (double)amplitude[node];
-        sum += left;
-        most = most > left ? most : left;
-    }
-    return most - (sum - most) / (double)(frame->bits - 1);
 }
 
 /* Whether words leave no more than the noise of the gap, and chips have the power of their samples, as
@@ -177,8 +173,8 @@ static bool is_explained(const struct frame_rules *rules, const struct frame_res
     if (may_be_shifted) /* as WordFit.is_clear */
         return (double)spread < CLEARLY * rules->clear_spread &&
                left < CLEARLY * (rules->carried_noise * noise + rules->carried_misfit * (double)power) &&
-               most_left(rules, rows, amplitude) < 2 * a_chip * weakest * weakest;
-    if (!rules->scrambled && (left >= a_chip * words || most_left(rules, rows, amplitude) >= a_chip / 2 * words))
+               words_most_left(frame, rows, amplitude) < 2 * a_chip * weakest * weakest;
+    if (!rules->scrambled && (left >= a_chip * words || words_most_left(frame, rows, amplitude) >= a_chip / 2 * words))
         return false;
     return (double)spread < CLEARLY * rules->spread &&
            left < CLEARLY * (rules->left * noise + rules->misfit * (double)power);
@@ -186,7 +182,7 @@ static bool is_explained(const struct frame_rules *rules, const struct frame_res
 
 /* Whether the line is at rest after the frame beyond doubt, as FrameEnds.observe says. */
 static bool is_at_rest(const struct frame_rules *rules, const struct frame_timing *timing,
-                       const struct frame_rest *rest, const double *volts, size_t count, bool *ended)
+                       const struct frame_rest *rest, const float *volts, size_t count, bool *ended)
 {
     size_t end = timing->tail_end < count ? timing->tail_end : count;
     double size = end > timing->tail ? (double)(end - timing->tail) : 0;
@@ -204,15 +200,15 @@ static bool is_at_rest(const struct frame_rules *rules, const struct frame_timin
            (rules->frame.first || fabs(mean) <= rules->tail_level * sqrt(noise / size));
 }
 
-VECTORS static void integrated_chips(const double *restrict volts, size_t size, float level,
+VECTORS static void integrated_chips(const float *restrict volts, size_t size, float level,
                                      float *restrict chips)
 {
     for (size_t i = 0; i < size; i++)
-        chips[i] = (float)volts[i] - level;
+        chips[i] = volts[i] - level;
 }
 
 static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
-                       const struct frame_edges *edges, double level, const double *volts,
+                       const struct frame_edges *edges, double level, const float *volts,
                        size_t count, float *chips)
 {
     size_t size = rules->frame.bits * rules->frame.order;
@@ -228,19 +224,19 @@ static bool find_chips(const struct frame_rules *rules, const struct frame_code 
 }
 
 /* Whether a bit's first or last chips are more than noise may be, as MarkedLine._sticks_out says. */
-static bool chip_stands_out(const struct frame_rules *rules, const double *volts, double level)
+static bool chip_stands_out(const struct frame_rules *rules, const float *volts, double level)
 {
     const size_t order = rules->frame.order, edges[] = {0, 1, order - 2, order - 1};
     double most = 0;
 
     for (size_t bit = 0; order >= 2 && bit < rules->frame.bits; bit++, volts += order)
         for (size_t i = 0; i < sizeof edges / sizeof *edges; i++)
-            most = fabs(volts[edges[i]] - level) > most ? fabs(volts[edges[i]] - level) : most;
+            most = fmax(most, fabs((double)volts[edges[i]] - level));
     return most > CLEARLY * rules->rest * (double)rules->frame.swing;
 }
 
 /* A frame of sparse codes, of chips that are samples. */
-static enum frame_look read_sparse(const struct frame_code *code, const double *volts, float *rows,
+static enum frame_look read_sparse(const struct frame_code *code, const float *volts, float *rows,
                                    struct frame_found *found)
 {
     struct sparse_told told;
@@ -255,7 +251,7 @@ static enum frame_look read_sparse(const struct frame_code *code, const double *
 
 enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
                            const struct frame_timing *timing, const struct frame_edges *edges,
-                           const struct frame_rest *rest, const double *volts, size_t count,
+                           const struct frame_rest *rest, const float *volts, size_t count,
                            bool final, float *rows, float *scratch, struct frame_found *found)
 {
     const struct words_frame *frame = &rules->frame;

@@ -19,21 +19,19 @@
 
 /* ---- samples → chips: the sums of tactile_cdma/base/sums.py and framing/fit.py ------------------- */
 
-/* Counts of a converter as volts: (count − zero)·per_count. */
-void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float *volts);
-
-/* Copies samples; those that are not within ±most, V, become NaN. */
-void samples_copy(const float *volts, size_t size, double most, double *copy);
+/* Counts of a converter as volts: (count − zero)·per_count, in float; those not within ±most, V, become NaN. */
+void samples_volts(const int16_t *counts, size_t size, float zero, float per_count, float most, float *volts);
 
 /* What samples add up to: their sum and the sum of their squares. */
 struct samples_sums {
     double sum, squares;
 };
 
-struct samples_sums samples_add(const double *volts, size_t size);
+struct samples_sums samples_add(const float *volts, size_t size);
+struct samples_sums samples_add_wide(const double *volts, size_t size);
 
 /* How many samples are not between two levels: at either, or beyond. */
-size_t samples_outside(const double *volts, size_t size, double low, double high);
+size_t samples_outside(const float *volts, size_t size, double low, double high);
 
 /* Edges of chips in samples: how many whole samples come before each of `count` edges, the share of the
  * next one, and the number of samples between edges; see ChipEdges in fit.py. */
@@ -45,7 +43,7 @@ struct samples_edges {
 
 /* Mean level between edges, but for `level`, of `size` chips, which begin at these edges (rising). False
  * where the edges are not within `samples` samples, or the places not within the edges. */
-bool samples_chips(const double *volts, size_t samples, double level,
+bool samples_chips(const float *volts, size_t samples, double level,
                    const struct samples_edges *edges, const int32_t *places, size_t size, float *chips);
 
 /* ---- frames ------------------------------------------------------------------------------------- */
@@ -126,7 +124,7 @@ enum frame_look {
  * will follow. rows: (k, N), written to. scratch: (2, n). */
 enum frame_look frame_read(const struct frame_rules *rules, const struct frame_code *code,
                            const struct frame_timing *timing, const struct frame_edges *edges,
-                           const struct frame_rest *rest, const double *volts, size_t count,
+                           const struct frame_rest *rest, const float *volts, size_t count,
                            bool final, float *rows, float *scratch, struct frame_found *found);
 
 /* A frame, or more, in which no node transmitted, of which only mean, V, and variance, V², are known. */

@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 23 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 25 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -77,7 +77,11 @@ static const struct field rules_fields[] = {
     FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
     FIELD(gap_rules, still_misfit),  FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),
     FIELD(gap_rules, spread),        FIELD(gap_rules, left),          FIELD(gap_rules, misfit),
-    FIELD(gap_rules, spare),         FIELD(gap_rules, spare_count),
+    FIELD(gap_rules, faint),         FIELD(gap_rules, near),          FIELD(gap_rules, far),
+    FIELD(gap_rules, beside),        FIELD(gap_rules, perhaps),       FIELD(gap_rules, inner),
+    FIELD(gap_rules, turned),        FIELD(gap_rules, scatter),       FIELD(gap_rules, stray_left),
+    FIELD(gap_rules, clear),         FIELD(gap_rules, most_turned),   FIELD(gap_rules, spare),
+    FIELD(gap_rules, spare_count),   FIELD(gap_rules, twins),
 };
 
 static const struct layout layouts[] = {
@@ -296,52 +300,15 @@ FUNCTION(word_noise, SETTINGS(words_frame), SIZE("spare"), SIZE("spare_count"),
 
 /* ---- samples ----------------------------------------------------------------------------------- */
 
-FUNCTION(to_volts, NUMBER("zero"), NUMBER("per_count"), ARRAY("counts", 'h', "m"),
-         OUT("volts", 'f', "m"))
-{
-    samples_volts(call->value[2].data, axis(call, 'm'), (float)call->value[0].number,
-                  (float)call->value[1].number, call->value[3].data);
-    Py_RETURN_NONE;
-}
-
-FUNCTION(copy_samples, NUMBER("most_v"), ARRAY("volts", 'f', "m"), OUT("copy", 'd', "m"))
-{
-    samples_copy(call->value[1].data, axis(call, 'm'), call->value[0].number, call->value[2].data);
-    Py_RETURN_NONE;
-}
-
 FUNCTION(add_samples, ARRAY("volts", 'd', "m"))
 {
-    struct samples_sums sums = samples_add(call->value[0].data, axis(call, 'm'));
+    struct samples_sums sums = samples_add_wide(call->value[0].data, axis(call, 'm'));
 
     return Py_BuildValue("(dd)", sums.sum, sums.squares);
 }
 
-FUNCTION(count_outside, NUMBER("low_v"), NUMBER("high_v"), ARRAY("volts", 'd', "m"))
-{
-    return PyLong_FromSize_t(samples_outside(call->value[2].data, axis(call, 'm'),
-                                             call->value[0].number, call->value[1].number));
-}
-
-FUNCTION(mean_chips, NUMBER("level_v"), ARRAY("received", 'd', "m"), ARRAY("whole", 'i', "e"),
-         ARRAY("share", 'd', "e"), ARRAY("number", 'd', "g"), ARRAY("places", 'i', "c"),
-         OUT("chips", 'f', "c"))
-{
-    const union value *v = call->value;
-    struct samples_edges edges = {axis(call, 'e'), v[2].data, v[3].data, v[4].data};
-
-    if (!(axis(call, 'g') + 1 == edges.count))
-        return refuse(call, "number: one value fewer than edges expected");
-    if (!samples_chips(v[1].data, axis(call, 'm'), v[0].number, &edges, v[5].data, axis(call, 'c'),
-                       v[6].data))
-        return refuse(call, "edges beyond the samples, or places beyond the edges");
-    Py_RETURN_NONE;
-}
-
 static PyMethodDef functions[] = {
-    ENTRY(read_packets), ENTRY(fit_words),   ENTRY(word_noise),    ENTRY(to_volts),
-    ENTRY(copy_samples), ENTRY(add_samples), ENTRY(count_outside), ENTRY(mean_chips),
-    {0},
+    ENTRY(read_packets), ENTRY(fit_words), ENTRY(word_noise), ENTRY(add_samples), {0},
 };
 
 /* ---- the module -------------------------------------------------------------------------------- */

@@ -170,12 +170,12 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(judge_limits), SETTINGS(gap_rule
                   value[4].data, axis(call, 'm'), value[5].number, &known, &expected, &seen, &look,
                   value[19].data, value[20].data))
         Py_RETURN_NONE;
-    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddO)Od", (int)look, seen.gap.level, seen.gap.variance,
+    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddOd)Od", (int)look, seen.gap.level, seen.gap.variance,
                          (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last,
                          seen.burst.slack, seen.burst.power, seen.burst.variance, seen.burst.pause,
                          seen.proven, seen.fit.start, seen.fit.chip, seen.unaided ? Py_True : Py_False,
                          seen.beside.level, seen.beside.variance,
-                         seen.beside.quiet ? Py_True : Py_False, seen.sound ? Py_True : Py_False,
+                         seen.beside.quiet ? Py_True : Py_False, seen.beside.noise, seen.sound ? Py_True : Py_False,
                          seen.noise);
 }
 

@@ -9,11 +9,11 @@
 
 static const struct field sparse_fields[] = {
     OF_RULES(swing),      OF_RULES(least),     OF_RULES(soft_noise),    OF_RULES(slope),
-    OF_RULES(log_odds),   OF_RULES(hard_share), OF_RULES(settled),      OF_RULES(negligible),
-    OF_RULES(stalled),    OF_RULES(turns),     OF_RULES(capacity),      OF_RULES(most_noise),
-    OF_RULES(more),       OF_RULES(tolerance), OF_RULES(chance),        OF_RULES(chance_of_bit),
-    OF_RULES(hiding),     OF_RULES(weight),    OF_RULES(silent_square), OF_RULES(silent_power),
-    OF_RULES(alike),      OF_RULES(near),
+    OF_RULES(log_odds),   OF_RULES(hard_share), OF_RULES(settled),      OF_RULES(near),
+    OF_RULES(negligible), OF_RULES(stalled),   OF_RULES(turns),         OF_RULES(capacity),
+    OF_RULES(most_noise), OF_RULES(more),      OF_RULES(tolerance),     OF_RULES(chance),
+    OF_RULES(chance_of_bit), OF_RULES(hiding), OF_RULES(weight),        OF_RULES(silent_square),
+    OF_RULES(silent_power), OF_RULES(alike),
 };
 
 const struct layout sparse_layout = LAYOUT(sparse_rules, sparse_fields);

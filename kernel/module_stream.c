@@ -318,6 +318,11 @@ FUNCTION(end)
     Py_RETURN_NONE;
 }
 
+static PyObject *flag(bool is)
+{
+    return is ? Py_True : Py_False;
+}
+
 /* (index, device_time_us, count, sequence, t_host, backlog) of every packet that passed. */
 static PyObject *passed_list(struct stream *stream)
 {
@@ -330,16 +335,11 @@ static PyObject *passed_list(struct stream *stream)
         PyObject *tuple = Py_BuildValue("(LKkHdO)", (long long)one->index,
                                         (unsigned long long)one->device_time_us,
                                         (unsigned long)one->count, one->sequence, one->t_host,
-                                        one->backlog ? Py_True : Py_False);
+                                        flag(one->backlog));
         if (!tuple || PyList_SetItem(list, (Py_ssize_t)i, tuple))
             Py_CLEAR(list);
     }
     return list;
-}
-
-static PyObject *flag(bool is)
-{
-    return is ? Py_True : Py_False;
 }
 
 /* What an event is about. */
@@ -361,12 +361,12 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
         return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
                              (long long)about->since);
     case STREAM_DOUBT:
-        return Py_BuildValue("(iLy#OnnnOd(ddO)B)", about->look, (long long)about->start,
+        return Py_BuildValue("(iLy#OnnnO(dd)(ddO)B)", about->look, (long long)about->start,
                              (const char *)about->volts,
                              (Py_ssize_t)(about->count * sizeof *about->volts), flag(about->final),
                              (Py_ssize_t)about->marks, (Py_ssize_t)about->uses,
-                             (Py_ssize_t)about->ended, flag(about->summed_up), about->variance,
-                             rest->level, rest->noise, flag(rest->known), about->turn);
+                             (Py_ssize_t)about->ended, flag(about->summed_up), about->mean,
+                             about->variance, rest->level, rest->noise, flag(rest->known), about->turn);
     case STREAM_BLOCK:
         return Py_BuildValue("(LN)", (long long)about->start, /* not copied: until stream_look is called */
                              PyMemoryView_FromMemory((char *)about->volts,

@@ -148,12 +148,6 @@ VECTORS static void add_squares(size_t rows, const float *restrict sums, float *
         squares[i] += sums[i] * sums[i];
 }
 
-VECTORS static void narrow(size_t count, const double *restrict volts, float *restrict chips)
-{
-    for (size_t i = 0; i < count; i++)
-        chips[i] = (float)volts[i];
-}
-
 VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
                          float level, float *restrict flipped)
 {
@@ -619,14 +613,6 @@ void sparse_learn(const struct sparse *sparse, double found, double *noise)
     *noise = *noise > 0 ? *noise + sparse->rules.weight * (found - *noise) : found;
 }
 
-static bool detect_volts(struct sparse *sparse, const double *volts)
-{
-    float *chips = sparse->sums; /* has room for more, and is not used yet */
-
-    narrow(sparse->book.bits * sparse->book.order, volts, chips);
-    return detect(sparse, chips, 0);
-}
-
 /* Replaces the levels of those who spoke in the frame before by those of this one. */
 static void tell_spoken(struct sparse *sparse, float *rows, int32_t *spoke)
 {
@@ -647,14 +633,14 @@ static void tell_spoken(struct sparse *sparse, float *rows, int32_t *spoke)
     }
 }
 
-bool sparse_read(struct sparse *sparse, const double *volts, double *noise, float *rows, int32_t *spoke,
+bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, int32_t *spoke,
                  struct sparse_told *told)
 {
     const struct sparse_book *book = &sparse->book;
     const struct sparse_rules *rules = &sparse->rules;
     double swing2 = rules->swing * rules->swing, found = 0;
 
-    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * swing2) || !detect_volts(sparse, volts))
+    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * swing2) || !detect(sparse, chips, 0))
         return false;
     for (size_t bit = 0; bit < book->bits; bit++)
         found += noise_of(sparse, sparse->power[bit]);

@@ -55,7 +55,7 @@ void sparse_detect(struct sparse *sparse, const float *chips, double damping, st
 /* Reads a frame that leaves nothing to decide, as SparseRecogniser does; false for any other. noise: V², of a chip, in
  * the frames before, and then with this one. rows: (k, 2^m) levels of those who spoke, 0 of all others; as the last
  * frame left them, and 0 at first. spoke: (n) their nodes, from 0 on, in any order. */
-bool sparse_read(struct sparse *sparse, const double *chips, double *noise, float *rows, int32_t *spoke,
+bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, int32_t *spoke,
                  struct sparse_told *told);
 
 /* Learns the noise from that of one frame, V²; 0: unknown. */

@@ -5,8 +5,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "vectors.h"
+
 #define COLUMNS 16 /* of a dense product that are done together */
 #define GROUPS 16  /* fours of inputs whose sums are held at once: 16 kB, in the nearest cache */
+
+#define CACHED 4096 /* values */
 
 struct dense {
     size_t order, stride; /* stride: of its inputs, the product of the orders after it */
@@ -21,8 +25,6 @@ struct transform {
     void (*multiply)(const struct transform *, const float *, float *, size_t);
 };
 
-#if defined(__GNUC__)
-#define INLINE static inline __attribute__((always_inline))
 #define UNROLL _Pragma("GCC unroll 16")
 #define NO_UNROLL _Pragma("GCC unroll 1")
 typedef float quad __attribute__((vector_size(16)));
@@ -37,16 +39,10 @@ typedef int32_t places8 __attribute__((vector_size(32)));
 #define SHUFFLE4(x, ...) __builtin_shuffle(x, (places4){__VA_ARGS__})
 #define SHUFFLE8(x, ...) __builtin_shuffle(x, (places8){__VA_ARGS__})
 #endif
-#else
-#define INLINE static inline
-#define UNROLL
-#define NO_UNROLL
-#endif
 
 /* The transpose of 4 by 4 values, scaled. Steps: from one row to the next. */
 static void transpose(const float *from, size_t from_step, float *to, size_t to_step, float scale)
 {
-#if defined(__GNUC__)
     quad a, b, c, d;
     memcpy(&a, from, sizeof a);
     memcpy(&b, from + from_step, sizeof b);
@@ -62,11 +58,6 @@ static void transpose(const float *from, size_t from_step, float *to, size_t to_
     memcpy(to + to_step, &b, sizeof b);
     memcpy(to + 2 * to_step, &c, sizeof c);
     memcpy(to + 3 * to_step, &d, sizeof d);
-#else
-    for (size_t i = 0; i < 4; i++)
-        for (size_t j = 0; j < 4; j++)
-            to[j * to_step + i] = from[i * from_step + j] * scale;
-#endif
 }
 
 /* Copies up to COLUMNS columns from the place of the first on, scaled, so that they lie side by side;
@@ -137,9 +128,7 @@ static void scatter(float (*outputs)[COLUMNS], float *to, const struct dense *de
 #define NARROW_PASS pass_of_1
 #include "transform_lanes.h"
 
-#if defined(__GNUC__) /* whose vectors of 4 are registers of SSE2 or NEON, or else scalars again */
-
-#define LANES 4
+#define LANES 4 /* registers of SSE2 or NEON, or else scalars again */
 #define NAMED(name) name##_4
 #define TARGET
 #define NARROW_PASS pass_of_4 /* strides are multiples of 4 */
@@ -154,16 +143,12 @@ static void scatter(float (*outputs)[COLUMNS], float *to, const struct dense *de
 #include "transform_lanes.h"
 #endif
 
-#endif
-
 unsigned transform_lanes(void)
 {
 #if defined(HAS_AVX2)
     return __builtin_cpu_supports("avx2") ? 8 : 4;
-#elif defined(__GNUC__)
-    return 4;
 #else
-    return 1;
+    return 4;
 #endif
 }
 
@@ -196,10 +181,8 @@ static bool choose(struct transform *transform, unsigned lanes)
         return false;
     if (lanes == 1)
         transform->multiply = sylvester ? multiply_sylvester_1 : multiply_product_1;
-#if defined(__GNUC__)
     else if (lanes == 4)
         transform->multiply = sylvester ? multiply_sylvester_4 : multiply_product_4;
-#endif
 #if defined(HAS_AVX2)
     else if (lanes == 8)
         transform->multiply = sylvester ? multiply_sylvester_8 : multiply_product_8;

@@ -222,8 +222,8 @@ TARGET static void NAMED(multiply_dense)(const struct dense *dense, const float 
     }
 }
 
-TARGET static void NAMED(multiply_product)(const struct transform *transform, const float *from,
-                                           float *to, size_t count)
+TARGET static void NAMED(multiply_some)(const struct transform *transform, const float *from,
+                                        float *to, size_t count)
 {
     size_t order = transform->order, inner = transform->inner, size = order * count;
     float scale = transform->scale;
@@ -247,6 +247,17 @@ TARGET static void NAMED(multiply_product)(const struct transform *transform, co
         from = to;
         scale = 1.0f;
     }
+}
+
+/* As many vectors at once as stay in the nearest cache. */
+TARGET static void NAMED(multiply_product)(const struct transform *transform, const float *from,
+                                           float *to, size_t count)
+{
+    size_t order = transform->order, some = CACHED / order + 1;
+
+    for (; count > some; count -= some, from += some * order, to += some * order)
+        NAMED(multiply_some)(transform, from, to, some);
+    NAMED(multiply_some)(transform, from, to, count);
 }
 
 #undef lanes

@@ -8,6 +8,7 @@
 #include "vectors.h"
 
 #define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
+#define PART 1024 /* values that are added up in floats */
 
 /* ---- measure ----------------------------------------------------------------------------------- */
 
@@ -180,41 +181,65 @@ VECTORS static bool decide(size_t nodes, const struct words_measures *measures, 
 
 /* ---- fit --------------------------------------------------------------------------------------- */
 
-/* Sum of squares; many partial sums keep its error at that of a few additions. */
+/* Adds products to the sums of 16 lanes: many of them keep their error at that of a few additions. */
+INLINE void add_up(const float *some, const float *others, size_t size, float lanes[16])
+{
+    floats8 *sums = (floats8 *)lanes, low = sums[0], high = sums[1];
+    size_t i = 0;
+
+    for (; i + 16 <= size; i += 16) {
+        const floats8 *a = (const floats8 *)(some + i), *b = (const floats8 *)(others + i);
+        low += a[0] * b[0];
+        high += a[1] * b[1];
+    }
+    sums[0] = low;
+    sums[1] = high;
+    for (; i < size; i++)
+        lanes[0] += some[i] * others[i];
+}
+
+INLINE double total(const float lanes[16])
+{
+    double sum = 0;
+
+    for (size_t lane = 0; lane < 16; lane++)
+        sum += (double)lanes[lane];
+    return sum;
+}
+
+/* Sum of products. */
+INLINE double dot(const float *some, const float *others, size_t size)
+{
+    double sum = 0;
+
+    for (size_t begin = 0; begin < size; begin += PART) {
+        float lanes[16] = {0};
+        add_up(some + begin, others + begin, size - begin < PART ? size - begin : PART, lanes);
+        sum += total(lanes);
+    }
+    return sum;
+}
+
 INLINE double power_of(const float *values, size_t size)
 {
-    float partial[16];
-    double power = 0;
-
-    for (size_t begin = 0; begin < size; begin += 1024) {
-        size_t end = size - begin < 1024 ? size : begin + 1024, i = begin;
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] = 0;
-        for (; i + 16 <= end; i += 16)
-            for (size_t lane = 0; lane < 16; lane++)
-                partial[lane] += values[i + lane] * values[i + lane];
-        for (; i < end; i++)
-            partial[0] += values[i] * values[i];
-        for (size_t lane = 0; lane < 16; lane++)
-            power += (double)partial[lane];
-    }
-    return power;
+    return dot(values, values, size);
 }
 
 /* Sum of a block of squares, the same way. */
 INLINE double sum_of(const float *squares, size_t size)
 {
-    float partial[16] = {0};
+    floats8 sums[2] = {{0}, {0}};
     double sum = 0;
     size_t i = 0;
 
-    for (; i + 16 <= size; i += 16)
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] += squares[i + lane];
+    for (; i + 16 <= size; i += 16) {
+        sums[0] += ((const floats8 *)(squares + i))[0];
+        sums[1] += ((const floats8 *)(squares + i))[1];
+    }
     for (; i < size; i++)
-        partial[0] += squares[i];
+        sums[0][0] += squares[i];
     for (size_t lane = 0; lane < 16; lane++)
-        sum += (double)partial[lane];
+        sum += (double)sums[lane / 8][lane % 8];
     return sum;
 }
 
@@ -319,6 +344,27 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     *misfit = (float)frame_power(frame, rows) / (bits_power < tiny ? tiny : bits_power) - 1.0f;
 }
 
+VECTORS double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude)
+{
+    const size_t from = frame->first > 0, end = frame->first + frame->nodes;
+    double sum = 0, most = -INFINITY;
+    float off[PART];
+
+    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
+        double left = power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
+        for (size_t begin = 0; begin < frame->nodes; begin += PART) {
+            size_t size = frame->nodes - begin < PART ? frame->nodes - begin : PART;
+            const float *levels = rows + frame->first + begin;
+            for (size_t i = 0; i < size; i++)
+                off[i] = fabsf(levels[i]) - amplitude[begin + i];
+            left += power_of(off, size);
+        }
+        sum += left;
+        most = most > left ? most : left;
+    }
+    return most - (sum - most) / (double)(frame->bits - 1);
+}
+
 /* ---- noise ------------------------------------------------------------------------------------- */
 
 /* A spoken word's levels scatter about their mean with the noise. The levels of a silent node are the
@@ -412,21 +458,6 @@ VECTORS static struct spoken clear_silent(size_t nodes, const struct words_measu
 INLINE float sign_of(float level)
 {
     return (float)((level > 0) - (level < 0));
-}
-
-INLINE float dot(const float *some, const float *others, size_t size)
-{
-    float partial[16] = {0}, sum = 0;
-    size_t i = 0;
-
-    for (; i + 16 <= size; i += 16)
-        for (size_t lane = 0; lane < 16; lane++)
-            partial[lane] += some[i + lane] * others[i + lane];
-    for (; i < size; i++)
-        partial[0] += some[i] * others[i];
-    for (size_t lane = 0; lane < 16; lane++)
-        sum += partial[lane];
-    return sum;
 }
 
 /* Energy per bit of what one offset of all chips leaves over, V²; offset: (k, N), rows of an offset of 1 V;
@@ -524,7 +555,7 @@ INLINE void find_chips(const struct words_frame *frame, const float *rows, const
     size_t order = frame->order;
 
     for (size_t bit = 0; bit < frame->bits; bit++, rows += order) {
-        double sums[CHIPS] = {0}, power = 0;
+        float sums[CHIPS + 1][16] = {{0}}; /* the last: power */
         for (size_t begin = 0; begin < order; begin += 512) {
             float left[512];
             size_t size = order - begin < 512 ? order - begin : 512;
@@ -533,12 +564,14 @@ INLINE void find_chips(const struct words_frame *frame, const float *rows, const
             if (begin == 0 && frame->first > 0)
                 left[0] = 0; /* the line's offset */
             for (size_t edge = 0; edge < CHIPS; edge++)
-                sums[edge] += (double)dot(left, edges + edge * order + begin, size);
-            power += (double)order * (double)dot(left, left, size);
+                add_up(left, edges + edge * order + begin, size, sums[edge]);
+            add_up(left, left, size, sums[CHIPS]);
         }
+        double power = (double)order * total(sums[CHIPS]);
         for (size_t chip = 0; chip < CHIPS; chip++) {
-            chips[bit][chip] = (float)sums[chip];
-            power -= sums[chip] * sums[chip];
+            double level = total(sums[chip]);
+            chips[bit][chip] = (float)level;
+            power -= level * level;
         }
         variance[bit] = (float)((power > 0 ? power : 0) / (double)(order - CHIPS));
     }

@@ -42,6 +42,10 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
+/* What the bit of which words leave the most leaves more than the others, V²: as WordFit._most_left; amplitude: (n,)
+ * V, of the words. */
+double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude);
+
 /* Noise of one correlation, V RMS: of `count` spare rows from `spare` on, or of the words where fewer
  * than two rows are spare; see node_levels in separate.py. */
 double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count);

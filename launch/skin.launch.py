@@ -157,9 +157,19 @@ def whole_body(get: dict[str, str]) -> list[LaunchDescriptionEntity]:
     if given:
         raise RuntimeError(f"{given[0]} is for a single patch; the body file sets it")
     path = existing(Path(get["patches"]).expanduser(), "body file").absolute()
-    patches = read_body(path).only(get["only"])
+    processes = read_body(path).processes(get["only"])
     actions = [
-        driver(patch.name, patch.params_file, patch.parameters, respawn=True) for patch in patches
+        driver(patches[0].name, patches[0].params_file, patches[0].parameters, respawn=True)
+        if len(patches) == 1
+        else Node(
+            package="tactile_cdma",
+            executable="skin_patches",
+            arguments=[str(path), "--only", ",".join(patch.name for patch in patches)],
+            output="screen",
+            respawn=True,
+            respawn_delay=RESPAWN_DELAY_S,
+        )
+        for patches in processes
     ]
     if get["body"] == "true":
         actions.append(

@@ -25,16 +25,17 @@ def row(parameter: Parameter) -> str:
     allowed = ", ".join(f"`{choice}`" for choice in parameter.choices)
     if parameter.limits:
         low, high = parameter.limits
-        allowed = f"{low:.10g} … {high:.10g} {parameter.unit}".strip()
+        allowed = f"{low:.10g}…{high:.10g} {parameter.unit}".strip()
     live = " •" if parameter.live else ""
-    return f"| `{parameter.name}`{live} | `{default}` | {allowed} | {parameter.text} |"
+    values = f"`{default}`" + (f"; {allowed}" if allowed else "")
+    return f"| `{parameter.name}`{live} | {values} | {parameter.text} |"
 
 
 def with_table(text: str) -> str:
     """The page's text with the table replaced by the current one."""
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    lines = ["| name | default | allowed | meaning |", "|---|---|---|---|", *map(row, PARAMETERS)]
+    lines = ["| name | default; allowed | meaning |", "|---|---|---|", *map(row, PARAMETERS)]
     return "\n".join([before + BEGIN, *lines, END + after])
 
 

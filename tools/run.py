@@ -129,8 +129,17 @@ def driver_command(params: Path, port: str) -> list[str]:
 
 def body_commands(path: Path) -> list[list[str]]:
     """Return those of a body's drivers, and of its own node. Raises BodyError for a wrong file."""
-    drivers = [patch_command(patch) for patch in read_body(path).patches]
+    drivers = [
+        patch_command(patches[0]) if len(patches) == 1 else patches_command(path, patches)
+        for patches in read_body(path).processes()
+    ]
     return [*drivers, node_command("skin_body", {"body_file": str(path)})]
+
+
+def patches_command(path: Path, patches: Sequence[Patch]) -> list[str]:
+    """Return the command of several patches' drivers in one process."""
+    names = ",".join(patch.name for patch in patches)
+    return [sys.executable, str(CHECKOUT / "scripts" / "skin_patches"), str(path), "--only", names]
 
 
 def patch_command(patch: Patch) -> list[str]:

@@ -79,7 +79,8 @@ struct dg_hardware {
 struct node_limits {
     uint16_t order;           /* longest code row it has room for, chips */
     uint16_t chip_ns;         /* shortest chip, … */
-    uint16_t scrambled_chip_ns; /* … if it is flipped … */
+    uint16_t scrambled_chip_ns; /* … if it is flipped, … */
+    uint16_t sparse_chip_ns;  /* … or of a sparse code, 0: it has none … */
     uint32_t longest_chip_ns; /* … and longest */
     uint16_t chip_step_ns;    /* chips are a multiple of this */
     bool bits_restart;        /* a sub-slot must be a bit */

@@ -144,7 +144,7 @@ void demonstrator_plan(struct demonstrator *d)
         bool talks = call ? event_talks_first(&node->event) : event_talks(&node->event, node->code);
         if (talks)
             add_chips(d, i);
-        event_frame(&node->event, call, talks, node->code);
+        event_frame(&node->event, call, false, talks, node->code);
     }
     d->chips[d->chip_count] = (uint16_t)d->chips[d->chip_count - 1];
 }

@@ -8,6 +8,7 @@ void event_init(struct event *e, const struct tp_node_record *record, uint16_t r
     e->rest = rest;
     e->last_sent = rest;
     e->heartbeat = record->heartbeat;
+    e->owes = false;
     e->to_heartbeat = record->turn;
     e->turn = (uint16_t)(record->node - 1u);
     e->nodes = record->nodes;
@@ -24,15 +25,20 @@ bool event_talks(const struct event *e, uint16_t code)
     if (e->called < e->nodes)
         return e->called == e->turn;
     return e->threshold == 0 || farther(code, e->rest, e->threshold) ||
-           farther(code, e->last_sent, e->threshold) || (e->heartbeat && e->to_heartbeat == 0);
+           farther(code, e->last_sent, e->threshold) || e->owes ||
+           (e->heartbeat && e->to_heartbeat == 0);
 }
 
-void event_frame(struct event *e, bool call, bool spoke, uint16_t code)
+void event_frame(struct event *e, bool call, bool others, bool spoke, uint16_t code)
 {
-    if (spoke)
+    if (spoke) {
         e->last_sent = code;
-    if (e->heartbeat && e->to_heartbeat-- == 0)
+        e->owes = false;
+    }
+    if (e->heartbeat && e->to_heartbeat-- == 0) {
         e->to_heartbeat = (uint16_t)(e->heartbeat - 1u);
+        e->owes |= others;
+    }
     if (call)
         e->called = 1;
     else if (e->called < e->nodes)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Reads and checks a node's EEPROM: its configuration and the chips of its code row. */
+/* Reads and checks a node's EEPROM: its configuration and the chips of its code. */
 #ifndef TACTILE_NODE_MEMORY_H
 #define TACTILE_NODE_MEMORY_H
 
@@ -18,8 +18,8 @@ enum node_memory_fault {
     NODE_MEMORY_UNFIT = 4,    /* a valid record beyond this board's struct node_limits */
 };
 
-/* Reads record and row (limits->order / 8 bytes, rounded up), which are valid only if the result is
- * GOOD. */
+/* Reads record and row (limits->order / 8 bytes, rounded up, at least 16), which are valid only if the
+ * result is GOOD. row: of a sparse code its first octets. */
 enum node_memory_fault node_memory_load(struct tp_node_record *record, uint8_t *row,
                                         const struct node_limits *limits,
                                         node_memory_reader *read);

@@ -7,17 +7,20 @@ void sequencer_init(struct sequencer *s, const struct tp_node_record *record, co
     s->row = row;
     s->unused = frame_unused(record->order);
     s->head = (uint8_t)(*row >> s->unused);
+    s->is_sparse = SPARSE_CODES && record->digits;
+    if (SPARSE_CODES && s->is_sparse)
+        sparse_init(&s->sparse, record->digits);
     s->order = record->order;
     s->scramble = record->scramble;
     s->scrambles = record->scramble != 0;
     /* a frame has at most 11 · 4096 = 45,056 chips, fewer than UINT16_MAX */
     s->slot_chips = record->resync_chips ? record->resync_chips : UINT16_MAX;
-    s->negative = record->sign < 0;
+    s->negative = (record->sign < 0) != s->is_sparse;
     s->code_bits = record->bits;
     s->parity = record->parity;
 }
 
-/* Loads chips of the row; unused: chips of their octet that are not among them. */
+/* Loads chips of the code; unused: chips of their octet that are not among them. */
 static void load(struct sequencer *s, uint8_t octet, uint8_t unused)
 {
     bool inverted = s->negative == !!(s->word & 0x8000u);
@@ -31,6 +34,10 @@ static void load(struct sequencer *s, uint8_t octet, uint8_t unused)
 static void begin_bit(struct sequencer *s)
 {
     s->bit_left = s->order;
+    if (SPARSE_CODES && s->is_sparse) {
+        load(s, (uint8_t)(sparse_octet(&s->sparse, s->past) >> s->unused), s->unused);
+        return;
+    }
     s->octet = s->row + 1;
     load(s, s->head, s->unused);
 }
@@ -52,6 +59,8 @@ void sequencer_start(struct sequencer *s, uint16_t code)
     s->word = frame_word(code, s->code_bits, s->parity);
     s->slot_left = s->slot_chips;
     scrambler_start(&s->flips, s->scramble);
+    if (SPARSE_CODES && s->is_sparse)
+        sparse_start(&s->sparse, s->past, s->row);
     begin_bit(s);
     begin_run(s);
 }
@@ -69,7 +78,7 @@ enum sequencer_next sequencer_turn(struct sequencer *s)
         s->word = (uint16_t)(s->word << 1);
         begin_bit(s);
     } else if (s->octet_left == 0) {
-        load(s, *s->octet++, 0);
+        load(s, SPARSE_CODES && s->is_sparse ? sparse_octet(&s->sparse, s->past) : *s->octet++, 0);
     } else {
         s->chips >>= 1;
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Turns a word and a code row into a sequence of chips.
+/* Turns a word and a code into a sequence of chips.
  *
  * An interrupt steps through them, so they are held in runs: up to 8 chips within one octet of the
  * row, one bit and one sub-slot. A step within a run costs a shift and a decrement; a step to the
@@ -15,6 +15,7 @@
 
 #include "frame.h"
 #include "scrambler.h"
+#include "sparse_code.h"
 #include "tactile_protocol.h"
 
 /* What follows a chip. */
@@ -28,11 +29,12 @@ struct sequencer {
     const uint8_t *row;    /* chips of a bit, least significant first, 1 for +; ends with an octet */
     uint8_t head;          /* chips of its first octet, without what fills it up … */
     uint8_t unused;        /* … which are so many */
+    bool is_sparse;        /* the row has the first octets of a sparse code */
     uint16_t order;        /* chips per bit */
     uint32_t scramble;     /* state of the scrambler before a word … */
     bool scrambles;        /* … which is not 0 */
     uint16_t slot_chips;   /* chips between guards; without guards more than a frame has */
-    bool negative;         /* sign of the row */
+    bool negative;         /* whether a 1 bit of the row's octets is -1 in a 1 bit of the word */
     uint8_t code_bits;     /* of a word, without parity */
     uint8_t parity;        /* 1: a further bit makes the number of ones even */
 
@@ -44,6 +46,8 @@ struct sequencer {
     uint16_t slot_left;    /* … and of the sub-slot */
     const uint8_t *octet;  /* the row's next octet */
     struct scrambler flips;
+    struct sparse_code sparse;
+    uint8_t past[SPARSE_MOST_DIGITS];
     uint16_t word;         /* bits to send, the present one in bit 15 */
     uint8_t bits_left;     /* including the present one */
 };

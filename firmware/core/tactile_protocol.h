@@ -41,7 +41,7 @@
 #define TP_TURN_SHIFT 3u
 #define TP_TURN_MOST_LOG2 4u
 #define TP_NODE_MAGIC 1314145108u
-#define TP_NODE_VERSION 2u
+#define TP_NODE_VERSION 3u
 #define TP_NODE_LEARN_REST 65535u
 
 /* packet types */
@@ -154,13 +154,14 @@ TP_ASSERT_AT(tp_frame_layout, resync_chips, 27);
 TP_ASSERT_AT(tp_frame_layout, guard_chips, 29);
 _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 
-/* Begins a node's EEPROM. Chips follow, least significant bit first, 1 for +1: the last one ends an octet, and what fills up the first octet is as if the row came before itself. Then CRC-32. */
+/* Begins a node's EEPROM. Chips follow, least significant bit first, 1 for +1: the last one ends an octet, and what fills up the first octet is as if the row came before itself. Of a sparse code its first digits octets follow instead. Then CRC-32. */
 struct __attribute__((packed)) tp_node_record {
     uint32_t magic; /* marks a node's record */
     uint8_t version; /* version of the record */
     uint16_t node; /* number of this node; its turn in a roll call */
     uint16_t nodes; /* number of nodes */
-    uint16_t row; /* code row; for information, its chips follow */
+    uint16_t row; /* code row, or code number; for information, its chips follow */
+    uint8_t digits; /* octets in the register of a sparse code, 4 or more; 0: the code is a row */
     int8_t sign; /* sign of the row */
     uint8_t bits; /* word length */
     uint8_t parity; /* 1: every word is followed by a bit that makes its ones even */
@@ -181,30 +182,32 @@ TP_ASSERT_AT(tp_node_record, version, 4);
 TP_ASSERT_AT(tp_node_record, node, 5);
 TP_ASSERT_AT(tp_node_record, nodes, 7);
 TP_ASSERT_AT(tp_node_record, row, 9);
-TP_ASSERT_AT(tp_node_record, sign, 11);
-TP_ASSERT_AT(tp_node_record, bits, 12);
-TP_ASSERT_AT(tp_node_record, parity, 13);
-TP_ASSERT_AT(tp_node_record, order, 14);
-TP_ASSERT_AT(tp_node_record, chip_ns, 16);
-TP_ASSERT_AT(tp_node_record, frame_period_us, 20);
-TP_ASSERT_AT(tp_node_record, resync_chips, 24);
-TP_ASSERT_AT(tp_node_record, guard_chips, 26);
-TP_ASSERT_AT(tp_node_record, scramble, 27);
-TP_ASSERT_AT(tp_node_record, discipline, 31);
-TP_ASSERT_AT(tp_node_record, rest, 32);
-TP_ASSERT_AT(tp_node_record, threshold, 34);
-TP_ASSERT_AT(tp_node_record, heartbeat, 36);
-TP_ASSERT_AT(tp_node_record, turn, 38);
-_Static_assert(sizeof(struct tp_node_record) == 40, "size of tp_node_record");
+TP_ASSERT_AT(tp_node_record, digits, 11);
+TP_ASSERT_AT(tp_node_record, sign, 12);
+TP_ASSERT_AT(tp_node_record, bits, 13);
+TP_ASSERT_AT(tp_node_record, parity, 14);
+TP_ASSERT_AT(tp_node_record, order, 15);
+TP_ASSERT_AT(tp_node_record, chip_ns, 17);
+TP_ASSERT_AT(tp_node_record, frame_period_us, 21);
+TP_ASSERT_AT(tp_node_record, resync_chips, 25);
+TP_ASSERT_AT(tp_node_record, guard_chips, 27);
+TP_ASSERT_AT(tp_node_record, scramble, 28);
+TP_ASSERT_AT(tp_node_record, discipline, 32);
+TP_ASSERT_AT(tp_node_record, rest, 33);
+TP_ASSERT_AT(tp_node_record, threshold, 35);
+TP_ASSERT_AT(tp_node_record, heartbeat, 37);
+TP_ASSERT_AT(tp_node_record, turn, 39);
+_Static_assert(sizeof(struct tp_node_record) == 41, "size of tp_node_record");
 /* Whether every field is within its range. */
 static inline bool tp_node_record_in_range(const struct tp_node_record *m)
 {
     return m->magic >= 1314145108u &&
            m->magic <= 1314145108u &&
-           m->version >= 2u &&
-           m->version <= 2u &&
+           m->version >= 3u &&
+           m->version <= 3u &&
            m->node >= 1u &&
            m->nodes >= 1u &&
+           m->digits <= 16u &&
            (m->sign == 1 || m->sign == -1) &&
            m->bits >= 8u &&
            m->bits <= 10u &&

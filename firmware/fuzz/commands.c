@@ -21,10 +21,14 @@ size_t commands_plain(struct input *input, uint8_t type, uint8_t *wire)
 
 size_t commands_any(struct input *input, uint8_t *wire)
 {
-    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL, TP_PACK};
+    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL, TP_PACK, TP_GROUPS};
     uint8_t type = input_u8(input);
     const uint8_t *payload;
 
+    if (type < 0xC0 && types[type % sizeof types] == TP_GROUPS) {
+        uint8_t log2_groups = input_u8(input) % 6;
+        return packet(input, TP_GROUPS, &log2_groups, 1, wire);
+    }
     if (type < 0xC0)
         return commands_plain(input, types[type % sizeof types], wire);
     type = input_u8(input);

@@ -233,23 +233,24 @@ static void add_samples(struct input *input)
 {
     size_t size = 1 + input_u16(input) % 400, edges = 1 + input_u8(input), chips = input_u8(input) % edges;
     int16_t *counts = malloc(size * sizeof *counts);
-    float *volts = malloc(size * sizeof *volts), *levels = malloc((chips + 1) * sizeof *levels);
-    double *copy = malloc(size * sizeof *copy), *spans = malloc(2 * edges * sizeof *spans);
+    float *levels = malloc((chips + 1) * sizeof *levels), zero = (float)(int16_t)input_u16(input);
+    float *volts = malloc(size * sizeof *volts);
+    double *spans = malloc(2 * edges * sizeof *spans);
     int32_t *whole = malloc((edges + chips) * sizeof *whole), at = 0;
     double sum = 0;
     size_t outside = 0;
 
     for (size_t i = 0; i < size; i++)
         counts[i] = (int16_t)input_u16(input);
-    samples_volts(counts, size, (float)(int16_t)input_u16(input), 0.5f, volts);
-    samples_copy(volts, size, 20000, copy);
+    samples_volts(counts, size, zero, 0.5f, 20000, volts);
     for (size_t i = 0; i < size; i++) {
-        MUST(isnan(copy[i]) ? fabsf(volts[i]) >= 20000 : copy[i] == (double)volts[i], WRONG_VALUE);
-        outside += copy[i] <= -100 || copy[i] >= 100;
-        sum += copy[i];
+        float level = ((float)counts[i] - zero) * 0.5f;
+        MUST(isnan(volts[i]) ? fabsf(level) >= 20000 : volts[i] == level, WRONG_VALUE);
+        outside += volts[i] <= -100 || volts[i] >= 100;
+        sum += (double)volts[i];
     }
-    MUST(samples_outside(copy, size, -100, 100) == outside, WRONG_VALUE);
-    struct samples_sums sums = samples_add(copy, size);
+    MUST(samples_outside(volts, size, -100, 100) == outside, WRONG_VALUE);
+    struct samples_sums sums = samples_add(volts, size);
     MUST(isnan(sum) ? isnan(sums.sum) : sums.sum == sum && !(sums.squares < 0), WRONG_VALUE);
     for (size_t edge = 0; edge < edges; edge++) {
         at += (int8_t)(input_u8(input) % 32) - 1;
@@ -260,11 +261,10 @@ static void add_samples(struct input *input)
     for (size_t chip = 0; chip < chips; chip++)
         whole[edges + chip] = input_u8(input);
     struct samples_edges all = {edges, whole, spans, spans + edges};
-    samples_chips(copy, size, 1, &all, whole + edges, chips, levels);
+    samples_chips(volts, size, 1, &all, whole + edges, chips, levels);
     free(counts);
     free(volts);
     free(levels);
-    free(copy);
     free(spans);
     free(whole);
 }
@@ -310,11 +310,11 @@ static void read_frames(struct input *input)
     float swing = level_of(input_u8(input)), spread = (float)input_u8(input) * 1e-3f;
     float *rows = malloc(bits * order * sizeof *rows), *edges = malloc(4 * order * sizeof *edges);
     float *offset = malloc(bits * order * sizeof *offset);
-    float *floats = calloc((16 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
+    float *floats = calloc((17 + 3 * PIECES) * nodes + 2 * taxels + codes, sizeof *floats);
     int32_t *ints = calloc(3 * nodes + taxels, sizeof *ints);
     uint8_t *flags = calloc(10 * nodes + taxels, 1);
     double *heard_s = malloc(nodes * sizeof *heard_s);
-    float *pieces = floats + 16 * nodes, *of_taxels = pieces + 3 * PIECES * nodes;
+    float *sign = floats + 16 * nodes, *pieces = sign + nodes, *of_taxels = pieces + 3 * PIECES * nodes;
     float *table = of_taxels + 2 * taxels;
     const struct readout_settings settings = {
         .frame = {bits, order, first, nodes, false, swing, 0.25f, 0.5f, 2.2},
@@ -349,6 +349,7 @@ static void read_frames(struct input *input)
                                       flags + nodes,
                                       flags + 2 * nodes,
                                       flags + 3 * nodes,
+                                      sign,
                                       floats + nodes,
                                       floats + 15 * nodes,
                                       floats + 2 * nodes,
@@ -383,6 +384,7 @@ static void read_frames(struct input *input)
     for (size_t i = 0; i < nodes; i++) {
         uint8_t some = input_u8(input);
         floats[i] = swing;
+        sign[i] = 1;
         ints[i] = (int32_t)(i % 2 ? 0 : (1u << bits) - 1);
         heard_s[i] = some & 128 ? -(double)INFINITY : 0;
         flags[i] = some & 64;

@@ -3,6 +3,7 @@
 /* A sensing node whose memory, sync pulses and readings come from the input: checks which of them it
  * accepts, what it transmits, and in which frames. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "discipline.h"
 #include "event.h"
@@ -11,6 +12,7 @@
 #include "node_memory.h"
 #include "sequencer.h"
 #include "sync_pulse.h"
+#include "turn.h"
 
 #define MEMORY 1024 /* bytes of an ATmega328P's EEPROM; an ATtiny85 has fewer */
 #define ROW_OCTETS 121
@@ -21,6 +23,7 @@ static const struct node_limits slow = {
     .order = 8 * ROW_OCTETS,
     .chip_ns = 30000,
     .scrambled_chip_ns = 36000,
+    .sparse_chip_ns = 40000,
     .longest_chip_ns = 90000,
     .chip_step_ns = 1,
     .bits_restart = false,
@@ -31,6 +34,7 @@ static const struct node_limits fast = {
     .order = 8 * ROW_OCTETS,
     .chip_ns = 500,
     .scrambled_chip_ns = 1750,
+    .sparse_chip_ns = 2000,
     .longest_chip_ns = 16000,
     .chip_step_ns = 250,
     .bits_restart = true,
@@ -71,6 +75,8 @@ static struct tp_node_record record_of(struct input *input)
     }
     record.node = (uint16_t)(1 + input_u8(input) % record.nodes);
     record.turn = (uint16_t)(record.heartbeat ? input_u8(input) % record.heartbeat : 0);
+    if (flags & 0x20)
+        record.digits = 4 + input_u8(input) % 13;
     if (flags & 8) {
         record.resync_chips = 1 + input_u16(input) % 500;
         record.guard_chips = 4 + input_u8(input) % 8;
@@ -83,6 +89,12 @@ static struct tp_node_record record_of(struct input *input)
     if (flags & 0x80) /* and anything in one place */
         ((uint8_t *)&record)[input_u8(input) % sizeof record] = input_u8(input);
     return record;
+}
+
+/* Octets that follow the record. */
+static size_t octets_of(const struct tp_node_record *record)
+{
+    return record->digits ? record->digits : (record->order + 7u) / 8;
 }
 
 /* Any bytes, or a record and a row that fit their CRC; for one of two boards. */
@@ -100,10 +112,10 @@ static void write_memory(struct input *input)
         return;
     }
     struct tp_node_record record = record_of(input);
-    size_t octets = (record.order + 7u) / 8, size = sizeof record + octets;
+    size_t octets = octets_of(&record), size = sizeof record + octets;
     size = size < MEMORY - sizeof(uint32_t) ? size : MEMORY - sizeof(uint32_t);
     memcpy(memory, &record, sizeof record);
-    octets = input_bytes(input, &bytes, octets < 8 ? octets : 8);
+    octets = input_bytes(input, &bytes, octets < 16 ? octets : 16);
     memcpy(memory + sizeof record, bytes, octets);
     uint32_t crc = framing_crc(memory, size);
     memcpy(memory + size, &crc, sizeof crc);
@@ -117,8 +129,14 @@ static bool is_within_limits(const struct tp_node_record *record)
     uint64_t guard_ns = (uint64_t)record->guard_chips * record->chip_ns;
     uint64_t used_ns = chips * record->chip_ns + slots * guard_ns;
 
-    if (record->order > limits->order || record->chip_ns > limits->longest_chip_ns ||
-        record->chip_ns < (record->scramble ? limits->scrambled_chip_ns : limits->chip_ns))
+    uint32_t least_ns = record->scramble ? limits->scrambled_chip_ns : limits->chip_ns;
+
+    if (record->digits)
+        least_ns = limits->sparse_chip_ns;
+    else if (record->order > limits->order)
+        return false;
+    if (record->chip_ns > limits->longest_chip_ns || record->chip_ns < least_ns ||
+        (limits == &slow && record->digits && record->resync_chips))
         return false;
     if (limits == &fast && (record->chip_ns % 250 || record->order % 2 ||
                             record->resync_chips != record->order))
@@ -130,12 +148,12 @@ static bool is_within_limits(const struct tp_node_record *record)
 /* Conditions that an intact memory meets, accepted or not. */
 static void check_record(const struct tp_node_record *record, bool accepted)
 {
-    size_t size = sizeof *record + (record->order + 7u) / 8;
+    size_t size = sizeof *record + octets_of(record);
     uint32_t crc;
 
     memcpy(&crc, memory + size, sizeof crc);
     MUST(crc == framing_crc(memory, size), WRONG_VALUE);
-    MUST(record->order >= 1, WRONG_VALUE);
+    MUST(record->order >= 1 && (!record->digits || (record->digits >= 4 && record->digits <= 16)), WRONG_VALUE);
     MUST(record->bits >= 8 && record->bits <= 10 && record->node <= record->nodes, WRONG_VALUE);
     MUST(accepted == is_within_limits(record), WRONG_VALUE);
 }
@@ -148,6 +166,22 @@ static uint32_t scrambled(uint32_t state)
     return state >> 8 | (uint32_t)(uint8_t)(newest ^ newest >> 3 ^ old ^ old >> 1) << 24;
 }
 
+#define MOST_OCTETS (11u * 4096 / 8) /* of a frame */
+
+/* The octets of a sparse code, from docs/protocol.md: octet q + m is that of q and those of q + a, XORed. */
+static void step_octets(uint8_t *octets, uint32_t width, uint32_t count)
+{
+    static const char *const exponents[] = {
+        "1", "2", "1", "1", "234", "4", "3", "2", "146", "134", "135", "1", "235",
+    };
+
+    for (uint32_t q = width; q < count; q++) {
+        octets[q] = octets[q - width];
+        for (const char *a = exponents[width - 4]; *a; a++)
+            octets[q] ^= octets[q - width + (uint32_t)(*a - '0')];
+    }
+}
+
 /* Compares every chip of a word with the definition of a frame. */
 static void check_chips(const struct tp_node_record *record, const uint8_t *row, uint16_t code)
 {
@@ -155,9 +189,14 @@ static void check_chips(const struct tp_node_record *record, const uint8_t *row,
     uint32_t bits = record->bits + record->parity;
     uint16_t word = code & (uint16_t)((1u << record->bits) - 1);
     uint32_t octets = (record->order + 7u) / 8, flipped_at = UINT32_MAX, state = record->scramble;
+    static uint8_t stepped[MOST_OCTETS + 16];
 
     if (record->parity)
         word = (uint16_t)(word << 1 | __builtin_parity(word));
+    if (record->digits) {
+        memcpy(stepped, row, record->digits);
+        step_octets(stepped, record->digits, bits * octets);
+    }
     sequencer_init(&sequencer, record, row);
     sequencer_start(&sequencer, code);
     for (uint32_t chip = 0, all = bits * record->order; chip < all; chip++) {
@@ -167,7 +206,8 @@ static void check_chips(const struct tp_node_record *record, const uint8_t *row,
             state = scrambled(state);
         flipped_at = octet;
         bool one = word >> (bits - 1 - chip / record->order) & 1;
-        bool plus = row[place / 8] >> place % 8 & 1;
+        uint8_t chips = record->digits ? (uint8_t)~stepped[octet] : row[place / 8];
+        bool plus = chips >> place % 8 & 1;
         bool high = ((one == plus) == (record->sign > 0)) != (state >> 24 >> place % 8 & 1);
         bool guard = record->resync_chips && (chip + 1) % record->resync_chips == 0;
         enum sequencer_next next = chip + 1 == all ? SEQUENCER_END
@@ -212,6 +252,7 @@ static void check_turns(struct input *input, const struct tp_node_record *record
     struct discipline clock;
     struct event event;
     uint32_t call = record->nodes, waited = 0; /* frames since a call's first; since the heartbeat */
+    bool owed = false;                         /* a heartbeat */
     uint16_t rest = input_u16(input) % 1024;
 
     discipline_init(&clock, record, TICKS_PER_US);
@@ -220,14 +261,20 @@ static void check_turns(struct input *input, const struct tp_node_record *record
         uint8_t kind = input_u8(input);
         uint16_t code = input_u16(input) % 1024;
         bool begins = kind % 8 == 0, missed = kind % 8 == 1;
+        uint8_t groups = (uint8_t)(1u << kind / 8 % 5), group = input_u8(input) % groups;
+        uint8_t turn = groups > 1 ? groups + group : 0;
+        bool others = !begins && !missed && turn_is_others(turn, record->node);
+        MUST(begins || missed || others == (record->node % groups != group), WRONG_VALUE);
         call = begins ? 0 : call < record->nodes ? call + 1 : call;
         bool due = record->heartbeat && (waited == record->turn);
         bool wanted = call < record->nodes ? call == record->node - 1u
-                                           : !record->threshold || pressed(&event, code) || due;
+                                           : !record->threshold || pressed(&event, code) || due || owed;
         bool talks = begins ? event_talks_first(&event) : event_talks(&event, code);
         MUST(talks == wanted, WRONG_VALUE);
-        event_frame(&event, begins, talks && !missed, code);
-        MUST(missed || !talks || event.last_sent == code, WRONG_VALUE);
+        bool spoke = talks && !missed && !others;
+        event_frame(&event, begins, others, spoke, code);
+        MUST(!spoke || event.last_sent == code, WRONG_VALUE);
+        owed = !spoke && (owed || (due && others));
         waited = due ? (uint32_t)(record->turn - record->heartbeat + 1) : waited + 1;
         uint32_t nominal = record->frame_period_us * TICKS_PER_US;
         check_clock(&clock, record, kind & 0x80 ? input_u32(input) : nominal - nominal / 7 + code * 9u);
@@ -245,6 +292,17 @@ static void check_pulse(uint32_t ticks)
         MUST(units == unit || apart(ticks, unit * UNIT_TICKS) >= UNIT_TICKS / 2, WRONG_VALUE);
 }
 
+/* A pulse stands for a digit within two units of its place. */
+static void check_digit(uint32_t ticks)
+{
+    uint8_t bit = turn_digit(ticks, UNIT_TICKS);
+
+    for (uint32_t digit = 0; digit <= TP_TURN_MOST_LOG2; digit++) {
+        bool there = apart(ticks, (digit + 1) * TP_SYNC_DIGIT * UNIT_TICKS) <= 2 * UNIT_TICKS;
+        MUST(there == (bit >> digit & 1), WRONG_VALUE);
+    }
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     struct input input = {bytes, size};
@@ -252,6 +310,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     uint8_t *row = malloc(ROW_OCTETS);
 
     check_pulse(input_u32(&input) % (8 * UNIT_TICKS));
+    check_digit(input_u32(&input) % (50 * UNIT_TICKS));
     check_pulse(input_u32(&input));
     write_memory(&input);
     enum node_memory_fault fault = node_memory_load(&record, row, limits, read_memory);

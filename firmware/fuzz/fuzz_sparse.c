@@ -75,18 +75,15 @@ static void check_sum(const struct sparse_book *book, const float *chips, const 
 static void check_certified(const struct sparse_book *book, struct sparse *sparse, const float *chips,
                             const int16_t *sent, bool is_sound)
 {
-    static double volts[MOST_BITS * MOST_ORDER];
     static float rows[MOST_BITS * MOST_ROWS];
     int32_t spoke[MOST_ROWS];
     bool has[MOST_ROWS] = {false};
     struct sparse_told told;
     double noise = 1e-3;
 
-    for (size_t at = 0; at < book->bits * book->order; at++)
-        volts[at] = (double)chips[at];
     memset(rows, 0, sizeof rows);
     for (size_t again = 0; again < 2; again++) {
-        if (!sparse_read(sparse, volts, &noise, rows, spoke, &told))
+        if (!sparse_read(sparse, chips, &noise, rows, spoke, &told))
             return;
         MUST(told.speakers <= book->nodes && noise >= 0, WRONG_VALUE);
         memset(has, 0, sizeof has);

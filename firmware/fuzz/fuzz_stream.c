@@ -107,13 +107,13 @@ static int64_t latest(void)
     return run.has_timing && seen > run.due ? seen : run.due;
 }
 
-static void compare(int64_t start, const double *volts, size_t count)
+static void compare(int64_t start, const float *volts, size_t count)
 {
     MUST(start >= 0 && start + (int64_t)count <= run.end, WRONG_VALUE);
     for (size_t i = 0; i < count && start + (int64_t)i < MOST_INDEX; i++) {
         double expected = run.volts[(size_t)start + i];
-        MUST(isnan(expected) || volts[i] == expected, WRONG_VALUE);
-        add((uint64_t)(int64_t)(volts[i] * 1e3));
+        MUST(isnan(expected) || (double)volts[i] == expected, WRONG_VALUE);
+        add((uint64_t)(int64_t)((double)volts[i] * 1e3));
     }
 }
 
@@ -203,7 +203,7 @@ static void answer_doubt(struct stream *stream)
 
     MUST(start == run.open, WRONG_VALUE);
     if (about->summed_up) {
-        MUST(about->final && about->count == 1, WRONG_VALUE);
+        MUST(about->final && !about->count, WRONG_VALUE);
         stop = run.end;
     } else {
         MUST(about->final || (stop >= run.due && stop <= latest()), WRONG_VALUE);

@@ -39,6 +39,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
     if (result == TP_RESULT_OK) {
         host->restarted |= host->running;
         host->running = host->call_asked = host->packs = false;
+        host->log2_asked = 0;
     }
     return result;
 }
@@ -46,13 +47,19 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
 static enum tp_result done(struct host *host, uint8_t type, const uint8_t *payload, size_t size)
 {
     if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
-        type != TP_ROLL_CALL && type != TP_PACK)
+        type != TP_ROLL_CALL && type != TP_PACK && type != TP_GROUPS)
         return TP_RESULT_UNKNOWN_COMMAND;
-    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure) : 0))
+    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure) : type == TP_GROUPS ? 1 : 0))
         return TP_RESULT_BAD_LENGTH;
     if (type == TP_CONFIGURE)
         return configured(host, payload);
-    if (type == TP_ROLL_CALL) {
+    if (type == TP_GROUPS) {
+        if (payload[0] > 4)
+            return TP_RESULT_OUT_OF_RANGE;
+        if (!host->running || !settings_has_turns(&host->settings))
+            return TP_RESULT_UNSUPPORTED;
+        host->log2_asked = payload[0];
+    } else if (type == TP_ROLL_CALL) {
         if (!host->running || !host->settings.marked || host->settings.asked.integrated)
             return TP_RESULT_UNSUPPORTED;
         host->call_asked = true;
@@ -62,6 +69,7 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
         host->restarted |= type == TP_START || host->running;
         host->running = type == TP_START;
         host->call_asked = false;
+        host->log2_asked = 0;
     }
     return TP_RESULT_OK;
 }

@@ -21,6 +21,7 @@ void line_free(struct line *line)
 {
     free(line->counts);
     free(line->called);
+    free(line->turn);
 }
 
 void line_add(struct line *line, const uint16_t *counts, size_t size)
@@ -40,12 +41,35 @@ static wide frame_begin(const struct line *line, uint64_t frame)
     return line->settings.first_mark + frame * line->settings.period;
 }
 
-void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call)
+/* What the next frame's pulses must say. */
+static void begin_frame(struct line *line, bool call, uint8_t log2_groups)
+{
+    uint8_t groups = (uint8_t)(1u << log2_groups);
+
+    if (line->frame >= line->frames) {
+        line->frames = 2 * line->frames + 64;
+        line->called = realloc(line->called, line->frames * sizeof *line->called);
+        line->turn = realloc(line->turn, line->frames * sizeof *line->turn);
+    }
+    if (call)
+        line->turns = line->settings.asked.frame.nodes;
+    if (log2_groups != line->log2_groups)
+        line->group = 0;
+    line->log2_groups = log2_groups;
+    line->called[line->frame] = line->turns > 0;
+    line->turn[line->frame] = line->turns || groups == 1 ? 0 : (uint8_t)(groups + line->group);
+    line->group = (uint8_t)((line->group + 1) % groups);
+    line->turns -= line->turns > 0;
+    line->digits = line->turn[line->frame];
+    line->begun = true;
+}
+
+void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups)
 {
     const struct settings *settings = &line->settings;
     const struct tp_frame_layout *frame = &settings->asked.frame;
     wide announced = frame_begin(line, line->frame) + settings_chip(settings, line->chip);
-    uint8_t units = line->chip ? TP_SYNC_RESTART : call ? TP_SYNC_CALL : TP_SYNC_FRAME;
+    uint8_t units = TP_SYNC_RESTART;
 
     MUST(settings->marked, WRONG_VALUE);
     wide sample = (wide)1000 * settings->ticks_per_sample;
@@ -53,19 +77,23 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call)
     uint64_t early = settings->asked.integrated && settings->chip == sample
                          ? settings->ticks_per_sample * 3 / 8
                          : 0;
-    MUST(pulse->tick == (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us - early,
-         WRONG_VALUE);
-    MUST(pulse->units == units, WRONG_VALUE);
-    if (line->chip == 0) {
-        if (line->frame >= line->frames) {
-            line->frames = 2 * line->frames + 64;
-            line->called = realloc(line->called, line->frames * sizeof *line->called);
-        }
-        if (call)
-            line->turns = frame->nodes;
-        line->called[line->frame] = line->turns > 0;
-        line->turns -= line->turns > 0;
+    wide tick = (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us - early;
+    if (line->chip == 0 && !line->begun) {
+        begin_frame(line, call, log2_groups);
+        line->call = call;
     }
+    if (line->chip == 0 && line->digits) {
+        int digit = 31 - __builtin_clz(line->digits);
+        line->digits ^= (uint8_t)(1u << digit);
+        MUST(pulse->tick == tick - (wide)(digit + 1) * 128 * settings->ticks_per_us, WRONG_VALUE);
+        MUST(pulse->units == TP_SYNC_RESTART, WRONG_VALUE);
+        return;
+    }
+    if (line->chip == 0)
+        units = line->call ? TP_SYNC_CALL : TP_SYNC_FRAME;
+    MUST(pulse->tick == tick, WRONG_VALUE);
+    MUST(pulse->units == units, WRONG_VALUE);
+    line->begun = false;
     line->chip += frame->resync_chips;
     if (!frame->resync_chips || line->chip >= settings->chips) {
         line->chip = 0;
@@ -172,6 +200,7 @@ static void check_place(const struct line *line, const struct line_packet *packe
 
     MUST(!!(packet->flags & TP_FLAG_SYNC) == sync, WRONG_VALUE);
     MUST(!!(packet->flags & TP_FLAG_CALLED) == called, WRONG_VALUE);
+    MUST(packet->flags >> 3 == (sync ? line->turn[frame] : 0), WRONG_VALUE);
     if (within)
         MUST(end <= frame_end(line, frame), WRONG_VALUE);
     else if (settings->marked)

@@ -66,6 +66,9 @@ enum tp_result settings_of(struct settings *settings, const struct dg_board *boa
 /* Start of a chip, from the frame's mark. */
 wide settings_chip(const struct settings *settings, uint32_t chip);
 
+/* Whether 832 µs or more lie between a frame's end and the next one, and these are marked. */
+bool settings_has_turns(const struct settings *settings);
+
 /* Number of the first sample at or after a time. */
 uint64_t settings_sample(const struct settings *settings, wide time);
 
@@ -88,7 +91,12 @@ struct line {
     uint32_t chip;  /* … and announces */
     uint32_t turns; /* frames of a roll call to come */
     bool *called;   /* by frame */
+    uint8_t *turn;  /* by frame */
     size_t frames;  /* room for so many there */
+    bool begun;     /* the next frame's first pulse has been taken … */
+    bool call;      /* … and it begins a roll call */
+    uint8_t digits; /* whose pulses are still due before it */
+    uint8_t log2_groups, group; /* in force; the next frame's */
     uint64_t next;  /* index of the word after the last one that was told of */
 };
 
@@ -110,8 +118,8 @@ void line_free(struct line *line);
 /* Samples of the converter; counts NULL: lost ones. */
 void line_add(struct line *line, const uint16_t *counts, size_t size);
 
-/* The next pulse. call: whether a roll call was asked for since the last frame's. */
-void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call);
+/* The next pulse. call: whether a roll call was asked for since the last frame's. log2_groups: asked for. */
+void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups);
 /* So many samples come before what the next pulse announces. */
 uint64_t line_covered(const struct line *line);
 /* Frames by which pulses are ahead of the samples. */
@@ -149,6 +157,7 @@ struct host {
     bool running;             /* … */
     bool restarted;           /* since the harness has looked */
     bool call_asked;          /* … and not yet begun */
+    uint8_t log2_asked;       /* of the groups */
     bool packs;               /* packed samples were asked for since the last CONFIGURE */
     uint32_t refused, errors;
     struct host_run sent;

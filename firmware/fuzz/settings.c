@@ -104,6 +104,13 @@ wide settings_chip(const struct settings *settings, uint32_t chip)
     return place(&settings->asked.frame, chip) * settings->chip;
 }
 
+bool settings_has_turns(const struct settings *settings)
+{
+    wide end = settings_chip(settings, settings->chips - 1) + settings->chip;
+
+    return settings->marked && end + (wide)832000 * settings->ticks_per_us <= settings->period;
+}
+
 uint64_t settings_sample(const struct settings *settings, wide time)
 {
     wide sample = (wide)1000 * settings->ticks_per_sample;

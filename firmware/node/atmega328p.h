@@ -23,6 +23,7 @@
 #ifdef NODE_FAST
 #define BOARD_CHIP_NS 500u /* shortest that test_fast_node.py runs without a wrong edge */
 #define BOARD_SCRAMBLED_CHIP_NS 1750u
+#define BOARD_SPARSE_CHIP_NS 2000u
 #define BOARD_LONGEST_CHIP_NS 16000u
 #define BOARD_CHIP_STEP_NS 250u
 #define BOARD_BITS_RESTART true
@@ -30,6 +31,7 @@
 #else
 #define BOARD_CHIP_NS 35000u /* shortest that test_node_image.py runs without a wrong edge */
 #define BOARD_SCRAMBLED_CHIP_NS 35000u
+#define BOARD_SPARSE_CHIP_NS 35000u
 #define BOARD_LONGEST_CHIP_NS 1000000u
 #define BOARD_CHIP_STEP_NS 1u
 #define BOARD_BITS_RESTART false
@@ -160,7 +162,8 @@ static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint1
 {
     if (!(TCCR1B & _BV(ICES1)))
         return board_sync_fell(rise, length);
-    *length = short_is_due ? TP_SYNC_UNIT_US * BOARD_TICKS_PER_US : 0;
+    (void)short_is_due; /* else it may be a digit of a turn */
+    *length = TP_SYNC_UNIT_US * BOARD_TICKS_PER_US;
     return true;
 }
 
@@ -175,29 +178,37 @@ static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
 }
 
 #define BOARD_SPIN_TICKS 40
+#define BOARD_SPIN_LEAST 30 /* … without board_spin_most: 15, and to compare */
+/* Waits until board_spin_last has its last cycles left. */
+static BOARD_INLINE void board_spin_most(uint16_t at)
+{
+    while (board_ticks_until(at) > 4 * BOARD_SPIN_TICKS)
+        ;
+}
+
+/* Instructions that wait for the rest, with the low byte of the time in [left], which is used up. Read at cycle
+ * t, the count leaves at - t cycles, of which these take 13 and the one that follows 2. */
+#define BOARD_SPIN_LAST                                                                            \
+    "lds __tmp_reg__, %[count] \n\t"                                                               \
+    "sub %[left], __tmp_reg__  \n\t"                                                               \
+    "subi %[left], 15          \n\t"                                                               \
+    "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */                           \
+    "nop                       \n\t"                                                               \
+    "brcc 1b                   \n\t"                                                               \
+    "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */                                           \
+    "rjmp 2f                   \n\t"                                                               \
+    "2: sbrc %[left], 1        \n\t" /* and for twice as much two of them */                        \
+    "rjmp 3f                   \n\t"                                                               \
+    "3: sbrc %[left], 1        \n\t"                                                               \
+    "rjmp 4f                   \n\t"                                                               \
+    "4:                        \n\t"
+
 static BOARD_INLINE void board_spin(uint16_t at)
 {
     uint8_t left = (uint8_t)at;
 
-    while (board_ticks_until(at) > 4 * BOARD_SPIN_TICKS)
-        ;
-    /* Read at cycle t, the count leaves at - t cycles, of which the instructions here take 13 and
-     * the one that follows 2. */
-    __asm__ volatile("lds __tmp_reg__, %[count] \n\t"
-                     "sub %[left], __tmp_reg__  \n\t"
-                     "subi %[left], 15          \n\t"
-                     "1: subi %[left], 4        \n\t" /* 4 cycles each, 3 the last time */
-                     "nop                       \n\t"
-                     "brcc 1b                   \n\t"
-                     "sbrc %[left], 0           \n\t" /* 2 cycles, or 3 */
-                     "rjmp 2f                   \n\t"
-                     "2: sbrc %[left], 1        \n\t" /* and for twice as much two of them */
-                     "rjmp 3f                   \n\t"
-                     "3: sbrc %[left], 1        \n\t"
-                     "rjmp 4f                   \n\t"
-                     "4:                        \n\t"
-                     : [left] "+d"(left)
-                     : [count] "n"(_SFR_MEM_ADDR(TCNT1L)));
+    board_spin_most(at);
+    __asm__ volatile(BOARD_SPIN_LAST : [left] "+d"(left) : [count] "n"(_SFR_MEM_ADDR(TCNT1L)));
 }
 
 #endif

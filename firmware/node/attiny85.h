@@ -26,6 +26,7 @@
 #define BOARD_ORDER 1024     /* 128 bytes of the 512 bytes of EEPROM, and of RAM */
 #define BOARD_CHIP_NS 40000u /* shortest that test_node_image.py runs without a wrong edge */
 #define BOARD_SCRAMBLED_CHIP_NS 40000u
+#define BOARD_SPARSE_CHIP_NS 0u
 #define BOARD_LONGEST_CHIP_NS 1000000u
 #define BOARD_CHIP_STEP_NS 1u
 #define BOARD_BITS_RESTART false

@@ -113,7 +113,7 @@ void chips_plan(const struct discipline *clock, uint16_t code)
     step();
 }
 
-uint16_t chips_aim(uint32_t rise)
+struct chips_start chips_aim(uint32_t rise)
 {
     uint32_t start_q16 = (rise << 16) + lead_q16 + 0x8000u;
     uint16_t start = (uint16_t)(start_q16 >> 16);
@@ -121,14 +121,14 @@ uint16_t chips_aim(uint32_t rise)
     edge_q16 = start_q16 + chip_q16;
     next_edge = (uint16_t)(edge_q16 >> 16);
     board_match_past(start);
-    return start;
+    return (struct chips_start){start};
 }
 
-bool chips_begin(uint16_t at)
+bool chips_begin(struct chips_start start)
 {
-    if (board_ticks_until(at) < BOARD_SPIN_TICKS)
+    if (board_ticks_until(start.at) < BOARD_SPIN_TICKS)
         return false;
-    board_spin(at);
+    board_spin(start.at);
     board_drive();
     board_matches_on();
     board_sync_off();

@@ -21,6 +21,7 @@
 static const struct node_limits limits = {.order = BOARD_ORDER,
                                           .chip_ns = BOARD_CHIP_NS,
                                           .scrambled_chip_ns = BOARD_SCRAMBLED_CHIP_NS,
+                                          .sparse_chip_ns = BOARD_SPARSE_CHIP_NS,
                                           .longest_chip_ns = BOARD_LONGEST_CHIP_NS,
                                           .chip_step_ns = BOARD_CHIP_STEP_NS,
                                           .bits_restart = BOARD_BITS_RESTART,
@@ -99,7 +100,8 @@ static void frame_began(void)
         clock_known = true;
     mark = frame.when;
     heard = ever_heard = true;
-    event_frame(&event, frame.units == TP_SYNC_CALL, frame.spoke, code);
+    talk_expect(mark + clock.period);
+    event_frame(&event, frame.units == TP_SYNC_CALL, frame.others, frame.spoke, code);
 }
 
 /* No pulse came: counts the frame all the same, so that heartbeats and roll calls keep their turns. */
@@ -107,8 +109,9 @@ static void frame_missed(void)
 {
     mark += clock.period;
     heard = false;
+    talk_expect(mark + clock.period);
     if (ever_heard)
-        event_frame(&event, false, false, code);
+        event_frame(&event, false, false, false, code);
 }
 
 int main(void)

@@ -74,8 +74,8 @@ static BOARD_INLINE void board_sync_off(void);
 /* In that interrupt: whether the edge is a rising one; sets *when to its time. */
 static BOARD_INLINE bool board_sync_edge(uint32_t *when);
 /* Whether a pulse that began at `rise` is over; sets *length, ticks: board_sync_over at the first look,
- * board_sync_fell after that. A pulse that ended too early to be measured counts as a restart pulse
- * if one is due. */
+ * board_sync_fell after that. A pulse that ended too early to be measured counts as a short one, by an
+ * ATtiny85 if one is due. */
 static BOARD_INLINE bool board_sync_over(uint16_t rise, bool short_is_due, uint16_t *length);
 static BOARD_INLINE bool board_sync_fell(uint16_t rise, uint16_t *length);
 

@@ -15,7 +15,7 @@ $(NODE_BUILD)/node-atmega328p.elf: NODE_MCU := -mmcu=atmega328p
 $(NODE_BUILD)/node-atmega328p-fast.elf: node/atmega328p.c node/chips_usart.c
 $(NODE_BUILD)/node-atmega328p-fast.elf: NODE_MCU := -mmcu=atmega328p -DNODE_FAST
 $(NODE_BUILD)/node-attiny85.elf: node/attiny85.c node/chips_match.c
-$(NODE_BUILD)/node-attiny85.elf: NODE_MCU := -mmcu=attiny85
+$(NODE_BUILD)/node-attiny85.elf: NODE_MCU := -mmcu=attiny85 -DROWS_ONLY
 
 $(NODE_IMAGES): $(NODE_SOURCES) $(NODE_HEADERS)
 	@mkdir -p $(@D)

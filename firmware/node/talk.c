@@ -6,7 +6,9 @@
 
 #include "chips.h"
 #include "node_board.h"
+#include "sparse_code.h"
 #include "sync_pulse.h"
+#include "turn.h"
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
 #define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
@@ -22,6 +24,11 @@ static uint32_t restart_earliest;  /* least ticks from there to the next restart
 static uint32_t restart_width;     /* … and how much later it may be */
 static uint16_t slot_places;       /* chips from one sub-slot to the next, guard included; 0: only one */
 static uint8_t guard_chips;
+
+static uint16_t node;
+static uint32_t due;               /* when the next frame's pulse is expected */
+static uint8_t turn;               /* its digits so far … */
+static bool others;                /* … by which it is another group's turn */
 
 static struct talk_frame frame;
 volatile uint8_t talk_began;
@@ -39,7 +46,9 @@ static BOARD_INLINE uint8_t answers(void)
 {
     if (chips_paused() && rise - slot_rise - restart_earliest <= restart_width)
         return 1u << TP_SYNC_RESTART;
-    return may_frame ? plan : 0;
+    if (!may_frame)
+        return 0;
+    return others ? plan & 1u << TP_SYNC_CALL : plan;
 }
 
 static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
@@ -48,9 +57,13 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
     if (may_frame && (units == TP_SYNC_FRAME || units == TP_SYNC_CALL)) {
         frame.when = rise;
         frame.units = units;
+        frame.others = others;
         frame.spoke = spoke;
         talk_began = 1;
         plan = 0;
+    } else if (SPARSE_CODES && units == TP_SYNC_RESTART && !spoke) {
+        turn |= turn_digit(due - rise, UNIT_TICKS);
+        others = turn_is_others(turn, node);
     }
 }
 
@@ -59,7 +72,8 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
 ISR(BOARD_SYNC_vect)
 {
     uint32_t when;
-    uint16_t at, length;
+    struct chips_start start;
+    uint16_t length;
     uint8_t ours, units;
     bool over, spoke = false;
 
@@ -75,8 +89,8 @@ ISR(BOARD_SYNC_vect)
     over = board_sync_over((uint16_t)rise, ours == 1u << TP_SYNC_RESTART, &length);
     if (!over && !ours)
         return;
-    at = chips_aim(rise);
-    __asm__ volatile("" : "+r"(at)); /* worked out here, not after the pulse */
+    start = chips_aim(rise);
+    chips_hold(&start); /* not after the pulse */
     while (!over) {
         if (board_ticks_since((uint16_t)rise) >= LONGEST_PULSE_TICKS)
             return; /* too long; its falling edge will be an interrupt */
@@ -84,7 +98,7 @@ ISR(BOARD_SYNC_vect)
     }
     units = sync_pulse_units(length, UNIT_TICKS);
     if (ours & bit_of(units))
-        spoke = chips_begin(at);
+        spoke = chips_begin(start);
     if (spoke)
         slot_rise = rise;
     else
@@ -96,10 +110,20 @@ void talk_init(const struct tp_node_record *record, const uint8_t *row)
 {
     chips_init(record, row);
     frame.when = board_now() - 0x80000000u; /* long ago */
+    node = record->node;
     guard_chips = record->guard_chips;
     slot_places = record->resync_chips ? record->resync_chips + guard_chips : 0;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         board_sync_on();
+}
+
+void talk_expect(uint32_t when)
+{
+    ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
+        due = when;
+        turn = 0;
+        others = false;
+    }
 }
 
 void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first)

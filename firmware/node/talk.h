@@ -17,6 +17,7 @@
 struct talk_frame {
     uint32_t when;   /* time at which its pulse began */
     uint8_t units;   /* the pulse's length: TP_SYNC_FRAME or TP_SYNC_CALL */
+    bool others;     /* whether it is another group's turn */
     bool spoke;      /* whether the node transmits the planned code in it */
 };
 
@@ -25,6 +26,9 @@ extern volatile uint8_t talk_began;
 
 /* row: as chips_init takes it. */
 void talk_init(const struct tp_node_record *record, const uint8_t *row);
+
+/* Tells when the next frame's pulse is due: those just before it say whose turn it is. */
+void talk_expect(uint32_t when);
 
 /* Plans the next frame: the code, and whether to transmit it in an ordinary frame (talks) and in the
  * first frame of a roll call (talks_first). talk_stop must have released the line. */

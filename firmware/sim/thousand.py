@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A thousand nodes on one wire, to the pin: `make firmware-thousand`.
+"""A thousand nodes on one wire, to the pin: `make firmware-thousand`; more of them: crowd.py.
 
     900 images of the fast node (simavr) → pins → analog line → the RP2040's image → USB → driver
 
@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
+import crowd
 from emulated import EmulationError
 from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import CRYSTALS, PressedSkin, Spread, reference_amplifier, reference_nodes
-from tactile_cdma.base.errors import TactileError
+from tactile_cdma.base.errors import SpecError, TactileError
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import FAST
@@ -31,7 +32,8 @@ from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.scene import SkinGeometry
 from trial import Trial, press_and_decode
 
-PARAMS = Path(__file__).resolve().parents[2] / "config" / "thousand_skin.yaml"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+PARAMS, SPARSE_PARAMS = CONFIG / "thousand_skin.yaml", CONFIG / "sparse_skin.yaml"
 FRAMES = 12
 SETTLING = 4
 """First frames, not counted: nodes start up and measure two periods of the sync line."""
@@ -41,6 +43,8 @@ QUICK = {"nodes": 128, "rows": 8, "columns": 16, "order": 912}
 """Fewer nodes, with all else as it is."""
 
 
+AMPLITUDE: dict[str, Value] = {"amplitude_mv": 15.0}
+"""Of 553 nodes at once, which a frame holds: four deviations of their sum stay within the rails."""
 STREAM_BYTES = 4096
 """More at once than a digitizer sends that does not stream."""
 
@@ -134,10 +138,13 @@ def on_one_wire(
 def main() -> int:
     """Print the counts last; exit code 1 on any error."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="128 nodes")
+    parser.add_argument("--quick", action="store_true", help="128 nodes, or 600 images of more")
+    parser.add_argument("--nodes", type=int, help="with sparse codes, those of sparse_skin.yaml")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--record", type=Path, metavar="FILE", help="record what USB carries")
     arguments = parser.parse_args()
+    if arguments.nodes is not None:
+        return many(arguments)
     values = read_file(PARAMS) | (QUICK if arguments.quick else {})
     spread, begin = replace(CRYSTALS, seed=arguments.seed), time.monotonic()
     try:
@@ -154,6 +161,35 @@ def main() -> int:
         f"usb_kb_s={found.bytes_per_s / 1e3:.0f}"
     )
     return int(trial.frames < FRAMES or trial.wrong + trial.silent + trial.lost_samples > 0)
+
+
+def many(arguments: argparse.Namespace) -> int:
+    """The same of nodes with sparse codes."""
+    values = read_file(SPARSE_PARAMS) | AMPLITUDE
+    images = crowd.QUICK if arguments.quick else None
+    spread, begin = replace(CRYSTALS, seed=arguments.seed), time.monotonic()
+    try:
+        if arguments.nodes != values["nodes"]:
+            raise SpecError(
+                f"NODES is {arguments.nodes}; {SPARSE_PARAMS.name} has {values['nodes']}, which is "
+                "what can be run; without NODES, 900 orthogonal ones run"
+            )
+        found = crowd.on_one_wire(values, images, spread, arguments.record)
+    except (EmulationError, EmulatorError, OSError, TactileError) as error:
+        print(f"firmware-thousand: {error}", file=sys.stderr)
+        return 1
+    spec = SkinConfig.of(values).spec
+    print(
+        f"images={found.heard.size} most_speaking={found.most} heard_in_turns={found.heard.sum()} "
+        f"cpu_load={found.cpu_load:.2f} ({time.monotonic() - begin:.0f} s)"
+    )
+    print(
+        f"nodes={spec.nodes} chips={spec.order} chip_us={spec.chip_s * 1e6:g} "
+        f"frame_ms={spec.frame_period_s * 1e3:g} frames={found.frames} speaking={found.speaking} "
+        f"wrong={found.wrong} missed={found.missed} unflagged={found.unflagged} "
+        f"lost_samples={found.lost_samples}"
+    )
+    return int(not found.all_is_well)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is done to every sample, and sums over those of a frame, compiled or in numpy."""
+"""What is done to every sample; and sums over those of a frame, compiled or in numpy."""
 
 from typing import TypeVar
 
@@ -23,18 +23,18 @@ def numpy_sums(volts: Floats) -> tuple[float, float]:
     return float(volts.sum()), dot(volts, volts)
 
 
-def numpy_outside(low_v: float, high_v: float, volts: Floats) -> int:
+def outside(low_v: float, high_v: float, volts: Floats) -> int:
     """How many of the samples (m,) are not between two levels: at either, or beyond."""
     return int(np.count_nonzero((volts <= low_v) | (volts >= high_v)))
 
 
-def numpy_copy(most_v: float, volts: Floats32, copy: Floats) -> None:
+def copy_samples(most_v: float, volts: Floats32, copy: Floats) -> None:
     """Copy samples (m,), V; those that are not within ±most_v become NaN."""
     copy[:] = volts
     copy[~(np.abs(copy) < most_v)] = np.nan
 
 
-def numpy_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> None:
+def to_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> None:
     """The line in V of a converter's counts (m,). zero: count at 0 V. per_count_v: V per count."""
     volts[:] = counts
     volts -= np.float32(zero)
@@ -42,6 +42,3 @@ def numpy_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) 
 
 
 sums = kernel.either("add_samples", numpy_sums)
-outside = kernel.either("count_outside", numpy_outside)
-copy_samples = kernel.either("copy_samples", numpy_copy)
-to_volts = kernel.either("to_volts", numpy_volts)

@@ -161,6 +161,11 @@ class FrameSpec:
                 f"first_row is {self.first_row}: the sparse code of a node is that of its number; "
                 "set first_row to 1"
             )
+        if self.drive == UNIPOLAR:
+            raise SpecError(
+                "sparse codes are scrambled, and unipolar drive cannot be: the level that its "
+                "nodes have in common would show in all rows; set drive to bipolar"
+            )
         object.__setattr__(self, "scramble", True)
 
     @cached_property

@@ -36,6 +36,8 @@ class NodeLevels:
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     spoke: (m,) int32, nodes, counted from 0, whose values are not all 0, in any order; None: any.
         Lent, as rows are.
+    understood: though the frame is in doubt, nearly all words are those that were sent, and tell of
+        their nodes.
     """
 
     values: Floats32
@@ -45,6 +47,7 @@ class NodeLevels:
     late: tuple[int, ...] = ()
     level_unknown: bool = False
     spoke: Int32s | None = None
+    understood: bool = False
 
 
 def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:

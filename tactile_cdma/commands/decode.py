@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.errors import CaptureError, SpecError
 from ..code.encode import word_bits
+from ..code.frame import SPARSE
 from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import BY_NAME, GAP, Value
 from ..config.skin_config import SkinConfig
@@ -94,6 +95,11 @@ def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str
 
 
 def _scope_config(asked: dict[str, Value]) -> SkinConfig:
+    if asked.get("codes") == SPARSE:
+        raise SpecError(
+            "an oscilloscope capture has no marks, by which sparse codes are told apart: record a "
+            "digitizer"
+        )
     if asked.get("timing", GAP) != GAP:
         raise SpecError("an oscilloscope capture holds nothing but the waveform: use --timing gap")
     # Only a digitizer integrates chips; the capture's own rate is what counts here.

@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from urllib.parse import quote, unquote
 
 from ..base.errors import BodyError, ParameterError
 from ..base.marked_yaml import Keys, Marked, read_marked
@@ -23,8 +24,13 @@ MOST_PATCHES = 1000
 SHARED_PORTS = (SIMULATION, REPLAY)
 """Prefixes of ports that any number of drivers can open."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
-_KEYS = ("frame_id", "patches")
-_PATCH_KEYS = ("params_file", "parameters")
+_KEYS = ("frame_id", "process", "defaults", "patches")
+_DEFAULT_KEYS = ("params_file", "parameters")
+_PATCH_KEYS = (*_DEFAULT_KEYS, "repeat")
+ONE, PER_PATCH = "one", "per_patch"
+"""Values of `process`, besides processes with their patches."""
+ITEM = "{}"
+"""Stands for an item of `repeat`, in the name of a patch and in its texts."""
 _FILES = ("layout_file", "calibration_file", "state_folder")
 """Parameters that are paths; in a body file they are relative to its folder."""
 _MOUNTS = ("mount_xyz_m", "mount_rpy_rad")
@@ -51,10 +57,21 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """The patches of a body, in the order of the file. frame_id: tf frame of the whole body."""
+    """The patches of a body, in the order of the file. frame_id: tf frame of the whole body.
+
+    shared: names of the patches that share a process, process by process.
+    """
 
     frame_id: str
     patches: tuple[Patch, ...]
+    shared: tuple[tuple[str, ...], ...] = ()
+
+    def processes(self, names: str = "") -> list[tuple[Patch, ...]]:
+        """The patches that only(names) selects, process by process."""
+        patches = self.only(names)
+        shared = [tuple(patch for patch in patches if patch.name in group) for group in self.shared]
+        together = {name for group in self.shared for name in group}
+        return [*filter(None, shared), *((p,) for p in patches if p.name not in together)]
 
     def only(self, names: str) -> tuple[Patch, ...]:
         """The patches with these comma-separated names; all for an empty text.
@@ -82,14 +99,91 @@ def read_body(path: Path) -> Body:
         raise content["frame_id"].refuse(
             f"frame_id is {frame_id!r}; names of tf frames begin without a /"
         )
-    entries = content["patches"].mapping("patches").entries
+    defaults = dict[str, Marked]()
+    if given := content.get("defaults"):
+        keys = given.mapping("defaults")
+        keys.check_keys(_DEFAULT_KEYS)
+        defaults = keys.entries
+    entries = _repeated(content["patches"].mapping("patches"))
     if not 1 <= len(entries) <= MOST_PATCHES:
         raise content["patches"].refuse(
             f"patches has {len(entries)} entries; it must have 1…{MOST_PATCHES}"
         )
     taken: dict[tuple[str, str], str] = {}
-    patches = tuple(_patch(name, value, frame_id, taken) for name, value in entries.items())
-    return Body(frame_id, patches)
+    patches = tuple(
+        _patch(name, _over(value, defaults), frame_id, taken) for name, value in entries.items()
+    )
+    return Body(frame_id, patches, _shared(content, list(entries)))
+
+
+def _shared(content: Keys, names: list[str]) -> tuple[tuple[str, ...], ...]:
+    """Names of the patches that share a process, by `process`."""
+    if (value := content.get("process")) is None or value.content == PER_PATCH:
+        return ()
+    if value.content == ONE:
+        return (tuple(names),)
+    if isinstance(value.content, str):
+        raise value.refuse(
+            f"process is {value.content[:40]!r}; it must be {ONE}, {PER_PATCH}, or processes with "
+            "lists of their patches"
+        )
+    groups, taken = [], set[str]()
+    for process, entry in value.mapping("process").entries.items():
+        group = [name.text("a patch") for name in entry.items(f"process {process!r}", least=1)]
+        for name in group:
+            if name not in names or name in taken:
+                wrong = "is in two processes" if name in names else "is no patch"
+                raise entry.refuse(f"process {process!r}: {name!r} {wrong}")
+            taken.add(name)
+        groups.append(tuple(group))
+    return tuple(groups)
+
+
+def _repeated(content: Keys) -> dict[str, Marked]:
+    """The patches by name, where those with `repeat` are written out."""
+    found: dict[str, Marked] = {}
+    for name, value in content.entries.items():
+        keys = value.content if isinstance(value.content, dict) else {}
+        if (repeat := keys.get("repeat")) is None:
+            found[name] = value
+            continue
+        rest = replace(value, content={key: one for key, one in keys.items() if key != "repeat"})
+        if isinstance(repeat.content, dict):  # with parameters of each
+            own = {item: {"parameters": given} for item, given in repeat.content.items()}
+        else:
+            items = [item.text("an item") for item in repeat.items("repeat", 1, MOST_PATCHES)]
+            own = {item: {} for item in items}
+            if len(own) < len(items):
+                raise repeat.refuse("repeat has an item twice")
+        if ITEM not in name:
+            raise value.refuse(f"patch {name!r} is repeated: its name must have {ITEM} for an item")
+        for item, given in own.items():
+            each = name.replace(ITEM, item)
+            if each in found or each in content.entries:
+                raise repeat.refuse(f"repeat makes another patch {each!r}")
+            found[each] = _over(replace(rest, content=given), _filled(rest, item).content)
+    return found
+
+
+def _filled(value: Marked, item: str) -> Marked:
+    """A value with an item of `repeat` in its texts."""
+    if isinstance(value.content, str):
+        return replace(value, content=value.content.replace(ITEM, item))
+    if isinstance(value.content, dict):
+        return replace(value, content={k: _filled(v, item) for k, v in value.content.items()})
+    return replace(value, content=[_filled(one, item) for one in value.content])
+
+
+def _over(value: Marked, defaults: object) -> Marked:
+    """A patch's keys over the defaults': parameter by parameter, else as a whole."""
+    own: object = {} if value.is_null else value.content
+    if not (isinstance(defaults, dict) and defaults and isinstance(own, dict)):
+        return value
+    merged = {**defaults, **own}
+    below, above = (keys.get("parameters") for keys in (defaults, own))
+    if below and above and isinstance(below.content, dict) and isinstance(above.content, dict):
+        merged["parameters"] = replace(above, content={**below.content, **above.content})
+    return replace(value, content=merged)
 
 
 def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str], str]) -> Patch:
@@ -134,8 +228,28 @@ def _parameters(content: Keys) -> dict[str, Value]:
         if isinstance(DEFAULTS.get(name), str) and not value.is_null:
             value = replace(value, quoted=True)  # skin: 7 is a name here, not a number
         read = check_marked(name, value)
-        values[name] = str(_path(value, str(read))) if name in _FILES and read else read
+        if name in _FILES and read:
+            read = str(_path(value, str(read)))
+        values[name] = _rooted(value, str(read)) if name == "port" else read
     return values
+
+
+def _rooted(value: Marked, port: str) -> str:
+    """A port whose path, of a recording or a simulated skin's layout, is absolute."""
+    scheme, _, rest = port.partition("://")
+    file, mark, query = rest.partition("?")
+    if scheme.lower() == "replay" and file:
+        return f"{scheme}://{quote(str(_path(value, unquote(file))))}{mark}{query}"
+    if scheme.lower() != "sim":
+        return port
+    options = [option.partition("=") for option in query.split("&")]
+    found = [
+        f"{name}={quote(str(_path(value, unquote(text))))}"
+        if name == "layout" and text
+        else f"{name}{sign}{text}"
+        for name, sign, text in options
+    ]
+    return f"{scheme}://{file}{mark}{'&'.join(found)}"
 
 
 def _path(value: Marked, text: str) -> Path:
@@ -150,7 +264,7 @@ def _claims(values: Values) -> list[tuple[str, str]]:
     """Parameters whose value no other patch may have; raises ParameterError for a wrong id."""
     port, digitizer_id = values["port"], values["digitizer_id"]
     claims = {
-        "port": "" if port.startswith(SHARED_PORTS) else port,
+        "port": "" if port.lower().startswith(SHARED_PORTS) else port,
         "digitizer_id": digitizer_id and shown_id(parse_id(digitizer_id)),
         "skin": values["skin"],
         "frame_id": values["parent_frame"] and values["frame_id"],

@@ -228,17 +228,18 @@ class CompiledStream:
         carried: int,
         ended: int,
         summed_up: bool,
-        variance_v2: float,
+        sums: tuple[float, float],
         rest: tuple[float, float, bool],
         turn: int,
     ) -> FrameLevels | None:
         """Answer whether samples are a frame, which it returns."""
-        timing, samples = self._marked, np.frombuffer(volts)
+        timing = self._marked
         line = timing.line
         line.level_v, line.noise, line.level_known = rest
         if summed_up:
-            verdict = timing.summed_up(start, float(samples[0]), variance_v2)
+            verdict = timing.summed_up(start, *sums)
         else:
+            samples = np.frombuffer(volts, np.float32).astype(np.float64)
             frame = MarkedFrame(start, samples, final, opened, carried, ended)
             verdict = timing.recognise(frame)
         reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
@@ -256,7 +257,8 @@ class CompiledStream:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        self._add(timing.feed(SampleBlock(start, np.frombuffer(volts))))
+        samples = np.frombuffer(volts, np.float32).astype(np.float64)
+        self._add(timing.feed(SampleBlock(start, samples)))
         self._kernel.look(timing.due)
 
     def _conclude(self) -> None:

@@ -271,9 +271,9 @@ class Pipeline:
         clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
         if clocks_unknown:
             words = words.doubted(words.active)
-        if heard.doubtful is None:
+        if heard.doubtful is None or levels.understood:
             self.health.update(words)
-        else:
+        if heard.doubtful is not None:
             words = words.doubted(heard.doubtful)
         if self.health.any_suspect:
             suspect = self.health.suspect & words.active

@@ -81,12 +81,14 @@ class Beside:
     """The gaps on either side of a frame.
 
     level: their mean, V, gap level removed. variance: of their half-chip means' noise, V².
-    quiet: whether the nearest on each side are gap: noise, and little hum.
+    quiet: whether the nearest on each side are gap: noise, and little hum. noise: variance of a
+    sample by what changes from half chip to half chip, V².
     """
 
     level: float
     variance: float
     quiet: bool
+    noise: float
 
 
 class BurstSearch:
@@ -246,6 +248,7 @@ class BurstSearch:
         sides = self.halves(gap[::-1]), self.halves(volts[end : end + self.gap_size])
         both = np.concatenate(sides)
         steps = np.square(np.concatenate([np.diff(side) for side in sides]))
+        noise = variance
         if steps.size >= 8:
             noise = float(np.sort(steps)[steps.size // 2]) / (2 * _MEDIAN)
             variance = max(noise, min(variance, _DRIFTING * noise) if noise else variance)
@@ -257,7 +260,7 @@ class BurstSearch:
                 excess = float(np.square(side).mean()) - most
                 quiet &= drift <= LIMITS.beside_level * math.sqrt(burst.power)
                 quiet &= excess <= LIMITS.beside * burst.power
-        return Beside(float(both.mean()) if both.size else 0.0, variance, quiet)
+        return Beside(float(both.mean()) if both.size else 0.0, variance, quiet, noise * self.half)
 
     def halves(self, volts: Floats) -> Floats:
         """Means of consecutive half chips, (m // half,)."""

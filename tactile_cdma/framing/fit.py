@@ -118,7 +118,7 @@ class ChipEdges:
         return self._whole, self._share, self._number, self._places
 
 
-def numpy_mean_chips(
+def mean_chips(
     line: Line, whole: Int32s, share: Floats, number: Floats, places: Int32s
 ) -> Floats32:
     """Mean levels of a line between edges, V, float32: of the chips that begin at these edges.
@@ -128,19 +128,6 @@ def numpy_mean_chips(
     """
     levels: Floats = np.diff(line.sum_before(whole, share)) / number
     return levels[places].astype(np.float32)
-
-
-def compiled_mean_chips(
-    line: Line, whole: Int32s, share: Floats, number: Floats, places: Int32s
-) -> Floats32:
-    """As numpy_mean_chips."""
-    assert kernel.compiled is not None
-    chips = np.empty(places.size, np.float32)
-    kernel.compiled.mean_chips(line.level_v, line.received, whole, share, number, places, chips)
-    return chips
-
-
-mean_chips = numpy_mean_chips if kernel.compiled is None else compiled_mean_chips
 
 
 def _split(times: Floats, size: int) -> tuple[Indices, Floats]:

@@ -32,8 +32,10 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats, Floats32
+from ..code.amplitude import FAINT_SHARE
 from ..code.frame import MAX_STRETCH, FrameSpec
 from ..code.separate import NodeLevels
+from . import stray
 from .burst import Beside, Burst, BurstSearch, Gap
 from .fit import (
     CHIPS_AT_ONCE,
@@ -88,7 +90,7 @@ class Look(NamedTuple):
     proven: float
     place: tuple[float, float]
     unaided: bool
-    around: tuple[float, float, bool]
+    around: tuple[float, float, bool, float]
     is_sound: bool
     noise_v: float
     words: WordFit
@@ -175,7 +177,7 @@ class GapSearch(BurstSearch):
 
     @cached_property
     def _rules(self) -> NDArray[np.void]:
-        spare = self.spec.spare_rows
+        spec, spare = self.spec, self.spec.spare_rows
         return kernel.settings(
             "gap_rules",
             shortest=self.shortest,
@@ -196,6 +198,18 @@ class GapSearch(BurstSearch):
             spread=LIMITS.spread,
             left=LIMITS.left,
             misfit=LIMITS.misfit,
+            faint=FAINT_SHARE,
+            near=stray.BESIDE_CHIPS[0],
+            far=stray.BESIDE_CHIPS[1],
+            beside=stray.PERHAPS[0],
+            perhaps=stray.PERHAPS[1],
+            inner=stray.INNER,
+            turned=stray.TURNED,
+            most_turned=stray.MOST_TURNED,
+            scatter=stray.SCATTER,
+            stray_left=stray.LEFT,
+            clear=stray.CLEAR,
+            twins=stray.has_twins(spec),
             spare=spare.start,
             spare_count=spare.stop - spare.start,
         )

@@ -23,7 +23,8 @@ from .gap import GapSearch, Look
 from .hum import Hum, without_impulses
 from .judge import Judgement
 from .limits import LIMITS
-from .raster import ON_RASTER, Expected, Raster
+from .raster import Expected, Raster
+from .stray import strays
 from .timing import (
     ABSURD,
     AT_RAIL,
@@ -50,12 +51,6 @@ SURE_SHARE, SURE_NOISE = 0.5, 0.3
 """A silent slot holds no faint word if its power, and so much of its noise, stays below the power
 of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
 slot and gap are right to a tenth."""
-BESIDE_CHIPS = 0.25, 1.25
-"""From where to where, chips, a line is looked at for chips of nodes that are late or early, behind
-a frame and before it. Chosen: clear of a low-pass of 0.3 chip; a node that is a chip late shows."""
-BESIDE_POWER, BESIDE_NOISE = 0.25, 3.0
-"""Power there, in squares of a node's amplitude, and deviations of the power of noise, beyond both
-of which there are such chips. Chosen."""
 AGAIN_PERIODS = 12
 """Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
 it is known after 4 to 8."""
@@ -219,7 +214,7 @@ class GapTiming(Timing):
             self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
                 return []
-        if look and look.is_sound and (frames := self._take_sound(look, candidates[0], raw, volts)):
+        if look and look.is_sound and (frames := self._take_sound(look, candidates[0], raw)):
             return frames
         found = self._look(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
@@ -370,58 +365,32 @@ class GapTiming(Timing):
         if not beside.quiet:
             return NOT_AT_REST
         self._learn(gap, words)
-        levels, doubtful = node_levels(words.rows[0], spec), found.doubtful
-        level = line.level_v + beside.level
-        late = self._is_early_or_late(line.received, level, fit, beside.variance)
-        if clipped > LIMITS.deafened or late:
-            doubtful = np.ones(spec.nodes, bool)
-        unaided = found.unaided if found.decided else None
         expected = self._raster.expect(self._cursor + fit.start, self._cursor)
-        sure = expected is not None and self._search.is_sure(expected)
-        placed = (
-            expected is not None and sure and abs(fit.start - expected.start) < ON_RASTER * fit.chip
-        )
-        if sure and not placed and not words.explained_by(noise):
-            doubtful = np.ones(spec.nodes, bool)  # a frame of others may be on the raster
+        sure = self._search.is_sure(expected)
+        placed = expected is not None and sure and expected.is_near(fit)
+        least = math.sqrt(self._search.least_power) / FAINT_SHARE
+        doubts = [found.doubtful, strays(line, fit, words, beside, least, placed, spec)]
+        of_others = sure and not placed and not words.explained_by(noise)  # theirs is on the raster
+        if clipped > LIMITS.deafened or of_others:
+            doubts = [np.ones(spec.nodes, bool)]
+        known = [some for some in doubts if some is not None]
+        doubtful = np.any(known, axis=0) if known else None
+        unaided, levels = found.unaided if found.decided else None, node_levels(words.rows[0], spec)
         return self._emit(fit, unaided, levels, beside.level, clipped, doubtful, placed)
 
-    def _take_sound(self, look: Look, gap: Gap, raw: Floats, volts: Floats) -> list[FrameLevels]:
+    def _take_sound(self, look: Look, gap: Gap, raw: Floats) -> list[FrameLevels]:
         """The frame in which the kernel found nothing odd; none if a rail may hide words.
 
-        raw: the samples as they came, V. volts: without hum.
+        raw: the samples as they came, V.
         """
         fit = Fit(*look.place)
         clipped = self._clipped(fit, raw)
-        left_v, variance, _ = look.around
+        left_v = look.around[0]
         if clipped > LIMITS.deafened:
-            return []
-        if self._is_early_or_late(volts, gap.level + left_v, fit, variance):
             return []
         self._learn(gap, look.words)
         levels = look.levels(self._spec)
         return self._emit(fit, look.unaided, levels, left_v, clipped)
-
-    def _is_early_or_late(self, volts: Floats, level: float, fit: Fit, variance: float) -> bool:
-        """Whether there are chips next to a frame, of nodes that may be taken for others.
-
-        If its bits are equal, a node that is some chips late leaves nothing else over: within the
-        frame it is another row's word, or the inverse of its own. Impulses are single samples.
-        volts: (m,). level: of the gap, V. variance: of its half-chip means, V².
-        """
-        (near, far), chip, end = BESIDE_CHIPS, fit.chip, fit.end(self._spec)
-        noise = variance * self._search.half
-        spread = 2 / (9 * (far - near) * chip)  # of χ²'s cube root: Wilson and Hilferty, 1931
-        most = noise * (1 - spread + BESIDE_NOISE * math.sqrt(spread)) ** 3
-        most = max(most, BESIDE_POWER * self._search.least_power / FAINT_SHARE**2)
-        for begin in (fit.start - far * chip, end + near * chip):
-            first = max(0, math.ceil(begin))
-            chips = volts[first : max(0, math.ceil(begin + (far - near) * chip))]
-            total, squares = sums(chips)
-            if squares - level * (2 * total - level * chips.size) <= most * chips.size:
-                continue
-            if chips.size > 1 and np.sort(np.square(chips - level))[:-1].mean() > most:
-                return True
-        return False
 
     def _clipped(self, fit: Fit, raw: Floats) -> float:
         """Share of a frame's samples that are at a rail."""

@@ -42,6 +42,10 @@ class Expected:
     change: float
     slips: float
 
+    def is_near(self, fit: Fit) -> bool:
+        """Whether a frame is where the raster says."""
+        return abs(fit.start - self.start) < ON_RASTER * fit.chip
+
     def log_prior(self, starts: Floats) -> Floats:
         """Log of the probability density, per chip, of these starts, samples.
 

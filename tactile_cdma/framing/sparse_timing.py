@@ -193,7 +193,14 @@ class SparseRecogniser:
             rows = np.zeros_like(rows)  # there is nothing to ask about the silence
             rows[:, spec.rows[found.heard]] = found.rows[:, spec.rows[found.heard]]
             spoke = np.flatnonzero(found.heard).astype(np.int32)
-        levels = NodeLevels(rows[:, spec.node_slice], noise_v, rows=rows, late=late, spoke=spoke)
+        levels = NodeLevels(
+            rows[:, spec.node_slice],
+            noise_v,
+            rows=rows,
+            late=late,
+            spoke=spoke,
+            understood=self._is_understood(found),
+        )
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
 
     def _learn(

@@ -5,7 +5,7 @@
 The bytes are a NodeRecord (firmware/protocol.yaml), the chips of the node's code row, 1 for +1,
 least significant bit first, and the CRC-32 of both. The last chip ends an octet; unused bits of the
 first octet repeat the end of the row, as if it were cyclic. The row's sign is in the record, not in
-the chips.
+the chips. Of a sparse code, whose chips the node makes from its first octets, these come instead.
 """
 
 import math
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..base.errors import NodeMemoryError, SpecError, check_limits
 from ..code.codes import scrambler_state
 from ..code.frame import MEASURING_S, FrameSpec
+from ..code.sparse import TAPS, code_digits, code_numbers
 from ..config.parameters import LINE
 from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
 from ..wire.messages import WIRE, FrameLayout, Message
@@ -28,7 +29,8 @@ class Mcu:
     """A microcontroller for nodes with an image, and the limits of both.
 
     part: avrdude's name. order: longest code row that fits its memories. chip_ns, longest_chip_ns:
-    range of chips that it keeps up with, ns. scrambled_chip_ns: shortest chip that it flips, ns.
+    range of chips that it keeps up with, ns. scrambled_chip_ns: shortest chip that it flips, ns;
+    sparse_chip_ns: of a sparse code; 0: it has none.
     chip_step_ns: chips are a multiple of this.
     bits_restart: it starts anew at every bit. restart_s: least guard before a restart within the
     frame, s: the restart's sync pulse, 64 µs ahead of it, must not begin before a node has released
@@ -39,6 +41,7 @@ class Mcu:
     order: int
     chip_ns: int
     scrambled_chip_ns: int
+    sparse_chip_ns: int
     longest_chip_ns: int = 1_000_000
     chip_step_ns: int = 1
     bits_restart: bool = False
@@ -47,9 +50,9 @@ class Mcu:
 
 FAST = "atmega328p-fast"
 MCUS = {
-    "atmega328p": Mcu("m328p", 4096, 35_000, 35_000),
-    FAST: Mcu("m328p", 4096, 500, 1750, 16_000, 250, bits_restart=True, restart_s=80e-6),
-    "attiny85": Mcu("t85", 1024, 40_000, 40_000),
+    "atmega328p": Mcu("m328p", 4096, 35_000, 35_000, 35_000),
+    FAST: Mcu("m328p", 4096, 500, 1750, 2000, 16_000, 250, bits_restart=True, restart_s=80e-6),
+    "attiny85": Mcu("t85", 1024, 40_000, 40_000, 0),
 }
 HEARTBEAT_S = 1.0
 """Default time between two words of a node at rest, s; chosen, below stale_after_s."""
@@ -67,7 +70,8 @@ SHOWN_CHIPS = 64
 class NodeRecord(Message):
     """The beginning of a node's EEPROM, in the integers stored there.
 
-    node: counted from 1. row: of the code book; for whoever reads the memory, as the chips follow.
+    node: counted from 1. row: of the code book, or its code number; for whoever reads the memory,
+        as the chips follow. digits: of a sparse code, 0 for a row.
     scramble: state of the scrambler before a frame, or 0. rest: code at rest, or NODE_LEARN_REST.
     threshold: LSB. heartbeat, turn: frames.
     """
@@ -77,6 +81,7 @@ class NodeRecord(Message):
     node: int
     nodes: int
     row: int
+    digits: int = 0
     sign: Polarity
     bits: int
     parity: bool
@@ -126,10 +131,6 @@ def node_memory(
     if mcu not in MCUS:
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
     board = MCUS[mcu]
-    if spec.sparse:
-        raise SpecError(
-            "the nodes of firmware/ do not send sparse codes yet: set codes to orthogonal"
-        )
     check_limits("node", node, 1, spec.nodes, "nodes are counted from 1")
     check_limits("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     if heartbeat is None:
@@ -138,9 +139,20 @@ def node_memory(
     if rest is not None:
         check_limits("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     check_limits("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
-    check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
+    if spec.sparse and not board.sparse_chip_ns:
+        raise SpecError(
+            f"the {mcu}, with 8 kB of flash, has no sparse codes: take another, or set codes to "
+            "orthogonal"
+        )
+    if spec.sparse and spec.resync_chips and not board.bits_restart:
+        raise SpecError(
+            f"resync_chips is {spec.resync_chips}, but an {mcu} makes sparse codes without "
+            "restarts: set resync_chips and guard_chips to 0"
+        )
+    if not spec.sparse:
+        check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
-    _check_chip(layout.chip_ns, mcu, spec.scramble)
+    _check_chip(layout.chip_ns, mcu, spec)
     if board.bits_restart and spec.order % 2:
         raise SpecError(
             f"order is {spec.order}, but an {mcu}, which sends chips in octets, fills up the first "
@@ -172,9 +184,11 @@ def node_memory(
             f"takes at least {least_guard} of {spec.chip_s * 1e6:g} µs: set guard_chips to that in "
             "the parameter file"
         )
+    digits = code_digits(spec.nodes, spec.order) if spec.sparse else 0
     record = NodeRecord(
         node=node,
-        row=int(spec.rows[node - 1]),
+        row=int(code_numbers(digits)[node]) if digits else int(spec.rows[node - 1]),
+        digits=digits,
         sign=Polarity(int(spec.signs[node - 1])),
         **{name: getattr(layout, name) for name in _OF_LAYOUT},
         scramble=scrambler_state(spec.sign_seed or 0) if spec.scramble else 0,
@@ -184,13 +198,25 @@ def node_memory(
         heartbeat=heartbeat,
         turn=(node - 1) * heartbeat // spec.nodes,
     )
-    (chips,) = spec.book.rows([record.row])
-    filled = np.take(chips > 0, np.arange(-(-spec.order % 8), spec.order), mode="wrap")
-    body = record.pack() + np.packbits(filled, bitorder="little").tobytes()
+    if digits:
+        octets = _first_octets(record.row, digits)
+    else:
+        (chips,) = spec.book.rows([record.row])
+        filled = np.take(chips > 0, np.arange(-(-spec.order % 8), spec.order), mode="wrap")
+        octets = np.packbits(filled, bitorder="little").tobytes()
+    body = record.pack() + octets
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
 
 
-def _check_chip(chip_ns: int, mcu: str, scramble: bool) -> None:
+def _first_octets(number: int, digits: int) -> bytes:
+    """The octets with which a sparse code begins, as many as its register has."""
+    for t in range(7 * digits):
+        digit = number >> t ^ sum(number >> t + tap for tap in TAPS[digits])
+        number |= (digit & 1) << t + digits
+    return number.to_bytes(digits, "little")
+
+
+def _check_chip(chip_ns: int, mcu: str, spec: FrameSpec) -> None:
     """Raises SpecError for a chip that this board cannot make."""
     board, reason = MCUS[mcu], f"the {mcu} runs at 8 MHz"
     chip_us = chip_ns / 1e3
@@ -198,7 +224,12 @@ def _check_chip(chip_ns: int, mcu: str, scramble: bool) -> None:
     if able:
         reason += f"; an {able[0]} makes such chips"
     check_limits("chip_us", chip_us, board.chip_ns / 1e3, board.longest_chip_ns / 1e3, reason)
-    if scramble and chip_ns < board.scrambled_chip_ns:
+    if spec.sparse and chip_ns < board.sparse_chip_ns:
+        raise SpecError(
+            f"chip_us is {chip_us:g}; an {mcu} makes sparse codes of chips from "
+            f"{board.sparse_chip_ns / 1e3:g} µs on: set codes to orthogonal or use longer chips"
+        )
+    if spec.scramble and chip_ns < board.scrambled_chip_ns:
         raise SpecError(
             f"chip_us is {chip_us:g}; an {mcu} that scrambles takes "
             f"{board.scrambled_chip_ns / 1e3:g} or more: set scramble to false or use longer chips"
@@ -219,6 +250,7 @@ def usual_heartbeat(frame_period_s: float) -> int:
 def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     """The record in an EEPROM and the chips of its row, (order,) int8 of ±1.
 
+    Of a sparse code those that it begins with, (8 · digits,), before they are flipped.
     What follows in the EEPROM is ignored. Raises NodeMemoryError, naming what is wrong.
     """
     if data.count(0xFF) == len(data):
@@ -240,10 +272,10 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
             f"the memory has a record of version {found['version']}, this is for {NODE_VERSION}: "
             "write it anew"
         )
-    size = wire.size + _octets(found["order"]) + CRC_BYTES
+    size = wire.size + (found["digits"] or _octets(found["order"])) + CRC_BYTES
     if len(data) < size:
         raise NodeMemoryError(
-            f"the memory is truncated: a row of {found['order']} chips takes {size} bytes, "
+            f"the memory is truncated: a code of {found['order']} chips takes {size} bytes, "
             f"there are {len(data)}"
         )
     body, crc = data[: size - CRC_BYTES], int.from_bytes(data[size - CRC_BYTES : size], "little")
@@ -256,8 +288,10 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     except SpecError as error:
         raise NodeMemoryError(f"the memory is intact, but not for this firmware: {error}") from None
     packed = np.frombuffer(body, np.uint8, offset=wire.size)
-    positive = np.unpackbits(packed[: _octets(record.order)], bitorder="little")[-record.order :]
-    return record, np.where(positive, 1, -1).astype(np.int8)
+    ones = np.unpackbits(packed[: record.digits or _octets(record.order)], bitorder="little")
+    if record.digits:
+        return record, np.where(ones, -1, 1).astype(np.int8)
+    return record, np.where(ones[-record.order :], 1, -1).astype(np.int8)
 
 
 def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
@@ -265,13 +299,14 @@ def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
     code = "".join("+" if chip > 0 else "-" for chip in chips[:SHOWN_CHIPS])
     if chips.size > SHOWN_CHIPS:
         code += f" and {chips.size - SHOWN_CHIPS} more"
+    kind = f"sparse, of {record.digits} digits, number" if record.digits else "row"
     restart = f"every {record.resync_chips} chips, after {record.guard_chips} of pause"
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
     change = f"more than {record.threshold} LSB from rest ({rest}) or from what it sent last"
     beat = f"once in {record.heartbeat} frames, first after {record.turn}"
     lines = {
         "node": f"{record.node} of {record.nodes}",
-        "code row": f"{record.row} of order {record.order}, sign {record.sign:+d}: {code}",
+        "code": f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}",
         "word": f"{record.bits} bits" + (" and parity" if record.parity else ""),
         "chip": f"{record.chip_ns / 1e3:g} µs"
         + (", following the sync edges" if record.discipline else ", of the node's own clock"),

@@ -37,7 +37,12 @@ class Heading(NamedTuple):
     @property
     def fields(self) -> bytes:
         """It as fields of a message; they begin at a multiple of 4."""
-        return _STAMP.pack(*self.time) + _string(self.frame_id)
+        return self.stamp + _string(self.frame_id)
+
+    @property
+    def stamp(self) -> bytes:
+        """The time alone, likewise."""
+        return _STAMP.pack(*self.time)
 
     @property
     def time(self) -> tuple[int, int]:
@@ -154,3 +159,33 @@ class CdrReader:
     def header(self) -> Heading:
         seconds, nanoseconds = _STAMP.unpack(self.take(_STAMP.size, 4))
         return Heading(seconds * 1_000_000_000 + nanoseconds, self.text())
+
+
+class TaxelArray(NamedTuple):
+    """What a TactileArray says of its t taxels.
+
+    pressure_pa: (t,) float32, Pa, NaN without a reading. status: (t,) uint8.
+    """
+
+    heading: Heading
+    sequence: int
+    info_id: int
+    pressure_pa: NDArray[np.float32]
+    status: NDArray[np.uint8]
+
+
+def read_array(message: bytes) -> TaxelArray:
+    """Take a TactileArray apart; raises MessageError if it is none, or contradicts itself."""
+    reader = CdrReader(message)
+    heading = reader.header()
+    sequence, _, info_id, _, height, width, count = reader.numbers(_ARRAY, 8)
+    pressure = reader.take(4 * count)
+    reader.take(4 * reader.count())
+    status = reader.take(reader.count())
+    if not count == len(status) == height * width:
+        raise MessageError(
+            f"frame {sequence} has {count} pressures and {len(status)} states of {height} × "
+            f"{width} taxels"
+        )
+    values = np.frombuffer(pressure, dtype="<f4"), np.frombuffer(status, dtype=np.uint8)
+    return TaxelArray(heading, sequence, info_id, *values)

@@ -23,9 +23,9 @@ from ..places.mesh import tangents
 from .status import Status
 from .taxels import Readings
 
-LOOK_S = 0.2
-"""Interval between the readings that are compared, s; chosen: touches last longer, and a look at
-4096 taxels takes as long as reading five frames' bytes."""
+LOOK_S = 0.5
+"""Interval between the readings that are compared, s; chosen: loads of a hand stay as long, and a
+look at 4096 taxels takes nearly as long as decoding a frame."""
 LEAST_NEIGHBOURS = 3
 """Fewest neighbours that give an expectation: as many as a corner of a grid has."""
 MANY_NEIGHBOURS, UNMOVED = 6, 2
@@ -110,7 +110,7 @@ class StuckNodes:
         pressure_pa = readings.pressure_pa
         sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
         self._update_sound(sound)
-        around_pa = np.where(sound, pressure_pa, np.float32(0))[self._beside]
+        around_pa = np.where(sound, pressure_pa, np.float32(0)).take(self._beside)
         least_pa = (around_pa + self._but_others).min(axis=0)
         most_pa = (around_pa - self._but_others).max(axis=0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)

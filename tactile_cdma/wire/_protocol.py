@@ -23,7 +23,7 @@ SYNC_DIGIT = 8
 TURN_SHIFT = 3
 TURN_MOST_LOG2 = 4
 NODE_MAGIC = 1314145108
-NODE_VERSION = 2
+NODE_VERSION = 3
 NODE_LEARN_REST = 65535
 DEMO_WIRED = 56833
 DEMO_WIRELESS = 56834
@@ -126,11 +126,11 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("parity", "B", bool), Field("resync_chips", "H", U16),
         Field("guard_chips", "B", U8),),
     "NodeRecord": (Field("magic", "I", range(1314145108, 1314145109)),
-        Field("version", "B", range(2, 3)), Field("node", "H", range(1, 65536)),
+        Field("version", "B", range(3, 4)), Field("node", "H", range(1, 65536)),
         Field("nodes", "H", range(1, 65536)), Field("row", "H", U16),
-        Field("sign", "b", Polarity), Field("bits", "B", range(8, 11)),
-        Field("parity", "B", bool), Field("order", "H", range(1, 4097)),
-        Field("chip_ns", "I", range(500, 1000001)),
+        Field("digits", "B", range(0, 17)), Field("sign", "b", Polarity),
+        Field("bits", "B", range(8, 11)), Field("parity", "B", bool),
+        Field("order", "H", range(1, 4097)), Field("chip_ns", "I", range(500, 1000001)),
         Field("frame_period_us", "I", range(1000, 10000001)), Field("resync_chips", "H", U16),
         Field("guard_chips", "B", U8), Field("scramble", "I", U32),
         Field("discipline", "B", bool), Field("rest", "H", U16), Field("threshold", "H", U16),

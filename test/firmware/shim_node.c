@@ -6,6 +6,7 @@
 #include "frame.h"
 #include "sequencer.h"
 #include "sync_pulse.h"
+#include "turn.h"
 
 /* Levels of a frame of `span` chips: 1, -1, in a guard 0. Returns how many it has. */
 uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uint16_t code,
@@ -30,19 +31,20 @@ uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uin
 
 enum { FRAME, CALL, MISSED };
 
-/* Who talks in each of `size` frames that began like this. */
+/* Who talks in each of `size` frames that began like this, and whose turn they were. */
 void shim_events(const struct tp_node_record *record, uint16_t rest, const uint16_t *codes,
-                 const uint8_t *frames, uint8_t *talks, size_t size)
+                 const uint8_t *frames, const uint8_t *turns, uint8_t *talks, size_t size)
 {
     struct event event;
 
     event_init(&event, record, rest);
     for (size_t i = 0; i < size; i++) {
         bool call = frames[i] == CALL;
+        bool others = frames[i] == FRAME && turn_is_others(turns[i], record->node);
 
-        talks[i] = frames[i] != MISSED &&
+        talks[i] = frames[i] != MISSED && !others &&
                    (call ? event_talks_first(&event) : event_talks(&event, codes[i]));
-        event_frame(&event, call, talks[i], codes[i]);
+        event_frame(&event, call, others, talks[i], codes[i]);
     }
 }
 
@@ -60,6 +62,11 @@ bool shim_discipline(const struct tp_node_record *record, uint32_t ticks_per_us,
     result[2] = clock.period;
     result[3] = discipline_earliest(&clock);
     return believed;
+}
+
+uint8_t shim_turn_digit(uint32_t ticks, uint16_t unit_ticks)
+{
+    return turn_digit(ticks, unit_ticks);
 }
 
 uint8_t shim_pulse(uint32_t ticks, uint16_t unit_ticks)

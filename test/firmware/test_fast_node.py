@@ -41,11 +41,15 @@ PRELUDE_NS = 4_000
 PPM = 1e-6
 REST = 225
 SCRAMBLED_S = MCUS[FAST].scrambled_chip_ns * 1e-9
+SPARSE_S = MCUS[FAST].sparse_chip_ns * 1e-9
+SPARSE: dict[str, bool | str] = {"codes": "sparse", "scramble": True}
 SPEECH = {"threshold": 0, "rest": REST}
 CODES = (0, 1023, 0b0101101110)
 
 
-def fast(nodes: int, order: int, chip_s: float = 2e-6, bits: int = 10, **more: bool) -> FrameSpec:
+def fast(
+    nodes: int, order: int, chip_s: float = 2e-6, bits: int = 10, **more: bool | str
+) -> FrameSpec:
     """A skin whose nodes start anew at every bit, with the least guards."""
     guard_chips = int(np.ceil(MCUS[FAST].restart_s / chip_s - 1e-9))
     spec = FrameSpec(nodes=nodes, order=order, chip_s=chip_s, bits=bits, resync_chips=order,
@@ -70,6 +74,11 @@ SHAPES = {
     "scrambled, half an octet": fast(19, 20, SCRAMBLED_S, scramble=True, parity=True),
     "scrambled, shortest row": fast(3, 4, SCRAMBLED_S, scramble=True),
     "scrambled, slow": fast(3, 4, 16e-6, scramble=True),
+    "sparse": fast(4000, 912, SPARSE_S, **SPARSE),
+    "sparse, sixteen digits": fast(65_535, 1024, SPARSE_S, **SPARSE),
+    "sparse, half an octet": fast(300, 20, SPARSE_S, parity=True, **SPARSE),
+    "sparse, shortest": fast(9, 8, SPARSE_S, **SPARSE),
+    "sparse, slow": fast(9, 10, 16e-6, **SPARSE),
 }  # fmt: skip
 
 
@@ -376,6 +385,8 @@ def test_the_limits_themselves_were_tried() -> None:
     assert promised.longest_chip_ns == round(max(spec.chip_s for spec in shapes) * 1e9)
     scrambled = [spec.chip_s for spec in shapes if spec.scramble]
     assert promised.scrambled_chip_ns == round(min(scrambled) * 1e9)
+    sparse = [spec.chip_s for spec in shapes if spec.sparse]
+    assert promised.sparse_chip_ns == round(min(sparse) * 1e9)
     assert promised.order == max(spec.order for spec in shapes)
     guards = [spec.guard_chips * spec.chip_s for spec in shapes]
     assert promised.restart_us == round(min(guards) * 1e6)

@@ -204,8 +204,8 @@ STREAM_DEFECTS = {
     ),
     "words are silence": (
         "marked_frame.c",
-        "    if (power <= rules->silent_power) {",
-        "    if (power <= 17 * rules->silent_power) {",
+        "if (power <= rules->silent_power + ",
+        "if (power <= 17 * rules->silent_power + ",
         "wrong value",
     ),
 }

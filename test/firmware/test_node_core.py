@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.codes import is_feasible
 from tactile_cdma.code.encode import frame_levels, line_chips
-from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
@@ -26,9 +26,9 @@ from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limit
 FRAME, CALL, MISSED = range(3)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
-LIMITS = Limits(4096, 30_000, 33_000, 900_000, 1, False, 900, 80)
-SHORT_ROWS = Limits(1024, 30_000, 33_000, 900_000, 1, False, 900, 80)
-FAST_LIMITS = Limits(4096, 500, 1750, 16_000, 250, True, 900, 80)
+LIMITS = Limits(4096, 30_000, 33_000, 34_000, 900_000, 1, False, 900, 80)
+SHORT_ROWS = Limits(1024, 30_000, 33_000, 0, 900_000, 1, False, 900, 80)
+FAST_LIMITS = Limits(4096, 500, 1750, 2000, 16_000, 250, True, 900, 80)
 RECORD_BYTES = WIRE["NodeRecord"].size
 
 
@@ -36,28 +36,31 @@ def record_of(**changes: int) -> bytes:
     """A good node's memory with other values, valid or not, in its record."""
     record, chips = read_node_memory(node_memory(SPEC, 2))
     values = {**asdict(record), **changes}
-    row = np.packbits(np.resize(chips > 0, values["order"]), bitorder="little")
-    body = WIRE["NodeRecord"].pack(*values.values()) + row.tobytes()
+    row = np.packbits(np.resize(chips > 0, values["order"]), bitorder="little").tobytes()
+    octets = bytes(values["digits"]) if values["digits"] else row
+    body = WIRE["NodeRecord"].pack(*values.values()) + octets
     return body + zlib.crc32(body).to_bytes(4, "little")
 
 
 @st.composite
 def specs(draw: st.DrawFn) -> FrameSpec:
     """Frames of every shape that a node supports; nodes use rows from 0 to the last."""
-    order = draw(st.sampled_from(ORDERS))
-    first_row = draw(st.integers(0, order - 1))
-    resync = draw(st.one_of(st.just(0), st.integers(1, 4000)))
+    sparse = draw(st.booleans())
+    order = draw(st.integers(8, 420) if sparse else st.sampled_from(ORDERS))
+    first_row = 1 if sparse else draw(st.integers(0, order - 1))
+    resync = 0 if sparse else draw(st.one_of(st.just(0), st.integers(1, 4000)))
     guard = draw(st.integers(3, 255)) if resync else 0  # 96 µs at least
-    seed = draw(st.one_of(st.none(), st.integers(0, 2**32 - 1)))
+    seed = draw(st.integers(0, 2**32 - 1) if sparse else st.none() | st.integers(0, 2**32 - 1))
     spec = FrameSpec(
-        nodes=draw(st.integers(1, order - first_row)),
+        nodes=draw(st.integers(1, 65_535 if sparse else order - first_row)),
+        codes=SPARSE if sparse else ORTHOGONAL,
         bits=draw(st.integers(8, 10)),
         order=order,
         chip_s=draw(st.sampled_from([35e-6, 50e-6, 61.7e-6])),
         frame_period_s=1e6,
         first_row=first_row,
         sign_seed=seed,
-        scramble=seed is not None and order >= 4 and draw(st.booleans()),
+        scramble=sparse or (seed is not None and order >= 4 and draw(st.booleans())),
         polarity=draw(st.sampled_from([1, -1])),
         parity=draw(st.booleans()),
         resync_chips=resync,
@@ -123,6 +126,12 @@ def test_no_flipped_bit_is_believed(core: ctypes.CDLL, bit: int) -> None:
         ({"chip_ns": 30_000}, GOOD),
         ({"chip_ns": 32_999, "scramble": 1}, UNFIT),
         ({"chip_ns": 33_000, "scramble": 1}, GOOD),
+        ({"chip_ns": 33_999, "scramble": 1, "digits": 4}, UNFIT),
+        ({"chip_ns": 34_000, "scramble": 1, "digits": 4}, GOOD),
+        ({"chip_ns": 34_000, "digits": 16}, GOOD),
+        ({"digits": 4, "chip_ns": 34_000, "resync_chips": 32, "guard_chips": 4}, UNFIT),
+        ({"digits": 3}, INVALID),
+        ({"digits": 17}, INVALID),
         ({"resync_chips": 32}, INVALID),
         ({"guard_chips": 2}, INVALID),
         ({"resync_chips": 32, "guard_chips": 2}, GOOD),
@@ -143,6 +152,7 @@ def test_row_that_is_too_long_for_the_board(core: ctypes.CDLL) -> None:
     memory = node_memory(FrameSpec(nodes=4, order=1032, frame_period_s=1.0), 1)
     assert load(core, memory, LIMITS)[0] == GOOD
     assert load(core, memory, SHORT_ROWS)[0] == UNFIT
+    assert load(core, record_of(digits=12, chip_ns=34_000), SHORT_ROWS)[0] == UNFIT
 
 
 @pytest.mark.parametrize(
@@ -168,7 +178,12 @@ def test_what_a_node_of_fast_chips_takes(
 
 
 def talks(
-    core: ctypes.CDLL, memory: bytes, rest: int, codes: NDArray[np.int64], frames: NDArray[np.int64]
+    core: ctypes.CDLL,
+    memory: bytes,
+    rest: int,
+    codes: NDArray[np.int64],
+    frames: NDArray[np.int64],
+    turns: NDArray[np.int64] | None = None,
 ) -> NDArray[np.bool_]:
     """Frames in which the node transmits."""
     result = np.zeros(len(codes), np.uint8)
@@ -177,6 +192,7 @@ def talks(
         rest,
         codes.astype(np.uint16).ctypes,
         frames.astype(np.uint8).ctypes,
+        (np.zeros(len(codes)) if turns is None else turns).astype(np.uint8).ctypes,
         result.ctypes,
         ctypes.c_size_t(len(codes)),
     )
@@ -190,11 +206,18 @@ def talks(
     heartbeat=st.integers(0, 20),
     seed=st.integers(0, 2**32 - 1),
     called=st.sets(st.integers(0, 59), max_size=4),
+    divided=st.dictionaries(st.integers(0, 59), st.integers(0, 3), max_size=4),
 )
 def test_rules_are_those_of_the_simulator(
-    core: ctypes.CDLL, nodes: int, threshold: int, heartbeat: int, seed: int, called: set[int]
+    core: ctypes.CDLL,
+    nodes: int,
+    threshold: int,
+    heartbeat: int,
+    seed: int,
+    called: set[int],
+    divided: dict[int, int],
 ) -> None:
-    """60 frames with random presses and roll calls: who transmits when."""
+    """60 frames with random presses, roll calls and groups: who transmits when."""
     spec = FrameSpec(nodes=nodes, order=16)
     rng = np.random.default_rng(seed)
     # stays, steps and drifts, so that every rule gets to decide
@@ -215,16 +238,43 @@ def test_rules_are_those_of_the_simulator(
     frames = []
     for number in range(60):
         calls.asked = number in called
+        calls.asked_log2 = divided.get(number)
         frames.append(next(truth))
     codes = np.array([frame.codes for frame in frames])
     rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
     began = np.array([CALL if number in called else FRAME for number in range(60)])
+    turns = np.array([frame.turn for frame in frames])
     for node in range(nodes):
         memory = node_memory(spec, node + 1, threshold=threshold, heartbeat=heartbeat)
         np.testing.assert_array_equal(
-            talks(core, memory, int(rest[node]), codes[:, node], began),
+            talks(core, memory, int(rest[node]), codes[:, node], began, turns),
             [frame.active[node] for frame in frames],
         )
+
+
+def test_what_is_said_out_of_turn_is_said_in_turn(core: ctypes.CDLL) -> None:
+    """Node 6 of 9 in four groups is of group 2: every fourth frame is its own."""
+    memory = node_memory(FrameSpec(nodes=9, order=16), 6, threshold=2, heartbeat=18)  # turn 10
+    turns, began = 4 + np.arange(48) % 4, np.full(48, FRAME)
+    codes = np.full(48, 500)
+    codes[[3, 4, 19]] = 400, 410, 300  # 4 is not its turn any more when it could say 410
+    codes[30:33] = 400, 450, 500  # said 500 is the end of it
+    heard = np.flatnonzero(talks(core, memory, 500, codes, began, turns)).tolist()
+    assert heard == [10, 30, 34, 46]  # heartbeats of 10 and 28, the press, of 46
+    codes[14] = 350  # in its turn: told, and its end in the next
+    heard = np.flatnonzero(talks(core, memory, 500, codes, began, turns)).tolist()
+    assert heard == [10, 14, 18, 30, 34, 46]
+    began[46] = MISSED  # as without groups
+    assert 46 not in np.flatnonzero(talks(core, memory, 500, codes, began, turns))
+
+
+def test_digits_of_a_turn_are_where_the_page_says(core: ctypes.CDLL) -> None:
+    """(d + 1) · 128 µs before the frame's pulse, within 32 µs."""
+    core.shim_turn_digit.restype = ctypes.c_uint8
+    for us in range(-1000, 2000):
+        places = [d for d in range(5) if abs(us - (d + 1) * 128) <= 32]
+        expected = 1 << places[0] if places else 0
+        assert core.shim_turn_digit(ctypes.c_uint32(us * 8), 128) == expected, us
 
 
 def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import MCUS, node_memory
+from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
 from test.support.emulated_node import (
     BUSY_NS,
     CALL,
@@ -40,6 +40,7 @@ AWAKE_NS = {"atmega328p": 500, "attiny85": 4_500}
 An ATtiny85 captures no edges."""
 SPEC = FrameSpec(nodes=4, order=16)
 REST = 225
+SPARSE = {"codes": "sparse", "scramble": True}
 SPEECH = {"threshold": 0, "rest": REST}
 Builder = Callable[[str], Path]
 
@@ -110,6 +111,8 @@ SHAPES = {
     "scrambled, least chips": FrameSpec(nodes=4, order=16, chip_s=35e-6, scramble=True),
     "scrambled, restarts within bits": FrameSpec(nodes=19, order=20, resync_chips=25, guard_chips=3,
                                                  frame_period_s=16e-3, scramble=True),
+    "sparse": FrameSpec(nodes=256, order=48, chip_s=35e-6, frame_period_s=17.8e-3, **SPARSE),
+    "sparse, odd": FrameSpec(nodes=999, order=21, bits=8, parity=True, chip_s=35e-6, **SPARSE),
     "odd chips": FrameSpec(nodes=4, order=16, chip_s=51.237e-6),
     "chips near the timer's wrap": FrameSpec(nodes=3, order=4, chip_s=64e-6, frame_period_s=5e-3),
     "slow chips": FrameSpec(nodes=2, order=4, bits=8, chip_s=1e-3, frame_period_s=40e-3),
@@ -125,6 +128,8 @@ def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
     spec = SHAPES[shape]
     if spec.chip_s < MCUS[mcu].chip_ns * 1e-9:
         pytest.skip(f"chips too short for the {mcu}")
+    if spec.sparse and not MCUS[mcu].sparse_chip_ns:
+        pytest.skip(f"the {mcu} has no sparse codes")
     rng = np.random.default_rng(sum(map(ord, shape)))
     top = (1 << spec.bits) - 1
     codes = [0, top, 0b0101101110 & top, *rng.integers(0, top, 2)]
@@ -341,7 +346,7 @@ def test_missing_restart_ends_the_frame(build: Path, mcu: str) -> None:
 
 def with_period(memory: bytes, period_us: int) -> bytes:
     """A memory, otherwise good, that asks for another frame period."""
-    body = memory[:20] + period_us.to_bytes(4, "little") + memory[24:-4]
+    body = memory[:21] + period_us.to_bytes(4, "little") + memory[25:-4]
     return body + zlib.crc32(body).to_bytes(4, "little")
 
 
@@ -407,7 +412,7 @@ def test_end_of_a_pulse_while_an_attiny85s_timer_is_served(build: Path) -> None:
 MEMORIES = {
     "blank": (1, lambda good: b""),
     "zeroed": (1, lambda good: bytes(len(good))),
-    "damaged": (2, lambda good: good[:40] + bytes([good[40] ^ 1]) + good[41:]),
+    "damaged": (2, lambda good: good[:41] + bytes([good[41] ^ 1]) + good[42:]),
     "another version": (3, lambda good: good[:4] + b"\x01" + good[5:]),
     # 8 ms of chips, 64 µs of lead and 900 µs to measure
     "a gap too short by 1 µs": (4, lambda good: with_period(good, 8_963)),
@@ -465,6 +470,37 @@ def test_events(build: Path, mcu: str) -> None:
             )
             pressed = {1} if 32 <= number <= 36 else set()
             assert set(nodes) == beating | pressed, number
+
+
+@pytest.mark.parametrize(
+    ("mcu", "clock_hz"), [("atmega328p", 7.92e6), (FAST, 8e6), (FAST, 8.001e6)]
+)
+def test_groups_speak_by_turns(build: Path, mcu: str, clock_hz: float) -> None:
+    """Those whose number modulo G is g, right to the chip, and the release once in their turn."""
+    spec = SPEC if mcu == FAST else replace(SPEC, frame_period_s=9e-3)  # the least gap
+    if mcu == FAST:
+        spec = replace(SPEC, chip_s=2e-6, resync_chips=16, guard_chips=40, frame_period_s=2.3e-3)
+    nodes = (1, 2, 3, 4)
+    with bench(build, spec, mcu, nodes, clock_hz, threshold=1, heartbeat=0, rest=REST) as skin:
+        for number in range(6):
+            assert spoke(skin, skin.frame(number, turn=8 + number % 8)) == []
+        skin.skin.press(volts(100, 10))
+        turns = [*range(4, 8), 2, 3, 2, 0, *range(16, 32), 0]
+        for number, turn in enumerate(turns, 6):
+            groups = 1 << turn.bit_length() - 1 if turn else 1
+            start = skin.frame(number, turn=turn)
+            mine = [node - 1 for node in nodes if node % groups == turn % groups]
+            assert spoke(skin, start) == mine, turn
+            if mcu != FAST:
+                for node in mine:
+                    assert_says(skin, start, 100, node + 1, node)
+        skin.skin.press(volts(REST, 10))
+        for number, turn in enumerate([4, 5, 6, 7, 4, 0], 6 + len(turns)):
+            told = [node - 1 for node in nodes if node % 4 == turn % 4 and number < 10 + len(turns)]
+            assert spoke(skin, skin.frame(number, turn=turn)) == told
+        skin.skin.press(volts(100, 10))
+        start = skin.frame(number + 1, units=CALL)  # goes before turns
+        assert spoke(skin, start) == [0]
 
 
 @pytest.mark.parametrize("mcu", SLOW)

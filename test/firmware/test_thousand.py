@@ -10,14 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skin import CRYSTALS, Spread
+import crowd
+from emulated import Node
+from skin import CRYSTALS, Spread, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.readings.status import Status
 from test.support.firmware import need
-from thousand import FRAMES, PARAMS, QUICK, on_one_wire
+from thousand import AMPLITUDE, FRAMES, PARAMS, QUICK, SPARSE_PARAMS, on_one_wire
 
 VALUES = read_file(PARAMS)
 FEW = VALUES | QUICK | {"nodes": 20, "rows": 4, "columns": 5}
+SPARSE = read_file(SPARSE_PARAMS) | AMPLITUDE
+CROWD = SPARSE | {"nodes": 80, "rows": 8, "columns": 10, "order": 64, "resync_chips": 64,
+                  "frame_period_ms": 3.2}  # fmt: skip
+"""31 may speak in a frame, so of a hug none is told, and all are by turns."""
 USB_BYTES_PER_S = 19 * 64 * 1000
 """What full-speed USB can carry in bulk: 19 packets of 64 bytes in a millisecond."""
 
@@ -53,6 +59,60 @@ def test_scrambled_nodes_are_heard() -> None:
 def test_nodes_out_of_time_are_counted(spread: Spread) -> None:
     trial = on_one_wire(FEW, 4, spread).trial
     assert trial.frames < 4 or trial.wrong > 4
+
+
+def test_a_crowd_is_heard_by_turns() -> None:
+    found = crowd.on_one_wire(CROWD)
+    assert found.all_is_well, found
+    assert found.most == 80 and found.in_groups == 2 * crowd.TURNS
+    assert found.speaking > 400
+
+
+def test_nodes_with_each_others_numbers_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes 3 and 8 have changed places: other codes, and another group's turns."""
+
+    def changed(*given: Any, **options: Any) -> list[Node]:
+        nodes = reference_nodes(*given, **options)
+        nodes[2], nodes[7] = nodes[7], nodes[2]
+        return nodes
+
+    monkeypatch.setattr(crowd, "reference_nodes", changed)
+    found = crowd.on_one_wire(CROWD)
+    assert found.wrong > 0 and found.missed > 0
+    assert not found.all_is_well
+
+
+def test_the_driver_publishes_4000_taxels(tmp_path: Path) -> None:
+    """Of which 20 are on the wire: what they said, of all others nothing."""
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    from test.support.skin_client import running, wait_for
+
+    recording, images = tmp_path / "crowd.skin", 20
+    found = crowd.on_one_wire(SPARSE, images, record=recording, step_count=crowd.SETTLING + 6)
+    assert found.frames and not found.wrong + found.missed + found.doubted
+    wired = np.linspace(0, 3999, images).round().astype(int)
+    pressed = [step.codes for step in list(crowd.script(images, 1))[crowd.SETTLING :][:6]]
+    said = {(node, code) for codes in pressed for node, code in zip(wired, codes, strict=True)
+            if code != crowd.REST_CODE}  # fmt: skip
+    rclpy.init()
+    try:
+        values = {**SPARSE, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
+        with running(**values) as (_, client):
+            wait_for(lambda: said <= heard_codes(client.arrays))
+    finally:
+        rclpy.shutdown()
+    assert all(len(message.pressure) == 4000 for message in client.arrays)
+    assert {node for node, _ in heard_codes(client.arrays)} <= {*wired.tolist()}
+
+
+def heard_codes(arrays: Sequence[Any]) -> set[tuple[int, int]]:
+    """Nodes, from 0, and the codes that they have said, of every message."""
+    found = set()
+    for message in [*arrays]:
+        codes = np.array(message.voltage) / (3.3 / 1024)
+        for node in np.flatnonzero(~np.isnan(codes)):
+            found.add((int(node), round(codes[node])))
+    return found
 
 
 def test_the_driver_publishes_900_taxels(tmp_path: Path) -> None:

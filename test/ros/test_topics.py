@@ -123,7 +123,7 @@ def test_every_topic_has_fields_of_the_right_types(
                 if offers(client, topic)[1] != "TRANSIENT_LOCAL":
                     qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
                 client.create_subscription(publisher.msg_type, topic, heard[topic].append, qos)
-        assert len(heard) == (3 if make is BodyNode else len(TOPICS) + 6)
+        assert len(heard) == (4 if make is BodyNode else len(TOPICS) + 6)
         wait_for(lambda: all(heard.values()))
 
 

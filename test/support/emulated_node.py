@@ -13,7 +13,7 @@ from emulated import EDGE, EmulatedNodes, Node
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
 
-UNIT_NS, LEAD_NS = 16_000, 64_000
+UNIT_NS, LEAD_NS, DIGIT_NS = 16_000, 64_000, 128_000
 RESTART, FRAME, CALL = 1, 2, 3
 VREF = 3.3
 POWER_UP_NS = 20_000_000
@@ -55,13 +55,18 @@ class Bench:
         late_ns: int = 0,
         skip: Sequence[int] = (),
         before: Mapping[int, tuple[int, int]] | None = None,
+        turn: int = 0,
     ) -> int:
         """All pulses of a frame, in its turn; run to its end. Returns when its first chip is due.
 
         late_ns: it comes so much after its time. skip: restart pulses that don't come. before:
         other pulses, by the sub-slot before whose own they come: how long before, and their length.
+        turn: what pulses before the frame say of whose turn it is.
         """
         start = POWER_UP_NS + number * self.period_ns + late_ns
+        for digit in range(turn.bit_length() - 1, -1, -1):
+            if turn >> digit & 1:
+                self.pulse(start - LEAD_NS - (digit + 1) * DIGIT_NS, RESTART * UNIT_NS)
         for slot in range(slots(self.spec)):
             at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
             rise = start + round(at * 1e9) - LEAD_NS

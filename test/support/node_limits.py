@@ -22,6 +22,7 @@ class Limits(ctypes.Structure):
         ("order", ctypes.c_uint16),
         ("chip_ns", ctypes.c_uint16),
         ("scrambled_chip_ns", ctypes.c_uint16),
+        ("sparse_chip_ns", ctypes.c_uint16),
         ("longest_chip_ns", ctypes.c_uint32),
         ("chip_step_ns", ctypes.c_uint16),
         ("bits_restart", ctypes.c_bool),

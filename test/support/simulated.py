@@ -2,7 +2,7 @@
 
 """What simulated skins send: raw captures, an oscilloscope's view of the line, streams of bytes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -16,6 +16,7 @@ from tactile_cdma.config.parameters import GAP
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
+from tactile_cdma.recording.recording_file import Recorder, describe
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
@@ -28,14 +29,29 @@ from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 def record(path: Path, options: SimOptions, seconds: float) -> None:
     """What tactile-cdma record writes in so many seconds of the skin's time."""
+    with path.open("wb") as file:
+        for data, _ in _told(options, seconds):
+            file.write(data)
+
+
+def recording(path: Path, options: SimOptions, seconds: float, **parameters: object) -> Path:
+    """The same as a recording with its times and these parameters."""
+    with Recorder(path, "sim://", 9600, {"nodes": 16} | parameters) as recorder:
+        begin_s = describe(path).monotonic_ns * 1e-9
+        for data, now_s in _told(options, seconds):
+            recorder.write(data, begin_s + now_s)
+    return path
+
+
+def _told(options: SimOptions, seconds: float) -> Iterator[tuple[bytes, float]]:
+    """What a host reads, and when, in so many seconds of the skin's time."""
     clock = _Clock()
     digitizer = VirtualDigitizer(options, clock)
     digitizer.receive(Session(SkinConfig.of({})).open())
-    with path.open("wb") as file:
-        while clock.now_s < seconds:
-            clock.now_s += 0.02
-            digitizer.advance()
-            file.write(digitizer.take(1 << 20))
+    while clock.now_s < seconds:
+        clock.now_s += 0.02
+        digitizer.advance()
+        yield digitizer.take(1 << 20), clock.now_s
     assert digitizer.packets_dropped == 0
 
 

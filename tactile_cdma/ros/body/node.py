@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node of a whole body: contacts, wrench, points and names of its patches in one tf frame.
+"""The node of a whole body: contacts, taxels, points and names of its patches in one tf frame.
 
 It subscribes only to what its own subscribers need.
 """
@@ -15,15 +15,15 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from tactile_cdma.msg import TactileContacts
+from tactile_cdma.msg import TactileBody, TactileContacts
 
 from ...base.errors import TransformError
-from ...messages.cdr import Heading
+from ...messages.cdr import Heading, TaxelArray
 from ...messages.rounds import Rounds
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
@@ -37,6 +37,7 @@ from .names import body_names
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
 from .report import body_status, host_status
+from .tactile import Part, body_tactile
 
 NODE_NAME = "body"
 TICK_S = 0.2
@@ -57,11 +58,12 @@ class BodyNode(Node):
         patches, self._values = body_setup(self)
         self._contacts = self._publisher(TactileContacts, "~/contacts", RELIABLE)
         self._wrench = self._publisher(WrenchStamped, "~/wrench", RELIABLE)
+        self._tactile = self._publisher(TactileBody, "~/tactile", qos_profile_sensor_data)
         self._points = self._publisher(PointCloud2, "~/points", PICTURE)
         self._names = self._publisher(MarkerArray, "~/names", PICTURE)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._feeds = {
-            name: PatchFeed(self, name, index, self._take_contacts)
+            name: PatchFeed(self, name, index, self._take_contacts, self._take_taxels)
             for index, name in enumerate(patches)
         }
         self._transforms = TransformListener(self)
@@ -70,6 +72,8 @@ class BodyNode(Node):
         self._published_s = time.monotonic()  # when contacts were, or would have been, published
         self._is_first = True  # nobody has had a message yet
         self._sequence = 0
+        self._taxel_rounds = Rounds(self._values["stale_after_s"])
+        self._taxels_s, self._taxels_sequence = time.monotonic(), 0
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
         self._are_points_due = False
         self._cloud = b""
@@ -93,9 +97,10 @@ class BodyNode(Node):
         )
         points = bool(self._points.get_subscription_count())
         names = bool(self._names.get_subscription_count())
+        taxels = bool(self._tactile.get_subscription_count())
         for feed in self._feeds.values():
-            feed.follow(contacts, points or names)
-        self._transforms.follow(contacts or points or names)
+            feed.follow(contacts, points or names, taxels)
+        self._transforms.follow(contacts or points or names or taxels)
         if points:
             if self._points_timer.is_canceled():
                 self._points_timer.reset()
@@ -105,6 +110,11 @@ class BodyNode(Node):
         if names:
             self._publish_names()
         now_s = time.monotonic()
+        if not taxels:
+            self._taxel_rounds.forget()
+            self._taxels_s = now_s
+        elif now_s - self._taxels_s > self._values["stale_after_s"]:
+            self._publish_taxels(now_s)
         if not contacts:
             self._rounds.forget()
             self._published_s, self._is_first = now_s, True
@@ -158,6 +168,37 @@ class BodyNode(Node):
         """A heading with the newest stamp; with the present time if there is none."""
         newest_ns = max(stamps_ns) if stamps_ns else self.get_clock().now().nanoseconds
         return Heading(newest_ns, self._values["frame_id"])
+
+    # Taxels
+
+    def _take_taxels(self, feed: PatchFeed, message: TaxelArray) -> None:
+        now_s = time.monotonic()
+        if self._taxel_rounds.is_due_before(feed.node_name):
+            self._publish_taxels(now_s)
+        feed.taxels = message
+        if self._taxel_rounds.add(feed.node_name, now_s):
+            self._publish_taxels(now_s)
+
+    def _publish_taxels(self, now_s: float) -> None:
+        self._taxel_rounds.end()
+        self._taxels_s = now_s
+        parts, absent, stamps_ns = [], [], []
+        present = set(self._taxel_rounds.present(self._feeds, now_s))
+        for name, feed in self._feeds.items():
+            array, places = feed.taxels, feed.places
+            pose = self._pose(feed, array.heading.frame_id) if array else None
+            is_absent = name not in present or pose is None or places is None
+            if array and places:
+                is_absent |= array.info_id != places.info_id or len(array.status) != len(places)
+                parts.append(Part(name, array, places, pose, is_absent))
+            if is_absent:
+                absent.append(name)
+            elif array:
+                stamps_ns.append(array.heading.stamp_ns)
+        self._tactile.publish(
+            body_tactile(parts, absent, self._heading(stamps_ns), self._taxels_sequence)
+        )
+        self._taxels_sequence += 1
 
     # Points
 

@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.arrays import Floats
+from ...messages.cdr import TaxelArray, read_array
 from ...places.poses import Pose
 from ...readings.status import is_certain
 from ...readings.taxels import Coverage
@@ -22,10 +23,12 @@ from ..common.convert import nanoseconds, rows
 from ..common.following import Following
 from ..common.qos import FRESH, LATCHED
 from ..common.touches import Touches
+from .tactile import Places
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of arrays: points are drawn less often than arrays arrive."""
 NewContacts = Callable[["PatchFeed", Touches], None]
+NewTaxels = Callable[["PatchFeed", TaxelArray], None]
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""
 
@@ -33,22 +36,39 @@ MessageInfo = dict[str, int]
 class PatchFeed:
     """The latest messages of one patch.
 
-    node_name: fully qualified name of the patch's driver. contacts, array: the latest messages;
-    None: none since they are followed. is_new: the array has not been drawn.
+    node_name: fully qualified name of the patch's driver. contacts, array, taxels: the latest
+    messages; None: none since they are followed. is_new: the array has not been drawn. places: of
+    the taxels, by the latest info.
     """
 
-    def __init__(self, node: Node, node_name: str, index: int, on_contacts: NewContacts) -> None:
+    def __init__(
+        self,
+        node: Node,
+        node_name: str,
+        index: int,
+        on_contacts: NewContacts,
+        on_taxels: NewTaxels,
+    ) -> None:
         self.node_name = node_name
         self.contacts: Touches | None = None
+        self.taxels: TaxelArray | None = None
+        self.places: Places | None = None
         self.array: TactileArray | None = None
         self.is_new = False
         self._heard_s, self._stamp_ns = -math.inf, 0
         self._late_s = self._underway_s = math.inf
         self._counted, self._reported_s = 0, -math.inf
-        self._node, self._index, self._on_contacts = node, index, on_contacts
+        self._node, self._index = node, index
+        self._on_contacts, self._on_taxels = on_contacts, on_taxels
         self._cloud: tuple[int, Cloud] | None = None
         self._for_contacts = Following(
             node, (TactileContacts, f"{node_name}/contacts", self._take_contacts, FRESH), raw=True
+        )
+        self._for_taxels = (
+            Following(node, (TactileSkinInfo, f"{node_name}/info", self._take_places, LATCHED)),
+            Following(
+                node, (TactileArray, f"{node_name}/tactile", self._take_taxels, FRESH), raw=True
+            ),
         )
         self._for_points = Following(
             node,
@@ -60,7 +80,7 @@ class PatchFeed:
     @property
     def is_followed(self) -> bool:
         """Whether it is subscribed to."""
-        return bool(self._for_contacts or self._for_points)
+        return bool(self._for_contacts or self._for_points or self._for_taxels[1])
 
     def silent_s(self, now_s: float) -> float:
         """Time since the last message, s; infinite if there was none."""
@@ -95,6 +115,8 @@ class PatchFeed:
         """How much of the patch its latest message is of; None without any, or if it is strange."""
         if self.contacts:
             return Coverage(self.contacts.taxels_valid, self.contacts.taxels_in_service)
+        if self.taxels:
+            return Coverage.of(self.taxels.pressure_pa, self.taxels.status)
         if self.array is None or len(self.array.pressure) != len(self.array.status):
             return None
         pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
@@ -111,13 +133,17 @@ class PatchFeed:
             for topic in ("contacts", "tactile")
         )
 
-    def follow(self, contacts: bool, points: bool) -> None:
-        """Subscribe to what the body's contacts and points need, and to nothing else.
+    def follow(self, contacts: bool, points: bool, taxels: bool) -> None:
+        """Subscribe to what the body's contacts, points and taxels need, and to nothing else.
 
         Names need what points do: the places of patches that are there.
         """
         self._for_contacts.follow(contacts)
         self._for_points.follow(points)
+        for following in self._for_taxels:
+            following.follow(taxels)
+        if not taxels:
+            self.taxels = None
         if not contacts:
             self.contacts = None
         if not points:
@@ -166,6 +192,15 @@ class PatchFeed:
         contacts = Touches.read(message)
         self._hear(contacts.heading.stamp_ns, info)
         self._on_contacts(self, contacts)
+
+    def _take_taxels(self, message: bytes, info: MessageInfo) -> None:
+        taxels = read_array(message)
+        self._hear(taxels.heading.stamp_ns, info)
+        self._on_taxels(self, taxels)
+
+    def _take_places(self, message: TactileSkinInfo) -> None:
+        places = Places(message)
+        self.places = places if places.is_whole else None  # else of no driver of ours
 
     def _take_array(self, message: TactileArray, info: MessageInfo) -> None:
         self._hear(nanoseconds(message.header.stamp), info)

@@ -180,7 +180,7 @@ def test_chips_that_are_no_numbers_have_no_words() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"drive": UNIPOLAR}, "unipolar drive cannot be scrambled"),
+        ({"drive": UNIPOLAR}, "unipolar drive cannot be: .* set drive to bipolar"),
         ({"first_row": 0}, "set first_row to 1"),
         ({"order": 7}, "8 to 4096 chips"),
         ({"order": 5000}, "8 to 4096 chips"),

@@ -17,6 +17,7 @@ import pytest
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
+from test.support.command_line import Refused
 from test.support.programs import run_program
 from test.support.simulated import scope_capture
 from test.support.waiting import PATIENCE_S
@@ -117,24 +118,16 @@ def test_a_parameter_file_serves_decoding(
     ],
 )
 def test_broken_captures_are_one_clear_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, message: str
+    tmp_path: Path, refused: Refused, content: bytes, message: str
 ) -> None:
     path = tmp_path / "broken"
     path.write_bytes(content)
-    assert main(["decode", str(path)]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.splitlines()) == 1
-    assert message in err
-    assert str(path) in err
+    err = refused("decode", path)
+    assert message in err and str(path) in err
 
 
-def test_what_the_system_refuses_is_one_clear_error(
-    capsys: pytest.CaptureFixture[str], capture: Path
-) -> None:
-    assert main(["record", "sim://", "x" * 300]) == 1
-    said = capsys.readouterr().err
-    assert "File name too long" in said and len(said.splitlines()) == 1
+def test_what_the_system_refuses_is_one_clear_error(refused: Refused, capture: Path) -> None:
+    assert "File name too long" in refused("record", "sim://", "x" * 300)
     with open("/dev/full", "w") as full:
         run = subprocess.run(
             [*COMMAND, "decode", "--json", capture], cwd=ROOT, stdout=full, stderr=subprocess.PIPE
@@ -162,40 +155,30 @@ def test_a_terminal_of_another_alphabet_is_served() -> None:
     ],
 )
 def test_bad_options_are_one_clear_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+    tmp_path: Path, refused: Refused, options: list[str], message: str
 ) -> None:
     path = tmp_path / "scope.csv"
     path.write_text("\n".join(f"{i * 5e-6:.6f},{i % 7}" for i in range(400)))
-    assert main(["decode", str(path), *options]) == 1
-    err = capsys.readouterr().err
-    assert message in err
-    assert len(err.splitlines()) == 1
+    assert message in refused("decode", path, *options)
 
 
-def test_recordings_are_not_overwritten_by_accident(
-    capture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["record", "sim://", str(capture), "--seconds", "0.2"]) == 1
-    assert "--force overwrites it" in capsys.readouterr().err
+def test_recordings_are_not_overwritten_by_accident(capture: Path, refused: Refused) -> None:
+    assert "--force overwrites it" in refused("record", "sim://", capture, "--seconds", "0.2")
     assert main(["record", "sim://", str(capture), "--seconds", "0.5", "--force"]) == 0
 
 
 def test_a_recording_does_not_follow_a_link_of_somebody_else(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Refused
 ) -> None:
     link, target = tmp_path / "touch.skin", tmp_path / "authorized_keys"
     link.symlink_to(target)
-    assert main(["record", "sim://", str(link), "--seconds", "0.1"]) == 1
-    assert "File exists" in capsys.readouterr().err
+    assert "File exists" in refused("record", "sim://", link, "--seconds", "0.1")
     assert not target.exists()
 
 
-def test_recording_from_a_missing_port_leaves_no_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recording_from_a_missing_port_leaves_no_file(tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "new.raw"
-    assert main(["record", "/dev/ttyNOSUCH", str(path)]) == 1
-    assert "no such port" in capsys.readouterr().err
+    assert "no such port" in refused("record", "/dev/ttyNOSUCH", path)
     assert not path.exists()
 
 
@@ -220,14 +203,10 @@ def test_simulate_serves_a_tty_until_interrupted(tmp_path: Path) -> None:
     assert raw.stat().st_size > 20_000
 
 
-def test_simulate_ends_by_itself_and_refuses_bad_options(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_simulate_ends_by_itself_and_refuses_bad_options(refused: Refused) -> None:
     assert main(["simulate", "--pty", "--seconds", "0.3"]) == 0
-    assert main(["simulate", "--pty", "sim://?scene=external"]) == 1
-    assert "nobody presses" in capsys.readouterr().err
-    assert main(["simulate", "--pty", "sim://?scene=dance"]) == 1
-    assert "moving" in capsys.readouterr().err
+    assert "nobody presses" in refused("simulate", "--pty", "sim://?scene=external")
+    assert "moving" in refused("simulate", "--pty", "sim://?scene=dance")
 
 
 @pytest.mark.parametrize("command", ["decode", "record", "info", "export", "simulate", "node"])

@@ -11,6 +11,7 @@ import pytest
 from tactile_cdma.commands.cli import main
 from tactile_cdma.commands.layout_picture import draw_layout
 from tactile_cdma.places.layout import Layout
+from test.support.command_line import Refused
 
 LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
 
@@ -22,13 +23,11 @@ def test_a_layout_is_told_in_numbers(capsys: pytest.CaptureFixture[str]) -> None
         assert words in said
 
 
-def test_a_layout_is_checked_against_the_parameters(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_layout_is_checked_against_the_parameters(tmp_path: Path, refused: Refused) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("/**:\n  ros__parameters:\n    nodes: 24\n")
-    assert main(["layout", str(LAYOUTS / "sphere.yaml"), "--params", str(params)]) == 1
-    assert "node 25, but the skin has 24 nodes" in capsys.readouterr().err
+    said = refused("layout", LAYOUTS / "sphere.yaml", "--params", params)
+    assert "node 25, but the skin has 24 nodes" in said
     params.write_text("/**:\n  ros__parameters:\n    nodes: 25\n")
     assert main(["layout", str(LAYOUTS / "sphere.yaml"), "--params", str(params)]) == 0
 
@@ -73,12 +72,10 @@ def test_an_unwritable_picture_is_an_error(
     assert f"{out}: No such file or directory" in capsys.readouterr().err
 
 
-def test_a_picture_does_not_replace_its_layout(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_does_not_replace_its_layout(tmp_path: Path, refused: Refused) -> None:
     layout = tmp_path / "grid.yaml"
     text = (LAYOUTS / "grid.yaml").read_text()
     layout.write_text(text)
-    assert main(["layout", str(layout), "--png", str(tmp_path / "." / "grid.yaml")]) == 1
-    assert "would overwrite the layout" in capsys.readouterr().err
+    said = refused("layout", layout, "--png", tmp_path / "." / "grid.yaml")
+    assert "would overwrite the layout" in said
     assert layout.read_text() == text

@@ -157,3 +157,55 @@ def test_the_shipped_body_is_one_that_drivers_take() -> None:
         "right_elbow": 25,
     }
     assert {patch.parameters["parent_frame"] for patch in body.patches} == {body.frame_id}
+
+
+def test_defaults_and_repeats_write_out_what_patches_have_in_common(tmp_path: Path) -> None:
+    path = tmp_path / "body.yaml"
+    path.write_text(
+        """
+process: {hand: [ff_tip, mf_tip], arm: [palm]}
+defaults: {parameters: {nodes: 24, frame_period_ms: 16.0}}
+patches:
+  "{}_tip":
+    repeat: [ff, mf]
+    parameters: {port: "SIM://?layout=tip.yaml&seed=3", parent_frame: "{}distal"}
+  "{}_mid":
+    repeat: {ff: {port: usb://E1}, mf: {port: "replay://a b.skin?loop=1", nodes: 16}}
+  palm:
+"""
+    )
+    body = read_body(path)
+    found = {patch.name: patch.values for patch in body.patches}
+    assert list(found) == ["ff_tip", "mf_tip", "ff_mid", "mf_mid", "palm"]
+    assert found["mf_tip"]["parent_frame"] == "mfdistal"
+    assert found["ff_tip"]["port"] == f"SIM://?layout={tmp_path}/tip.yaml&seed=3"
+    assert found["mf_mid"]["port"] == f"replay://{tmp_path}/a%20b.skin?loop=1"
+    assert [values["nodes"] for values in found.values()] == [24, 24, 24, 16, 24]
+    groups = [[patch.name for patch in group] for group in body.processes()]
+    assert groups == [["ff_tip", "mf_tip"], ["palm"], ["ff_mid"], ["mf_mid"]]
+    groups = [[patch.name for patch in group] for group in body.processes("mf_tip,mf_mid")]
+    assert groups == [["mf_tip"], ["mf_mid"]]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("process: two\npatches: {a: {}}", "process is 'two'; it must be one, per_patch, or"),
+        ("process: {p: [a, b]}\npatches: {a: {}}", "process 'p': 'b' is no patch"),
+        ("process: {p: [a], q: [a]}\npatches: {a: {}}", "process 'q': 'a' is in two processes"),
+        ("patches: {a: {repeat: [x, y]}}", "patch 'a' is repeated: its name must have {}"),
+        ("patches: {'a{}': {repeat: [1, 1]}}", "repeat has an item twice"),
+        ("patches: {'a{}': {repeat: [1]}, a1: {}}", "repeat makes another patch 'a1'"),
+        ("patches: {'a{}': {repeat: no}}", "repeat is 'no'; it must be a list"),
+        ("patches: {'a{}': {repeat: []}}", "repeat has 0 entries; it must have 1…"),
+        ("patches: {'a{}': {repeat: {b: {nods: 1}}}}", "nods"),
+        ("defaults: {port: sim://}\npatches: {a: {}}", "unknown key 'port' in defaults"),
+        ("defaults: 5\npatches: {a: {}}", "defaults is '5'; it must be keys with values"),
+    ],
+)
+def test_wrong_repeats_and_processes_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "body.yaml"
+    path.write_text(text)
+    with pytest.raises(BodyError, match=re.escape(message)) as refused:
+        read_body(path)
+    assert "line " in str(refused.value)

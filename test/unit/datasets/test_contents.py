@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 from tactile_cdma.commands.cli import main
+from tactile_cdma.sim.options import SimOptions
 from test.support.bags import PERIOD_S, BagMaker
+from test.support.command_line import Refused
+from test.support.simulated import recording
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 2.0
@@ -55,15 +58,13 @@ def test_rate_gaps_invalid_readings_and_where_they_come_from(
 def test_a_recording_and_a_bag_of_it_say_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording, bag = tmp_path / "touch.skin", tmp_path / "touch"
-    port = "sim://?scene=moving&dead=5&threshold=0"  # who is alive speaks in every frame
-    words = ["record", port, recording, "--seconds", "0.5", "--nodes", "16"]
-    assert main(list(map(str, words))) == 0
-    assert main(["export", str(recording), "-o", str(bag), "--bag"]) == 0
-    for path, word in ((recording, "lost"), (bag, "missing")):
+    of_all = SimOptions(scene="moving", dead="5", threshold=0)  # who is alive speaks in every frame
+    whole, bag = recording(tmp_path / "touch.skin", of_all, 0.5), tmp_path / "touch"
+    assert main(["export", str(whole), "-o", str(bag), "--bag"]) == 0
+    for path, word in ((whole, "lost"), (bag, "missing")):
         assert main(["export", str(path), "-o", str(tmp_path / f"{word}.npz")]) == 0
         assert f" {word}_frames=0 taxels=16 file=" in capsys.readouterr().out
-    of_recording, of_bag = said(recording, capsys), said(bag, capsys)
+    of_recording, of_bag = said(whole, capsys), said(bag, capsys)
     for name in ("gaps", "readings", "complete"):
         assert of_recording[name] == of_bag[name]
     assert of_recording["complete"] == "never: no valid reading of taxel 4"
@@ -73,12 +74,9 @@ def test_a_recording_and_a_bag_of_it_say_the_same(
 def test_nothing_is_said_of_gaps_and_readings_without_a_frame(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = tmp_path / "touch.skin"
-    words = ["record", "sim://?scene=moving", recording, "--seconds", "0.4", "--nodes", "16"]
-    assert main(list(map(str, words))) == 0
-    capsys.readouterr()
-    assert said(recording, capsys)["frames"].endswith(", lost 0")
-    assert main(["info", str(recording), "--order", "24"]) == 0
+    path = recording(tmp_path / "touch.skin", SimOptions(scene="moving"), 0.4)
+    assert said(path, capsys)["frames"].endswith(", lost 0")
+    assert main(["info", str(path), "--order", "24"]) == 0
     blind = capsys.readouterr().out
     assert "frames: none" in blind and "packets: " in blind
     assert "gaps" not in blind and "readings" not in blind and "complete" not in blind
@@ -140,7 +138,7 @@ def test_a_bag_without_a_skin_is_not_deserialised(
 
 
 def test_tables_are_not_taken_for_captures(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     kinds = {"npz": "NPZ", "csv": "CSV"}
     if find_spec("pyarrow"):
@@ -149,25 +147,18 @@ def test_tables_are_not_taken_for_captures(
         table = tmp_path / f"out.{suffix}"
         assert main(["export", str(bag), "-o", str(table)]) == 0
         assert f"file={table}" in capsys.readouterr().out
-        for words in (
-            ["export", str(table), "-o", str(tmp_path / "y.csv")],
-            ["decode", str(table)],
-        ):
-            assert main(words) == 1
-            assert f"{table}: {kind}, such as export writes" in capsys.readouterr().err
-    assert main(["info", str(tmp_path / "out.csv")]) == 1
-    assert "no recording or bag; what export wrote says where it" in capsys.readouterr().err
+        for words in (["export", table, "-o", tmp_path / "y.csv"], ["decode", table]):
+            assert f"{table}: {kind}, such as export writes" in refused(*words)
+    said = refused("info", tmp_path / "out.csv")
+    assert "no recording or bag; what export wrote says where it" in said
 
 
-def test_text_is_told_whatever_the_output(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_text_is_told_whatever_the_output(tmp_path: Path, refused: Refused) -> None:
     pytest.importorskip("pyarrow")
     text = tmp_path / "text.txt"
     text.write_text("0.0,1.0\n0.1,1.0\n")
     for output in (["-o", tmp_path / "x.npz"], ["--lerobot", tmp_path / "x", "--fps", "30"]):
-        assert main(list(map(str, ["export", text, *output]))) == 1
-        assert f"{text}: text; of an oscilloscope's capture" in capsys.readouterr().err
+        assert f"{text}: text; of an oscilloscope's capture" in refused("export", text, *output)
 
 
 @pytest.mark.parametrize("scramble", ["--scramble", "--no-scramble"])
@@ -183,13 +174,10 @@ def test_a_recording_s_chips(
 
 
 @pytest.mark.parametrize("name", ["none.npz", "some.npz", "some.parquet", "some.txt", "folder"])
-def test_what_is_none_of_these(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_what_is_none_of_these(tmp_path: Path, refused: Refused, name: str) -> None:
     path = tmp_path / name
     if name == "folder":
         path.mkdir()
     elif not name.startswith("none"):
         path.write_bytes(b"PK\x03\x04 something else")
-    assert main(["info", str(path)]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert refused("info", path)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_cdma.commands.cli import main
 from test.support.bags import BagMaker
+from test.support.command_line import Refused
 
 pytestmark = pytest.mark.xdist_group("datasets")
 MCAP, SQLITE, METADATA = "session.mcap", "session.db3", "metadata.yaml"
@@ -29,13 +29,6 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, bytes]
     }
 
 
-def told(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(words) == 1
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    return said
-
-
 @pytest.mark.parametrize(
     ("kind", "damaged", "damage"),
     [
@@ -50,7 +43,7 @@ def told(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_damaged_bag(
     bags: dict[str, dict[str, bytes]],
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
     kind: str,
     damaged: str,
     damage: Callable[[bytes], bytes],
@@ -60,8 +53,8 @@ def test_a_damaged_bag(
     for name, content in bags[kind].items():
         (path / name).write_bytes(damage(content) if name == damaged else content)
         assert name != damaged or damage(content) != content
-    for words in (["info", str(path)], ["export", str(path), "-o", str(tmp_path / "out.npz")]):
-        said = told(words, capsys)
+    for words in (["info", path], ["export", path, "-o", tmp_path / "out.npz"]):
+        said = refused(*words)
         assert f"{path}: no bag, or damaged or cut short: " in said
         assert ("`mcap recover`" in said) == (kind == MCAP)
     assert not (tmp_path / "out.npz").exists()

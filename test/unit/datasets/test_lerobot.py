@@ -16,7 +16,10 @@ from PIL import Image
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.lerobot import writer
+from tactile_cdma.sim.options import SimOptions
 from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
+from test.support.command_line import Refused
+from test.support.simulated import recording
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -160,7 +163,7 @@ def test_from_first_complete_begins_when_every_taxel_has_spoken(bag: Path, tmp_p
 
 
 def test_a_taxel_that_never_speaks_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     maker = BagMaker()
     maker.skin("/skin", 0.5, lambda t_s: [7])
@@ -170,8 +173,7 @@ def test_a_taxel_that_never_speaks_is_named(
     options = ["--fps", "30", "--from-first-complete"]
     for output in (["--lerobot", tmp_path / "none"], ["-o", tmp_path / "none.npz"]):
         words = ["export", bag, *output, *(options if output[0] == "--lerobot" else options[2:])]
-        assert main(list(map(str, words))) == 1
-        assert "never complete: no valid reading of taxel 7; mask" in capsys.readouterr().err
+        assert "never complete: no valid reading of taxel 7; mask" in refused(*words)
         assert not Path(output[1]).exists()
 
 
@@ -335,15 +337,12 @@ def test_a_clock_that_paused_ends_an_episode(tmp_path: Path) -> None:
     assert array(table, f"{SKIN}.age_s")[1:].max() < 0.06
 
 
-def test_a_clock_slower_than_a_row_per_second_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_clock_slower_than_a_row_per_second_is_refused(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker()
     maker.skin("/skin", 1.0)
     maker.camera("/slow/image", 8.0, 0.4)
     words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out"]
-    assert main([*map(str, words), "--clock", "/slow/image"]) == 1
-    said = capsys.readouterr().err
+    said = refused(*words, "--clock", "/slow/image")
     assert "2.500 s from message to message of /slow/image; a dataset has 1 row per s" in said
 
 
@@ -477,10 +476,8 @@ def test_episodes_begin_new_files_where_one_is_large(
 
 
 def test_a_recording_has_contacts_and_wrench(tmp_path: Path) -> None:
-    recording = tmp_path / "touch.skin"
-    words = ["record", "sim://?scene=press&seed=1", recording, "--seconds", "1.5", "--nodes", "16"]
-    assert main(list(map(str, words))) == 0
-    table = exported(recording, tmp_path / "out", "--samples", "last")
+    path = recording(tmp_path / "touch.skin", SimOptions(scene="press", seed=1), 1.5)
+    table = exported(path, tmp_path / "out", "--samples", "last")
     force = array(table, "observation.wrench.skin")
     contacts = array(table, "observation.contacts.skin")
     touched = contacts[:, 0] == 1
@@ -522,9 +519,7 @@ def test_work_that_ends_early_leaves_nothing(
     assert (tmp_path / "old/meta/info.json").read_bytes() == before
 
 
-def test_what_cannot_be_is_one_clear_error(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_one_clear_error(bag: Path, tmp_path: Path, refused: Refused) -> None:
     empty = BagMaker()
     empty.joints("/joint_states", 0.1)
     without_skin = empty.write(tmp_path / "joints")
@@ -556,9 +551,7 @@ def test_what_cannot_be_is_one_clear_error(
         ([tmp_path / "nothing", *out, *fps], "neither a bag (metadata.yaml) nor a dataset"),
         ([tmp_path / "torn.mcap", *out, *fps], "torn.mcap"),
     ):
-        assert main(["export", *map(str, words)]) == 1, words
-        said = capsys.readouterr().err
-        assert message in said and len(said.splitlines()) == 1, said
+        assert message in refused("export", *words)
     assert not (tmp_path / "out").exists()
 
 
@@ -612,20 +605,15 @@ def test_a_frame_period_that_cannot_be_is_unknown(tmp_path: Path, period_s: floa
     assert array(table, f"{SKIN}.age_s").shape == (len(table),)  # one frame per row
 
 
-def test_rows_hold_a_bounded_number_of_frames(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_hold_a_bounded_number_of_frames(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker()
     maker.skin("/skin", 0.5)
     maker.messages[0][3].frame_period = 1e-4
     words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out", "--fps", "1"]
-    assert main(list(map(str, words))) == 1
-    assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in capsys.readouterr().err
+    assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in refused(*words)
 
 
-def test_joints_are_taken_by_their_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_joints_are_taken_by_their_names(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker()
     maker.skin("/skin", 1.0)
     maker.joints("/joints", 1.0)
@@ -640,8 +628,7 @@ def test_joints_are_taken_by_their_names(
     assert (finger >= 0).all() and (wrist == -finger).all() and finger.max() > 0.9
     joints[80].name = ["finger", "thumb"]
     words = ["export", maker.write(tmp_path / "other"), "--lerobot", tmp_path / "none"]
-    assert main(list(map(str, [*words, "--fps", FPS, *state]))) == 1
-    said = capsys.readouterr().err
+    said = refused(*words, "--fps", FPS, *state)
     assert "/joints: a message has finger, thumb, the first one finger, wrist" in said
 
 

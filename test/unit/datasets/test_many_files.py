@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from tactile_cdma.commands.cli import main
+from tactile_cdma.sim.options import SimOptions
 from test.support.bags import BagMaker
+from test.support.command_line import Refused
+from test.support.simulated import recording
 
 pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
 
@@ -27,12 +30,6 @@ def bag(path: Path, contacts: bool = False, seconds: float = SECONDS, **info: An
     if contacts:
         maker.contacts("/skin", seconds, seconds)
     return maker.write(path)
-
-
-def recording(path: Path) -> Path:
-    words = ["record", "sim://?scene=moving", path, "--seconds", "1", "--nodes", "16"]
-    assert main(list(map(str, words))) == 0
-    return path
 
 
 def dataset(folder: Path, *words: object) -> None:
@@ -76,7 +73,7 @@ def test_a_recording_s_digitizer_is_compared_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is known only when its frames are decoded."""
-    skin = recording(tmp_path / "touch.skin")
+    skin = recording(tmp_path / "touch.skin", SimOptions(scene="moving"), 1.0)
     assert main(["export", str(skin), "-o", str(tmp_path / "bag"), "--bag"]) == 0
     capsys.readouterr()
     dataset(tmp_path / "out", tmp_path / "bag", skin)
@@ -103,9 +100,7 @@ def test_contacts_that_not_all_files_have_are_left_out(
     assert not capsys.readouterr().err
 
 
-def test_other_streams_have_to_be_in_all_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_streams_have_to_be_in_all_files(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker()
     maker.skin("/skin", SECONDS)
     maker.camera("/front/image_raw", SECONDS, 30)
@@ -118,8 +113,7 @@ def test_other_streams_have_to_be_in_all_files(
         ([contacts, without], ["--clock", "/skin/wrench"], "does not have observation.wrench.skin"),
     ):
         words = ["export", *files, "--lerobot", tmp_path / "out", *options]
-        assert main(list(map(str, words))) == 1
-        assert f"{files[1]}: {problem}" in capsys.readouterr().err
+        assert f"{files[1]}: {problem}" in refused(*words)
     assert not (tmp_path / "out").exists()
 
 

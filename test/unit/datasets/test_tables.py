@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.commands.cli import main
 from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
+from test.support.command_line import Refused
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.6
@@ -130,7 +131,7 @@ def test_a_patch_without_info_has_unknown_places(
     ("taxels", "field"), [(20, "pressure"), (9, "pressure"), (0, "pressure"), (3, "status")]
 )
 def test_frames_of_another_size_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], taxels: int, field: str
+    tmp_path: Path, refused: Refused, taxels: int, field: str
 ) -> None:
     """A shorter or longer row would shift all that follow it."""
     maker = BagMaker()
@@ -142,23 +143,19 @@ def test_frames_of_another_size_are_refused(
                 message.pressure = np.arange(taxels, dtype=np.float32)
     bag = maker.write(tmp_path / "bag")
     for name in ("out.npz", "out.csv"):
-        assert main(["export", str(bag), "-o", str(tmp_path / name)]) == 1
-        said = capsys.readouterr().err
+        said = refused("export", bag, "-o", tmp_path / name)
         assert f"/skin/tactile: {taxels} values of {field} in frame 80 of a patch of 16" in said
-        assert len(said.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
-def test_a_patch_without_taxels_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_patch_without_taxels_is_refused(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker()
     maker.skin("/skin", 0.3)
     for _, topic, _, message in maker.messages:
         if topic == "/skin/tactile":
             message.pressure, message.status = np.zeros(0, np.float32), np.zeros(0, np.uint8)
-    assert main(["info", str(maker.write(tmp_path / "bag"))]) == 1
-    assert "/skin/tactile: its first frame has no taxels" in capsys.readouterr().err
+    said = refused("info", maker.write(tmp_path / "bag"))
+    assert "/skin/tactile: its first frame has no taxels" in said
 
 
 def other_skin(path: Path, skin: str = "/skin", /, **fields: Any) -> Path:
@@ -182,34 +179,25 @@ def other_skin(path: Path, skin: str = "/skin", /, **fields: Any) -> Path:
     ],
 )
 def test_files_of_different_skins_are_not_one_table(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    node: str,
-    fields: dict[str, Any],
-    message: str,
+    tmp_path: Path, refused: Refused, node: str, fields: dict[str, Any], message: str
 ) -> None:
     first, other = other_skin(tmp_path / "first"), other_skin(tmp_path / "other", node, **fields)
-    assert main(["export", str(first), str(other), "-o", str(tmp_path / "out.npz")]) == 1
-    said = capsys.readouterr().err
+    said = refused("export", first, other, "-o", tmp_path / "out.npz")
     assert f"{other}: {message}" in said and "export them one by one" in said
     assert not (tmp_path / "out.npz").exists()
 
 
-def test_rows_and_columns_of_files_must_agree(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_and_columns_of_files_must_agree(tmp_path: Path, refused: Refused) -> None:
     first, maker = other_skin(tmp_path / "first"), BagMaker()
     maker.skin("/skin", 0.2)
     for _, topic, _, message in maker.messages:
         if topic == "/skin/tactile":
             message.height, message.width = 2, 8
     other = maker.write(tmp_path / "other")
-    words = ["export", str(first), str(other)]
-    assert main([*words, "-o", str(tmp_path / "out.npz")]) == 1
-    assert "has 2 × 8 taxels, in the first file 4 × 4" in capsys.readouterr().err
+    words, problem = ["export", first, other], "has 2 × 8 taxels, in the first file 4 × 4"
+    assert problem in refused(*words, "-o", tmp_path / "out.npz")
     pytest.importorskip("pyarrow")
-    assert main([*words, "--lerobot", str(tmp_path / "out"), "--fps", "30"]) == 1
-    assert "has 2 × 8 taxels, in the first file 4 × 4" in capsys.readouterr().err
+    assert problem in refused(*words, "--lerobot", tmp_path / "out", "--fps", "30")
 
 
 def test_an_info_of_another_type_is_none(

@@ -23,6 +23,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
+from test.support import simulated
 from test.support.programs import run_python
 from test.support.waiting import PATIENCE_S
 
@@ -38,9 +39,7 @@ needs_torch = pytest.mark.skipif(not find_spec("torch"), reason="torch is not in
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recorded") / "touch.skin"
-    port = "sim://?scene=moving&seed=1"
-    assert main(["record", port, str(path), "--seconds", "3", "--nodes", "16"]) == 0
-    return path
+    return simulated.recording(path, SimOptions(scene="moving", seed=1), 3.0)
 
 
 def run(name: str, *words: str) -> dict[str, float]:

@@ -372,7 +372,7 @@ def test_samples_taken_while_levels_change_put_no_weak_node_in_doubt() -> None:
     assert tally.flagged_share < 0.01 and tally.silent_flagged_share < 0.01
 
 
-@pytest.mark.parametrize("late", [2.2, -1.0])
+@pytest.mark.parametrize("late", [2.2, 1.0, -1.0])
 def test_nodes_out_of_time_by_chips_are_not_taken_for_others_between_gaps(late: float) -> None:
     """Words of equal bits are another row's, or inverted, and but the gap shows whose they are."""
     false = right = 0
@@ -384,10 +384,17 @@ def test_nodes_out_of_time_by_chips_are_not_taken_for_others_between_gaps(late: 
     assert right > 100 and not false
 
 
-def test_a_frame_off_its_raster_that_leaves_more_than_noise_is_in_doubt() -> None:
-    """A line whose level jumps: a frame seems to begin two chips late, with others' words."""
-    tally, _ = mixture_of(161).run(250, 2)
-    assert tally.right > 800 and not tally.unflagged
+@pytest.mark.parametrize(
+    ("number", "frames", "seed", "least"),
+    [(161, 250, 2, 800), (91, 100, 2, 2000), (263, 30, 0, 150)],
+    ids=["frame off its raster", "chips that alternate, half a chip late", "shift, in noise"],
+)
+def test_what_nodes_out_of_time_say_is_in_doubt(
+    number: int, frames: int, seed: int, least: int
+) -> None:
+    """Where levels jump, frames begin chips late; ends alone tell a row from another's shift."""
+    tally, _ = mixture_of(number).run(frames, seed)
+    assert tally.right > least and not tally.unflagged
 
 
 def claim_what_was_heard(name: str, frames: int, seed: int | list[int]) -> None:

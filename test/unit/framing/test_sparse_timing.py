@@ -21,6 +21,7 @@ from tactile_cdma.framing import sparse_timing
 from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
 from tactile_cdma.framing.sparse_timing import LEARNT, SparseRecogniser, capacity
 from tactile_cdma.words.decode import Words, decode, silent
+from tactile_cdma.words.health import NodeHealth, NodeState
 from test.support.sparse_codes import node_chips
 
 SPEC = FrameSpec(
@@ -70,6 +71,7 @@ class Rig:
         assert verdict.frame is not None
         levels = verdict.frame.levels
         self.late = levels.late if levels else ()
+        self.understood = verdict.frame.doubtful is None or bool(levels and levels.understood)
         words = decode(levels, self.spec) if levels else silent(self.spec.nodes, 0.0)
         doubtful = verdict.frame.doubtful
         return words if doubtful is None else words.doubted(doubtful)
@@ -226,6 +228,45 @@ def test_noise_that_rises_is_believed_after_a_while_only() -> None:
     rig.rho = RHO / 4
     flagged = [not certain(rig.read(rig.sent({5: 3}))).any() for _ in range(70)]
     assert flagged == [True] * sparse_timing.RELEARNT + [False] * (70 - sparse_timing.RELEARNT)
+
+
+def _one(rig: Rig, level: Floats, late: int = 0, twice: bool = False) -> Floats:
+    """A word of node 7, or two that differ, of this level, (k,), in each bit."""
+    bits = rig.rng.choice([-1.0, 1.0], (1 + twice, SPEC.bits)).sum(axis=0)
+    return np.roll(((level * bits)[:, None] * chips_of_node(7)).ravel(), late)
+
+
+@pytest.mark.parametrize(
+    ("level", "late", "twice", "state"),
+    [
+        (np.full(10, 0.35), 0, False, NodeState.WEAK),
+        (np.full(10, 0.6), 0, False, NodeState.WEAK),
+        (np.full(10, 2.0), 0, False, NodeState.DOUBLED),
+        (np.ones(10), 0, True, NodeState.DOUBLED),
+        ((np.arange(10) != 4).astype(float), 0, False, NodeState.FAULTY),
+        (np.ones(10), 3, False, None),
+    ],
+    ids=["a third", "weak", "equal words", "two words", "a bit is missing", "late"],
+)
+def test_a_node_at_fault_is_named_and_nothing_is_claimed_that_was_not_sent(
+    level: Floats, late: int, twice: bool, state: NodeState | None
+) -> None:
+    rig, health, named = Rig(), NodeHealth(SPEC), 0
+    for _ in range(150):
+        words = rig.words(rig.rng.choice(range(8, 301), 20, replace=False))
+        read = rig.read(rig.sent(words) + _one(rig, level, late, twice))
+        if rig.understood:
+            health.update(read)
+        named += rig.late == (6,)
+        sure = set((np.flatnonzero(certain(read)) + 1).tolist()) - {7}
+        assert {n: w for n, w in told(read).items() if n in sure} == {
+            n: w for n, w in words.items() if n in sure
+        }
+        assert state == NodeState.WEAK or not certain(read)[6]
+    if state is None:
+        assert named > 140
+    else:
+        assert health.nodes(state) == [7]
 
 
 def test_words_whose_chips_add_up_to_nothing_are_flagged() -> None:

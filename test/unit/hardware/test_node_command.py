@@ -17,6 +17,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.hardware.intel_hex import from_hex
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
+from test.support.command_line import Refused
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -139,7 +140,7 @@ def test_larger_skins_are_not_stale_by_default(
 def test_mistakes_are_one_clear_error(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
     arguments: list[str],
     message: str,
 ) -> None:
@@ -148,10 +149,8 @@ def test_mistakes_are_one_clear_error(
     Path("file.hex").write_text("words")
     Path("blank.bin").write_bytes(b"\xff" * 1024)
     before = sorted(Path().iterdir())
-    assert main(["node", *arguments]) == 1
-    out, err = capsys.readouterr()
-    assert message in err and len(err.splitlines()) == 1
-    assert out == "" and sorted(Path().iterdir()) == before
+    assert message in refused("node", *arguments)
+    assert sorted(Path().iterdir()) == before
 
 
 def test_a_missing_avrdude_is_named(
@@ -235,10 +234,7 @@ def test_avrdude_writes_the_memory_into_a_node(
     assert set(tiny.eeprom) == {0xFF}
 
 
-def test_nodes_that_would_hear_no_pulse_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nodes_that_would_hear_no_pulse_are_refused(tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "node.hex"
-    assert main(["node", "--node", "1", "-o", str(path), "--timing", "gap"]) == 1
-    assert "timing is 'gap'" in capsys.readouterr().err
+    assert "timing is 'gap'" in refused("node", "--node", "1", "-o", path, "--timing", "gap")
     assert not path.exists()

@@ -32,6 +32,7 @@ EEPROM = {"atmega328p": 1024, FAST: 1024, "attiny85": 512}
 """Bytes, by the data sheets."""
 SPEC = FrameSpec()
 MEMORY = node_memory(SPEC, 5)
+SPARSE = {"codes": "sparse", "nodes": 256, "order": 48, "frame_period_s": 30e-3}
 NAMES = [field.name for field in FIELDS["NodeRecord"]]
 
 
@@ -86,6 +87,30 @@ def test_what_is_written_reads_back(spec: FrameSpec, data: st.DataObject) -> Non
     assert record.discipline == discipline
 
 
+@pytest.mark.parametrize(
+    ("nodes", "order", "node", "number", "octets"),
+    [
+        (256, 48, 256, 140, "8c081062c8a986bdec"),
+        (4000, 912, 1, 2455, "9739e2e8db8c04293bde3bd6"),
+    ],
+)
+def test_a_sparse_code_is_its_first_octets(
+    nodes: int, order: int, node: int, number: int, octets: str
+) -> None:
+    """Those of docs/protocol.md."""
+    memory = node_memory(
+        FrameSpec(**{**SPARSE, "nodes": nodes, "order": order, "frame_period_s": 0.5}), node
+    )
+    record, chips = read_node_memory(memory)
+    assert (record.row, record.digits) == (number, len(octets) // 2)
+    assert memory[41:-4].hex() == octets
+    assert np.packbits(chips < 0, bitorder="little").tobytes().hex() == octets
+    assert (
+        f"sparse, of {record.digits} digits, number {number} of order {order}"
+        in describe_memory(record, chips)
+    )
+
+
 def test_the_bytes_lie_where_the_document_says() -> None:
     chips = SPEC.node_rows[4]
     filled = [*chips[-4:], *chips]
@@ -94,10 +119,10 @@ def test_the_bytes_lie_where_the_document_says() -> None:
         for start in range(0, len(filled), 8)
     )
     head = b"TCTN" + struct.pack(
-        "<BHHHbBBHIIHBIBHHHH",
-        *(2, 5, 16, 5, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 0, 1, 65_535, 1, 78, 19),
+        "<BHHHBbBBHIIHBIBHHHH",
+        *(3, 5, 16, 5, 0, SPEC.signs[4], 10, 0, 20, 50_000, 12_800, 0, 0, 0, 1, 65_535, 1, 78, 19),
     )
-    assert len(head) == 40
+    assert len(head) == 41
     crc = zlib.crc32(head + packed)
     assert head + packed + struct.pack("<I", crc) == MEMORY
 
@@ -134,7 +159,18 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         ({}, {"heartbeat": 65_536}, "heartbeat is 65536; it must lie within 0…65535"),
         ({}, {"rest": 1024}, "rest is 1024; it must lie within 0…1023: codes have 10 bits"),
         ({}, {"mcu": "z80"}, "mcu is 'z80'; it must be one of atmega328p, atmega328p-fast"),
-        ({"codes": "sparse", "order": 16}, {}, "do not send sparse codes yet: set codes to ortho"),
+        (SPARSE, {"mcu": "attiny85"}, "attiny85, with 8 kB of flash, has no sparse codes: take"),
+        (
+            {**SPARSE, "chip_s": 1.75e-6, "resync_chips": 48, "guard_chips": 50},
+            {"mcu": FAST},
+            "chip_us is 1.75; an atmega328p-fast makes sparse codes of chips from 2 µs on",
+        ),
+        (
+            {**SPARSE, "resync_chips": 48, "guard_chips": 3},
+            {},
+            "sparse codes without restarts: set",
+        ),
+        ({**SPARSE, "bits": 12, "frame_period_s": 40e-3}, {}, "bits is 12; it must lie within 8"),
         ({"bits": 11}, {}, "bits is 11; it must lie within 8…10: a node's converter has 10 bits"),
         ({"order": 4160, "frame_period_s": 5.0}, {}, "order is 4160; it must lie within 1…4096"),
         ({"chip_s": 19e-6}, {}, "chip_us is 19; it must lie within 35…1000"),
@@ -229,7 +265,7 @@ def test_the_limits_themselves_are_allowed() -> None:
     longest = FrameSpec(nodes=4095, order=4096, chip_s=35e-6, frame_period_s=1.5)
     assert node_memory(FrameSpec(chip_s=35e-6, resync_chips=32, guard_chips=3), 1)
     memory = node_memory(longest, 4095, threshold=1023, heartbeat=65_535, rest=1023)
-    assert len(memory) == 556
+    assert len(memory) == 557
     assert read_node_memory(memory)[0].turn == 4094 * 65_535 // 4095
 
 
@@ -255,11 +291,11 @@ def with_field(name: str, value: int, *, seal: bool = True) -> bytes:
     [
         (b"", "is blank"),
         (bytes([0xFF]) * 1024, "is blank"),
-        (MEMORY[:35], "35 bytes are no node's memory; its record takes 40"),
-        (MEMORY[:-1], "is truncated: a row of 20 chips takes 47 bytes, there are 46"),
+        (MEMORY[:35], "35 bytes are no node's memory; its record takes 41"),
+        (MEMORY[:-1], "is truncated: a code of 20 chips takes 48 bytes, there are 47"),
         (with_field("magic", 0x12345678), "begins with 0x12345678, not 0x4E544354"),
-        (with_field("version", 1), "a record of version 1, this is for 2"),
-        (with_field("order", 4000), "is truncated: a row of 4000 chips takes 544 bytes"),
+        (with_field("version", 1), "a record of version 1, this is for 3"),
+        (with_field("order", 4000), "is truncated: a code of 4000 chips takes 545 bytes"),
         (with_field("row", 6, seal=False), "is damaged"),
         (with_field("bits", 11), "not for this firmware: bits is 11"),
         (with_field("sign", 0), "not for this firmware: sign is 0"),

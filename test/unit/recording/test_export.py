@@ -25,7 +25,8 @@ from tactile_cdma.recording.capture import read_bytes
 from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.recording.recording_file import Recorder, describe
 from tactile_cdma.sim.options import SimOptions
-from test.support.simulated import record
+from test.support.command_line import Refused
+from test.support.simulated import recording
 
 pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
 TAXELS = 16
@@ -35,15 +36,9 @@ RECORDED = Source("touch.skin", recorded=True)
 @pytest.fixture(scope="module")
 def skin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFrame]]:
     """A recording with a node that never speaks, and its frames."""
-    folder = tmp_path_factory.mktemp("export")
-    raw, path = folder / "touch.raw", folder / "touch.skin"
-    record(raw, SimOptions(scene="moving", seed=2, dead="5"), 1.5)
+    path = tmp_path_factory.mktemp("export") / "touch.skin"
     asked = {"amplitude_mv": 300.0, "frame_id": "palm", "threshold": 0.45}  # its earlier name
-    with Recorder(path, "sim://", 9600, asked) as recorder:
-        begin_s = describe(path).monotonic_ns * 1e-9
-        data = raw.read_bytes()
-        for i in range(0, len(data), 1000):
-            recorder.write(data[i : i + 1000], begin_s + 1.5 * i / len(data))
+    recording(path, SimOptions(scene="moving", seed=2, dead="5"), 1.5, **asked)
     capture = RawCapture(path, {})
     frames = list(capture.frames())
     assert len(frames) > 80 and capture.config.active_share == 0.45
@@ -150,15 +145,14 @@ def test_options_of_decoding_count(skin: tuple[Path, list[TactileFrame]], tmp_pa
 
 
 def test_bytes_alone_have_no_wall_time(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, refused: Refused
 ) -> None:
     raw = tmp_path / "touch.raw"
     raw.write_bytes(b"".join(data for data, _ in read_bytes(skin[0])))
     table = np.load(exported(raw, tmp_path / "out.npz"))
     assert np.isnan(table["wall_time_s"]).all()
     assert table["device_time_s"].tolist() == [frame.t_middle for frame in skin[1]]
-    assert main(["export", str(raw), "-o", str(tmp_path / "bag"), "--bag"]) == 1
-    assert "no times" in capsys.readouterr().err
+    assert "no times" in refused("export", raw, "-o", tmp_path / "bag", "--bag")
 
 
 def test_an_output_that_cannot_be_is_told_before_the_work(
@@ -183,7 +177,7 @@ def test_a_bag_refuses_times_that_ros_cannot_tell(
 
 
 def test_what_cannot_be_exported_is_one_clear_error(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, refused: Refused
 ) -> None:
     path, output = skin[0], tmp_path / "out.npz"
     output.write_bytes(b"mine")
@@ -197,33 +191,29 @@ def test_what_cannot_be_exported_is_one_clear_error(
         ([tmp_path / "none.skin", "-o", tmp_path / "x.npz"], "No such file"),
         ([scope, "-o", tmp_path / "x.npz"], "decode --json"),
     ):
-        assert main(["export", *map(str, arguments)]) == 1
-        said = capsys.readouterr().err
-        assert message in said and len(said.splitlines()) == 1
+        assert message in refused("export", *arguments)
     assert output.read_bytes() == b"mine"
 
 
 @pytest.mark.parametrize("options", [["out.npz"], ["out.csv"], ["out", "--bag"]])
 def test_a_recording_without_frames_leaves_no_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+    tmp_path: Path, refused: Refused, options: list[str]
 ) -> None:
     path = tmp_path / "silent.skin"
     with Recorder(path, "sim://", 9600, {}) as recorder:
         recorder.write(bytes(100), describe(path).monotonic_ns * 1e-9)
-    assert main(["export", str(path), "-o", str(tmp_path / options[0]), *options[1:]]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert refused("export", path, "-o", tmp_path / options[0], *options[1:])
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_bag_without_rosbags_is_one_clear_error(
     skin: tuple[Path, list[TactileFrame]],
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delitem(sys.modules, "tactile_cdma.recording.bag_export")
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)
-    assert main(["export", str(skin[0]), "-o", str(tmp_path / "bag"), "--bag"]) == 1
-    said = capsys.readouterr().err
+    said = refused("export", skin[0], "-o", tmp_path / "bag", "--bag")
     assert said.startswith("tactile-cdma: --bag needs the Python package rosbags, which is not")
     assert "pip install rosbags" in said and not (tmp_path / "bag").exists()

@@ -21,6 +21,7 @@ from tactile_cdma.recording.recording_file import Recorder, describe, survey
 from tactile_cdma.replay.options import ReplayOptions
 from tactile_cdma.replay.player import Player
 from tactile_cdma.wire.port import Port
+from test.support.command_line import Refused
 from test.support.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.xdist_group("replay")  # its recording is made once
@@ -242,12 +243,11 @@ def test_a_replay_can_be_recorded_and_inspected(
 
 
 def test_a_replay_is_never_recorded_over_what_it_replays(
-    live: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    live: tuple[Path, list[TactileFrame]], tmp_path: Path, refused: Refused
 ) -> None:
     path = live[0]
     before, link = path.read_bytes(), tmp_path / "other name.skin"
     link.symlink_to(path)
     for target in (path, link):
-        assert main(["record", url_of(path, "loop=1"), str(target), "--force"]) == 1
-        assert "is what replay://" in capsys.readouterr().err
+        assert "is what replay://" in refused("record", url_of(path, "loop=1"), target, "--force")
     assert path.read_bytes() == before

@@ -20,6 +20,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.recording.capture import is_text
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.sim.channel import Channel
+from test.support.command_line import Refused
 from test.support.simulated import scope_capture
 
 RATE_HZ = 160e3
@@ -277,13 +278,10 @@ def test_encodings_zeros_and_lines_at_the_end_do_not_matter(
 
 @pytest.mark.parametrize("form", ["{v:.6f}", "{v:.6f},{w:.6f}", "{i},{v:.6f}"])
 def test_a_file_of_values_needs_a_rate_from_the_user_or_the_file_beside_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line, form: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused, line: Line, form: str
 ) -> None:
     path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows(form)))
-    assert main(["decode", str(path)]) == 1
-    out, err = capsys.readouterr()
-    assert out == "" and "no rate in the header: tell it by --rate" in err
-    assert len(err.splitlines()) == 1
+    assert "no rate in the header: tell it by --rate" in refused("decode", path)
     check(decoded(path, capsys, "--rate", "160e3")[0], 0)
     beside = f"XStart:{START_S}:\nSignalResolution:{1 / RATE_HZ:.6e}:\n"
     write(tmp_path / "touch.csv", beside)
@@ -306,14 +304,13 @@ def test_a_heading_counts_more_than_a_number(tmp_path: Path, line: Line) -> None
 
 
 def test_times_of_whole_microseconds_are_refused_until_the_rate_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: Line
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused, line: Line
 ) -> None:
     rows = [f"{6 * i},{v:g}" for i, v in enumerate(line.v)]  # sigrok rounds 6.25 down
     del rows[3000:3020]
     content = text("; Samplerate: 160 kHz", "microseconds,V DC", rows=rows)
     path = write(tmp_path / "scope.csv", content)
-    assert main(["decode", str(path)]) == 1
-    assert "166.7 kS/s by its times, 160 kS/s by its header" in capsys.readouterr().err
+    assert "166.7 kS/s by its times, 160 kS/s by its header" in refused("decode", path)
     frames, said = decoded(path, capsys, "--rate", "160000")
     assert frames == [(CODES.tolist(), pytest.approx(t, abs=1e-5)) for t in (1e-3, 26.6e-3)]
     assert "160 kS/s" in said and "samples are missing in 1 places" in said
@@ -361,14 +358,10 @@ def test_commas_that_separate_and_are_decimal_are_refused(
     assert capsys.readouterr().out == ""
 
 
-def test_options_for_scopes_are_refused_for_recordings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_for_scopes_are_refused_for_recordings(tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "touch.skin"
     assert main(["record", "sim://?speed=2", str(path), "--seconds", "0.2"]) == 0
-    capsys.readouterr()
-    assert main(["decode", str(path), "--rate", "1e6"]) == 1
-    assert "are for an oscilloscope's CSV" in capsys.readouterr().err
+    assert "are for an oscilloscope's CSV" in refused("decode", path, "--rate", "1e6")
 
 
 def test_zeros_at_the_end_of_text_are_no_raw_bytes(tmp_path: Path) -> None:

@@ -3,10 +3,10 @@
 """The campaign "line": its corruption, its account of the damage, and the defects it must find."""
 
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Any
+from itertools import count
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -119,10 +119,10 @@ def test_counters_are_set_on(begin: Counted) -> None:
         assert (b.sequence - a.sequence - begin.sequence) % 2**16 == 0
 
 
-def tortured(kind: Kind = LOST, times: int = 4, stream: Stream = CHIPS) -> Tally:
+def tortured(kind: Kind = LOST, patience_s: float = 5.0) -> Tally:
     """What is found while faults of a kind are put on a line."""
-    with Rig(stream, 1, 5.0) as rig:
-        return rig.run(Schedule(kind, times, np.random.default_rng(1)))
+    with Rig(CHIPS, 1, patience_s) as rig:
+        return rig.run(Schedule(kind, 4, np.random.default_rng(1)))
 
 
 def bad(found: Tally) -> list[str]:
@@ -144,15 +144,17 @@ def test_damaged_commands_are_sent_again() -> None:
     assert (outcome.fault, outcome.times, outcome.good) == (COMMANDS, 3, True)
 
 
-def on_call(number: int, change: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Applies a change to one of the values that it is given, the first being 1."""
-    calls = Counter[str]()
+Found: TypeAlias = TactileFrame | None
 
-    def maybe(value: Any) -> Any:
-        calls["all"] += 1
-        return change(value) if calls["all"] == number else value
 
-    return maybe
+def plant(monkeypatch: pytest.MonkeyPatch, change: Callable[[Pipeline, Found], Found]) -> None:
+    """The driver gets what a change makes of its pipeline's frames."""
+
+    class Changed(Pipeline):
+        def take(self, event: Event) -> Found:
+            return change(self, super().take(event))
+
+    monkeypatch.setattr(driver_module, "Pipeline", Changed)
 
 
 def other_word(frame: TactileFrame) -> TactileFrame:
@@ -184,79 +186,57 @@ def too_much(frame: TactileFrame) -> TactileFrame:
 def test_a_false_word_time_or_pressure_is_found(
     monkeypatch: pytest.MonkeyPatch, change: Callable[[TactileFrame], TactileFrame]
 ) -> None:
-    maybe = on_call(7, change)
-
-    class Falsifying(Pipeline):
-        def take(self, event: Event) -> TactileFrame | None:
-            frame = super().take(event)
-            return None if frame is None else maybe(frame)
-
-    monkeypatch.setattr(driver_module, "Pipeline", Falsifying)
+    frames = count(1)
+    plant(monkeypatch, lambda _, frame: change(frame) if frame and next(frames) == 7 else frame)
     assert bad(tortured()) == ["wrong_values"]
 
 
 @pytest.mark.parametrize(
-    "count", ["lost_packets", "repeated_packets", "crc_errors", "jumps", "framing_errors"]
+    "name", ["lost_packets", "repeated_packets", "crc_errors", "jumps", "framing_errors"]
 )
-def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
+def test_a_packet_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     class Miscounting(PacketParser):
         def interpret(self, *found: Any) -> Received | None:
             if not hasattr(self, "done"):
                 self.done = True
-                setattr(self._refused, count, getattr(self._refused, count) + 1)
+                setattr(self._refused, name, getattr(self._refused, name) + 1)
             return super().interpret(*found)
 
     monkeypatch.setattr(pipeline_module, "PacketParser", Miscounting)
     assert bad(tortured()) == ["uncounted_losses"]
 
 
-@pytest.mark.parametrize("count", ["lost_samples", "lost_frames", "implausible_packets"])
-def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
-    class Forgetting(Pipeline):
-        def take(self, event: Event) -> TactileFrame | None:
-            frame = super().take(event)
-            setattr(self.counters, count, 0)
-            return frame
+@pytest.mark.parametrize("name", ["lost_samples", "lost_frames", "implausible_packets"])
+def test_a_loss_that_is_not_counted_is_found(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    def forget(pipeline: Pipeline, frame: Found) -> Found:
+        setattr(pipeline.counters, name, 0)
+        return frame
 
-    monkeypatch.setattr(driver_module, "Pipeline", Forgetting)
+    plant(monkeypatch, forget)
     kind = next(kind for kind in KINDS if kind.forges)
     assert "uncounted_losses" in bad(tortured(kind))
 
 
 def test_a_frame_that_is_kept_back_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """It arrived whole, long after a fault, and is told as lost: streaming resumes too late."""
-
-    class Lazy(Pipeline):
-        def take(self, event: Event) -> TactileFrame | None:
-            frame = super().take(event)
-            return None if frame is None or frame.sequence in (3, 8, 13) else frame
-
-    monkeypatch.setattr(driver_module, "Pipeline", Lazy)
+    lost = (3, 8, 13)
+    plant(monkeypatch, lambda _, frame: frame if frame and frame.sequence not in lost else None)
     assert "hangs" in bad(tortured())
 
 
 def test_a_driver_that_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Deaf(Pipeline):
-        def take(self, event: Event) -> TactileFrame | None:
-            frame = super().take(event)
-            return frame if self.counters.frames <= 5 else None
-
-    monkeypatch.setattr(driver_module, "Pipeline", Deaf)
-    with Rig(CHIPS, 1, 0.5) as rig:
-        assert "hangs" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
+    plant(monkeypatch, lambda pipeline, frame: frame if pipeline.counters.frames <= 5 else None)
+    assert "hangs" in bad(tortured(patience_s=0.5))
 
 
 def test_a_driver_that_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Failing(Pipeline):
-        def take(self, event: Event) -> TactileFrame | None:
-            frame = super().take(event)
-            if self.counters.frames > 5:
-                raise ZeroDivisionError
-            return frame
+    def fail(pipeline: Pipeline, frame: Found) -> Found:
+        if pipeline.counters.frames > 5:
+            raise ZeroDivisionError
+        return frame
 
-    monkeypatch.setattr(driver_module, "Pipeline", Failing)
-    with Rig(CHIPS, 1, 3.0) as rig:
-        assert "crashes" in bad(rig.run(Schedule(LOST, 4, np.random.default_rng(1))))
+    plant(monkeypatch, fail)
+    assert "crashes" in bad(tortured(patience_s=3.0))
 
 
 def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.base.sums import numpy_volts
 from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire import messages as message_types
@@ -80,7 +79,6 @@ def way(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if request.param == "interpreted":
             patch.setattr(kernel, "compiled", None)
-            patch.setattr(message_types, "to_volts", numpy_volts)
         elif kernel.compiled is None:
             pytest.skip(kernel.why_numpy)
         yield

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Thousands of nodes with sparse codes on one wire: `make firmware-thousand NODES=4000`.
+
+    images of the fast node (simavr) → pins → analog line → the RP2040's image → USB → driver
+
+A share of the nodes is pressed at random, another in every frame; then 300 at once (a hug); then
+all. That is more than a frame holds, so the digitizer is asked for groups, and all are heard by
+turns. Nodes are told from the rules of docs/protocol.md, frame by frame: what each has to say, and
+when; every word and every silence of a frame that is certain is compared with that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rp2040_skin import Rp2040Skin
+from skin import CRYSTALS, Spread, reference_amplifier, reference_nodes
+from tactile_cdma.base.arrays import Bools
+from tactile_cdma.config.parameters import Value
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.framing.sparse_timing import capacity
+from tactile_cdma.hardware.node_memory import FAST, usual_heartbeat
+from tactile_cdma.recording.recording_file import Recorder
+from tactile_cdma.wire.messages import Groups, Quiet, Samples
+from tactile_cdma.wire.packets import PacketParser, PacketWriter
+
+Codes = NDArray[np.int64]
+
+REST_CODE = 1000
+"""Chosen: near the usual curve's 0 kPa."""
+THRESHOLD = 1
+SETTLING = 14
+"""First frames: nodes measure two periods of the sync line, the host the line's noise in eight."""
+PRESSED_SHARE = 0.04
+"""Of the nodes that are on the wire, in a frame; as many are released: 8 % speak."""
+HUG, HUG_FRAMES, RANDOM_FRAMES = 300, 4, 8
+LOG2_GROUPS = 3
+"""Eight groups: 4,000 nodes are 500 in each, and a frame of 912 chips holds 553."""
+TURNS = (1 << LOG2_GROUPS) + 2
+"""Frames in groups: everybody's turn, and the command's way."""
+QUICK = 600
+"""Images of a quick run: more than a frame holds."""
+CLOCK_KNOWN = 2
+"""Frames in which a node measures its clock before it transmits."""
+COMMANDED_NS = 2_000_000
+"""Time before a frame at which pressures change and commands are sent, ns: in the gap before, a
+node measures 0.8 ms before its pulse, and the pulses of a turn begin 0.64 ms before that."""
+PATIENCE = 6
+"""Frame periods for which the last frames are waited for; chosen."""
+
+
+class Step(NamedTuple):
+    """What is done just before a frame: the nodes' codes, and the groups asked for."""
+
+    codes: Codes
+    log2_groups: int
+
+
+def script(nodes: int, seed: int) -> Iterator[Step]:
+    """What happens to so many nodes, frame by frame."""
+    rng = np.random.default_rng(seed)
+    rest = np.full(nodes, REST_CODE)
+
+    def pressed(which: NDArray[np.int64]) -> Codes:
+        codes = rest.copy()
+        codes[which] = rng.integers(0, REST_CODE - 10, which.size)
+        return codes
+
+    for _ in range(SETTLING):
+        yield Step(rest, 0)
+    for _ in range(RANDOM_FRAMES):
+        count = max(1, round(PRESSED_SHARE * nodes))
+        yield Step(pressed(rng.choice(nodes, count, replace=False)), 0)
+    yield Step(rest, 0)
+    first = rng.integers(nodes - min(HUG, nodes) + 1)
+    for _ in range(HUG_FRAMES):
+        yield Step(pressed(np.arange(first, first + min(HUG, nodes))), 0)
+    yield Step(rest, 0)
+    everybody = pressed(np.arange(nodes))
+    yield Step(everybody, 0)
+    for _ in range(TURNS):
+        yield Step(everybody, LOG2_GROUPS)
+    for _ in range(TURNS):
+        yield Step(rest, LOG2_GROUPS)
+    for _ in range(4):
+        yield Step(pressed(np.arange(0, nodes, 10)), 0)
+
+
+class Rules:
+    """What every node says, as docs/protocol.md and firmware/core/event.h have it.
+
+    numbers: of the nodes, from 1, of so many.
+    """
+
+    def __init__(self, numbers: Codes, nodes: int, heartbeat: int) -> None:
+        self._numbers, self._heartbeat = numbers, heartbeat
+        self._beats = (numbers - 1) * heartbeat // nodes
+        self._last = np.full(numbers.size, REST_CODE)
+        self._owed = np.zeros(numbers.size, bool)
+
+    def speakers(self, frame: int, codes: Codes, turn: int) -> Bools:
+        """Who speaks in a frame; frames come one after the other."""
+        groups = 2 ** (turn.bit_length() - 1) if turn else 1
+        others = self._numbers % groups != turn % groups
+        due = self._beats == frame % self._heartbeat
+        far = np.abs(codes - REST_CODE) > THRESHOLD
+        speaks: Bools = far | (np.abs(codes - self._last) > THRESHOLD) | due | self._owed
+        speaks &= ~others & (frame >= CLOCK_KNOWN)
+        self._owed = (self._owed | (due & others)) & ~speaks
+        self._last = np.where(speaks, codes, self._last)
+        return speaks
+
+
+@dataclass
+class Found:
+    """Counts over all frames after SETTLING.
+
+    speaking: nodes that did, in all frames. wrong: certain words that were not said, or not so.
+    missed: words that were said, of nodes that are called silent. unflagged: frames of more words
+    than a frame holds that are called certain. doubted: others that are not. in_groups: frames of
+    a group. heard: nodes whose word came in a turn.
+    """
+
+    frames: int = 0
+    speaking: int = 0
+    most: int = 0
+    wrong: int = 0
+    missed: int = 0
+    unflagged: int = 0
+    doubted: int = 0
+    in_groups: int = 0
+    lost_samples: int = 0
+    cpu_load: float = 0.0
+    heard: Bools = field(default_factory=lambda: np.zeros(0, bool))
+
+    @property
+    def all_is_well(self) -> bool:
+        """Whether everybody was heard, and nothing false."""
+        false = self.wrong + self.missed + self.unflagged + self.doubted + self.lost_samples
+        return bool(self.frames and self.heard.all() and not false)
+
+    def compare(
+        self, frame: TactileFrame, wired: Codes, step: Step, speaks: Bools, most: int
+    ) -> None:
+        """Count a frame; most: words that a frame holds."""
+        words = frame.words
+        self.frames += 1
+        self.speaking += int(speaks.sum())
+        self.most = max(self.most, int(speaks.sum()))
+        said = np.zeros(words.active.size, bool)
+        said[wired] = speaks
+        codes = np.zeros(words.active.size, np.int64)
+        codes[wired] = step.codes
+        certain = ~words.doubtful
+        if speaks.sum() > most:
+            self.unflagged += bool(certain.any())
+        else:
+            self.doubted += bool(words.doubtful.any())
+        right = said & (np.abs(words.codes - codes) <= 1)
+        self.wrong += int(np.sum(certain & words.active & ~right))
+        self.missed += int(np.sum(certain & ~words.active & said))
+
+
+class Host:
+    """What the driver's side makes of the bytes: frames, and the turns that packets tell."""
+
+    def __init__(self, config: SkinConfig) -> None:
+        self.pipeline, self._parser = Pipeline(config, background=False), PacketParser()
+        self.turns: dict[int, int] = {}
+        """By the time of the frame's first chip, µs."""
+
+    def feed(self, data: bytes, now_ns: int) -> list[TactileFrame]:
+        """The frames that bytes complete."""
+        for packet in self._parser.feed(data):
+            if isinstance(packet, Samples | Quiet) and packet.sync:
+                self.turns[packet.device_time_us] = packet.turn
+        return self.pipeline.feed(data, now_ns * 1e-9)
+
+
+def on_one_wire(
+    values: dict[str, Value],
+    images: int | None = None,
+    spread: Spread = CRYSTALS,
+    record: Path | None = None,
+    step_count: int | None = None,
+) -> Found:
+    """Run a skin of these parameters through the script.
+
+    images: number of nodes that are on the wire, spread over all numbers; None: all. step_count:
+    of the script, only so many steps. record: a file to write.
+    """
+    config = SkinConfig.of(values)
+    spec = config.spec
+    heartbeat = usual_heartbeat(spec.frame_period_s)
+    nodes = reference_nodes(config, spread, mcu=FAST, threshold=THRESHOLD, rest=REST_CODE)
+    wired = np.linspace(0, spec.nodes - 1, images or spec.nodes).round().astype(np.int64)
+    found, rules = Found(), Rules(wired + 1, spec.nodes, heartbeat)
+    steps = list(script(wired.size, spread.seed))[:step_count]
+    period_ns = round(spec.frame_period_s * 1e9)
+    host, writer = Host(config), PacketWriter()
+    supplies_v = np.array([nodes[number].supply_v for number in wired])
+    recorder = Recorder(record, "emulated RP2040", 0, values) if record is not None else None
+    with Rp2040Skin([nodes[number] for number in wired], reference_amplifier(config)) as skin:
+        frames: list[TactileFrame] = []
+
+        def run(t_ns: int) -> None:
+            skin.run(t_ns)
+            data = skin.read()
+            if recorder is not None:
+                recorder.write(data, skin.now_ns * 1e-9)
+            frames.extend(host.feed(data, skin.now_ns))
+
+        skin.press(REST_CODE / 1024 * supplies_v)
+        run(40_000_000)
+        skin.write(Session(config).open())
+        while not host.turns:
+            run(skin.now_ns + period_ns // 4)
+        mark_ns, groups = min(host.turns) * 1000, 0
+        for number, step in enumerate(steps):
+            run(max(skin.now_ns, mark_ns + number * period_ns - COMMANDED_NS))
+            skin.press(step.codes / 1024 * supplies_v)
+            if step.log2_groups != groups:
+                groups = step.log2_groups
+                skin.write(writer.encode(Groups(groups)))
+        run(skin.now_ns + PATIENCE * period_ns)
+        found.cpu_load = skin.chip.load
+    if recorder is not None:
+        recorder.close()
+    told = {round((us * 1000 - mark_ns) / period_ns): turn for us, turn in host.turns.items()}
+    decoded = {round((frame.t_start * 1e9 - mark_ns) / period_ns): frame for frame in frames}
+    found.heard = np.zeros(wired.size, bool)
+    for number, step in enumerate(steps):
+        speaks = rules.speakers(number, step.codes, told[number])
+        if number < SETTLING or number not in decoded:
+            continue
+        found.compare(decoded[number], wired, step, speaks, capacity(spec))
+        if told[number]:
+            found.in_groups += 1
+            words = decoded[number].words
+            found.heard |= (words.active & ~words.doubtful)[wired] & speaks
+    found.lost_samples = host.pipeline.counters.lost_samples
+    return found

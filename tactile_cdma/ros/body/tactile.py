@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""All taxels of a body in one message, in the body's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_cdma.msg import TactileSkinInfo
+
+from ...base.arrays import Floats32
+from ...messages.cdr import CdrWriter, Heading, TaxelArray
+from ...places.poses import Pose
+from ...readings.status import Status
+from ..common.convert import rows
+
+_SEQUENCE = Struct("<Q")
+_NOWHERE = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
+
+
+class Places:
+    """Where the taxels of a patch are, by its info; where they are in the body, by the last pose.
+
+    positions_m, normals: (t, 3) float32. areas_m2: (t,) float32.
+    """
+
+    def __init__(self, info: TactileSkinInfo) -> None:
+        self.info_id = info.info_id
+        self.areas_m2 = np.array(info.area, dtype=np.float32)
+        self._positions_m, self._normals = rows(info.positions), rows(info.normals)
+        self._placed: tuple[Pose, Floats32, Floats32] | None = None
+
+    def __len__(self) -> int:
+        return len(self.areas_m2)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the info says all of every taxel."""
+        return len(self) == len(self._positions_m) == len(self._normals)
+
+    def placed(self, pose: Pose | None) -> tuple[Floats32, Floats32]:
+        """Positions and normals in the body's frame; NaN without a pose."""
+        pose = pose or _NOWHERE
+        if self._placed is None or self._placed[0] is not pose:
+            positions_m = pose.apply(self._positions_m).astype(np.float32)
+            normals = pose.rotate(self._normals).astype(np.float32)
+            self._placed = pose, positions_m, normals
+        return self._placed[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A patch that was heard. pose: in the body's frame; None: not known. absent: it is silent."""
+
+    name: str
+    array: TaxelArray
+    places: Places
+    pose: Pose | None
+    absent: bool
+
+
+def body_tactile(
+    parts: Sequence[Part], absent: Sequence[str], heading: Heading, sequence: int
+) -> bytes:
+    """The message TactileBody. absent: all patches that are, heard ever or not."""
+    sizes = [len(part.places) for part in parts]
+    pressure_pa = [
+        np.full(len(part.places), np.nan) if part.absent else part.array.pressure_pa
+        for part in parts
+    ]
+    status = [
+        np.full(len(part.places), Status.STALE) if part.absent else part.array.status
+        for part in parts
+    ]
+    placed = [part.places.placed(part.pose) for part in parts]
+    writer = CdrWriter()
+    writer.header(heading)
+    writer.add(_SEQUENCE.pack(sequence), 8)
+    for names in (absent, [part.name for part in parts]):
+        writer.count(len(names))
+        for name in names:
+            writer.text(name)
+    writer.array(np.cumsum([0, *sizes])[:-1].astype("<u4"))
+    writer.count(len(parts))
+    for part in parts:
+        writer.add(part.array.heading.stamp, 4)
+    writer.array(_joined(pressure_pa, (0,)).astype("<f4"))
+    writer.array(_joined(status, (0,)).astype("u1"))
+    writer.array(_joined([positions_m for positions_m, _ in placed], (0, 3)).astype("<f4"))
+    writer.array(_joined([normals for _, normals in placed], (0, 3)).astype("<f4"))
+    writer.array(_joined([part.places.areas_m2 for part in parts], (0,)).astype("<f4"))
+    return writer.message
+
+
+def _joined(arrays: Sequence[NDArray[Any]], empty: tuple[int, ...]) -> NDArray[Any]:
+    return np.concatenate(arrays) if arrays else np.zeros(empty)

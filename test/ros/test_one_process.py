@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Many patches in one process, and all their taxels in one message: /body/tactile."""
+
+import importlib.util
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
+
+from tactile_cdma.config.body_file import read_body
+from tactile_cdma.msg import TactileArray, TactileBody
+from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.common.executor import LeanExecutor
+from tactile_cdma.ros.driver import patches as patches_module
+from tactile_cdma.ros.driver.patches import PatchesNode
+from test.support.spinning import spinning
+from test.support.waiting import wait_for
+
+ROOT = Path(__file__).resolve().parents[2]
+FILE = """
+frame_id: torso
+process: one
+defaults: {parameters: {port: "sim://?scene=all&threshold=0&speed=0.5"}}
+patches:
+  left: {parameters: {mount_xyz_m: [1.0, 0.0, 0.0], mount_rpy_rad: [0.0, 1.5707963, 0.0]}}
+  right: {parameters: {mount_xyz_m: [0.0, 2.0, 0.0]}}
+  away: {parameters: {port: /dev/no_such_port, mount_xyz_m: [0.0, 0.0, 0.0]}}
+  wrong: {params_file: wrong.yaml}
+"""
+WRONG = "/**: {ros__parameters: {nodes: 24, frame_period_ms: 16.0}}"
+
+
+@contextmanager
+def served(node: Node) -> Iterator[None]:
+    """As skin_patches runs it."""
+    executor, stop = LeanExecutor(), threading.Event()
+    executor.add_node(node)
+
+    def serve() -> None:
+        while not stop.is_set():
+            executor.spin_once(0.05)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()
+
+
+def has_no_gap(arrays: list[TactileArray]) -> bool:
+    return set(np.diff([message.sequence for message in arrays])) == {1}
+
+
+def test_a_patch_that_fails_takes_no_other_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(patches_module, "RETRY_S", 0.3)
+    (tmp_path / "body.yaml").write_text(FILE)
+    (tmp_path / "wrong.yaml").write_text(WRONG)
+    [patches] = read_body(tmp_path / "body.yaml").processes()
+    client = Node("client")
+    arrays: dict[str, list[TactileArray]] = {name: [] for name in ("left", "right", "wrong")}
+    bodies: list[TactileBody] = []
+    said: dict[str, str] = {}
+
+    def diagnosed(message: DiagnosticArray) -> None:
+        said.update({status.name: status.message for status in message.status})
+
+    def subscribe(kind: Any, topic: str, take: Any) -> None:
+        client.create_subscription(kind, topic, take, qos_profile_sensor_data)
+
+    for name, kept in arrays.items():
+        subscribe(TactileArray, f"/{name}/skin/tactile", kept.append)
+    subscribe(TactileBody, "/body/tactile", bodies.append)
+    client.create_subscription(DiagnosticArray, "/diagnostics", diagnosed, 10)
+    body = BodyNode(
+        parameter_overrides=[
+            Parameter("body_file", value=str(tmp_path / "body.yaml")),
+            Parameter("stale_after_s", value=1.0),
+        ]
+    )
+    (tmp_path / "wrong.yaml").write_text("nothing: [that ROS takes")  # changed since
+    host = PatchesNode(patches)
+    with served(host), served(body), spinning([client]):
+        wait_for(lambda: len(arrays["left"]) > 30 and len(arrays["right"]) > 30)
+        wait_for(lambda: "wrong/skin: process" in said)
+        wait_for(lambda: "no such port" in said.get("away/skin: stream", str(said)))
+        assert "wrong.yaml" in said["wrong/skin: process"]
+
+        left = next(node for node in host._nodes if node.get_namespace() == "/left")
+        fails = [RuntimeError("planted")] * 3
+
+        def fail(frame: Any) -> None:
+            if fails:
+                raise fails.pop()
+            left._frames.publish(frame)
+
+        assert left._driver is not None
+        left._driver._on_frame = fail
+        before = len(arrays["right"])
+        wait_for(lambda: not fails)
+        after = len(arrays["left"])
+        wait_for(lambda: len(arrays["left"]) > after + 5)  # starts again
+        assert len(arrays["right"]) > before and has_no_gap(arrays["right"])
+
+        (tmp_path / "wrong.yaml").write_text(WRONG)  # mended
+        wait_for(lambda: arrays["wrong"])
+        wait_for(lambda: bodies and bodies[-1].absent == ["/away/skin", "/wrong/skin"])
+        wait_for(lambda: "/wrong/skin" in bodies[-1].patches and len(bodies[-1].pressure) == 56)
+        message = bodies[-1]
+    assert message.header.frame_id == "torso"
+    assert list(message.first) == [0, 16, 32]
+    places = np.array([(p.x, p.y, p.z) for p in message.positions])
+    normals = np.array([(p.x, p.y, p.z) for p in message.normals])
+    pressure, status = np.array(message.pressure), np.array(message.status)
+    # A grid of 7 mm about the origin: turned about y by 90°, its x points down, and z to the front.
+    assert places[0] == pytest.approx([1.0, 0.0105, 0.0105], abs=1e-5)
+    assert normals[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-5)
+    assert places[16] == pytest.approx([-0.0105, 2.0105, 0.0], abs=1e-5)
+    assert np.isnan(places[32:]).all() and np.isnan(pressure[32:]).all(), "hangs from no frame"
+    assert (status[32:] == TactileArray.STATUS_STALE).all()
+    assert pressure[:32].max() > 1e3 and np.isfinite(pressure[:32]).all()
+    assert message.area[0] == pytest.approx(7e-3**2)
+
+
+def test_make_run_starts_a_process_for_those_that_share_one(tmp_path: Path) -> None:
+    (tmp_path / "body.yaml").write_text("process: {arm: [b, c]}\npatches: {a: {}, b: {}, c: {}}")
+    spec = importlib.util.spec_from_file_location("run", ROOT / "tools" / "run.py")
+    assert spec is not None and spec.loader is not None
+    run = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(run)
+    arm, a, body = run.body_commands(tmp_path / "body.yaml")
+    assert arm[1:] == [
+        str(ROOT / "scripts/skin_patches"),
+        str(tmp_path / "body.yaml"),
+        "--only",
+        "b,c",
+    ]
+    assert "__ns:=/a" in a and body[1].endswith("skin_body")
+    for words, said in (
+        ((str(tmp_path / "no.yaml"),), "no.yaml: No such file or directory"),
+        ((str(tmp_path / "body.yaml"), "--only", "d"), "no patch 'd' to start"),
+    ):
+        answer = subprocess.run([*arm[:2], *words], capture_output=True, text=True)
+        assert answer.returncode == 1 and said in answer.stderr

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Fixtures of tests of many rooms."""
+
+from test.support.command_line import refused
+
+__all__ = ["refused"]
