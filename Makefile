@@ -12,7 +12,7 @@
 #                         NODES=4000: with sparse codes, in some minutes; QUICK=1: 600 of their images
 # make demo    the image that makes a Pico a skin; copied to a demonstrator, or to the board at PORT
 # make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
-# make spice            the analog circuit for 16, 64 and 900 nodes, simulated, against what was computed
+# make spice            the analog circuit for 16, 64, 900 and 4,000 nodes, simulated, against what was computed
 # make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file
 # make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
 # make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE

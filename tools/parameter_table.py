@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes the table of the driver's parameters into docs/parameters.md; --check only compares."""
+"""Writes the list of the driver's parameters into docs/parameters.md; --check only compares."""
 
 from __future__ import annotations
 
@@ -28,15 +28,14 @@ def row(parameter: Parameter) -> str:
         allowed = f"{low:.10g}…{high:.10g} {parameter.unit}".strip()
     live = " •" if parameter.live else ""
     values = f"`{default}`" + (f"; {allowed}" if allowed else "")
-    return f"| `{parameter.name}`{live} | {values} | {parameter.text} |"
+    return f"- `{parameter.name}`{live} ({values}): {parameter.text}"
 
 
 def with_table(text: str) -> str:
-    """The page's text with the table replaced by the current one."""
+    """The page's text with the list replaced by the current one."""
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    lines = ["| name | default; allowed | meaning |", "|---|---|---|", *map(row, PARAMETERS)]
-    return "\n".join([before + BEGIN, *lines, END + after])
+    return "\n".join([before + BEGIN, *map(row, PARAMETERS), END + after])
 
 
 def main() -> int:

@@ -36,6 +36,7 @@ import numpy as np
 
 from tactile_cdma.base.errors import SpecError, check_limits
 from tactile_cdma.code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
+from tactile_cdma.framing.sparse_timing import capacity
 
 CREST = 5.5
 """Peak of the sum in √n·A with random signs: above that of all simulated scenes (5.4)."""
@@ -222,9 +223,12 @@ def design(
     adc_volts: float = 3.3,
     adc_bits: int = 12,
     adc_hz: float = ADC_HZ,
-    active: float = 1.0,
+    active: float | None = None,
 ) -> FrontEnd:
-    """The front end for a skin. active: largest share of the nodes that talk at once.
+    """The front end for a skin.
+
+    active: largest share of the nodes that talk at once; None: all, or of sparse codes as many as a
+    frame holds.
 
     supply_v: of nodes and amplifier. adc_volts: the converter's range is 0…adc_volts. adc_hz: its
     samples per second at most; of shorter chips fewer are taken than asked for.
@@ -235,6 +239,8 @@ def design(
     check_limits("adc_volts", adc_volts, 0.1, 10.0, "what converters have")
     check_limits("adc_bits", adc_bits, 4, 24, "what converters have")
     check_limits("adc_hz", adc_hz, 1.0, 1e9, "what converters have")
+    if active is None:
+        active = capacity(spec) / spec.nodes
     check_limits("active", active, 1e-6, 1.0, "it is a share of the nodes")
     if spec.drive != BIPOLAR:
         raise SpecError(f"drive is {spec.drive!r}, but nodes that rest at mid-supply are {BIPOLAR}")

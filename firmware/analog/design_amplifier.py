@@ -60,7 +60,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("--adc-volts", float, 3.3, "range of the digitizer's converter [V] (3.3)"),
         ("--adc-bits", int, 12, "resolution of the digitizer's converter [bit] (12)"),
         ("--adc-rate", float, ADC_HZ / 1e3, "samples of it at most [kS/s] (500)"),
-        ("--active", float, 1.0, "largest share of nodes that transmit at once (1)"),
+        (
+            "--active",
+            float,
+            None,
+            "largest share of nodes that transmit at once (all, or a sparse frame)",
+        ),
     ):
         parser.add_argument(name, type=kind, default=default, help=text)
     add_skin_options(parser, "the driver's; the frame period has no effect")

@@ -26,17 +26,18 @@ from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import FrameLayout, Info, Packet, Samples
 from tactile_cdma.wire.packets import PacketWriter
 
-THOUSAND = Path(__file__).resolve().parents[2] / "config" / "thousand_skin.yaml"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 SKINS: dict[int, dict[str, Value]] = {
     16: {},
     64: {"frame_period_ms": 36.0},
     900: {
         name: value
-        for name, value in read_file(THOUSAND).items()
+        for name, value in read_file(CONFIG / "thousand_skin.yaml").items()
         if name not in ("port", "amplitude_mv")  # which is computed here
     },
+    4000: read_file(CONFIG / "sparse_skin.yaml"),
 }
-"""Parameters by number of nodes; the rest are the driver's defaults."""
+"""Parameters by number of nodes; the rest are the driver's defaults. As many send as may."""
 PERIODS = 3
 """Periods that the decoder sees, all of them the same frame."""
 STEP_CHIPS = 8
@@ -76,11 +77,14 @@ def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
     spec, chip_s = config.spec, config.spec.chip_s
     amplitude_v, unsettled, overshoot = _step(front, chip_s)
     codes = np.random.default_rng(seed).integers(0, 2**spec.bits, nodes)
-    chips = line_chips(spec, codes, amplitude_v=spec.polarity / nodes)  # the pins' mean level
+    talking = np.random.default_rng(seed + 1).permutation(nodes) < front.talking
+    mean_v = spec.polarity / nodes  # of all pins
+    chips = line_chips(spec, codes, talking, amplitude_v=mean_v)
     levels = frame_levels(chips, spec).astype(np.float64)[None]
     times, volts = waveform(front, levels, chip_s, spec.frame_period_s)
     decoded = [*_decoded(config, front, times, volts)]
-    wrong = sum(int(np.sum(np.where(active, said, -1) != codes)) for active, said in decoded)
+    sent = np.where(talking, codes, -1)
+    wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
     top_v = min(front.supply_v - RAIL_V, front.adc_volts)
     headroom_v = min(top_v - volts.max(), volts.min() - RAIL_V)
     figures = Figures(
@@ -97,7 +101,9 @@ def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
 
 def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
     """Amplitude of a node, V; what a step leaves at the first sample; overshoot."""
-    alone = np.repeat([-1.0, 1.0, 1.0], STEP_CHIPS)
+    groups = front.groups  # lumped: the node steps in all of them at once, by a share within range
+    share = min(1.0, front.room_v / (2 * groups * front.amplitude_v))
+    alone = share * np.repeat([-1.0, 1.0, 1.0], STEP_CHIPS)
     others = np.zeros_like(alone)  # they cancel out
     times, volts = waveform(front, np.array([alone, others]), chip_s, alone.size * chip_s)
     turn_s = STEP_CHIPS * chip_s
@@ -106,9 +112,8 @@ def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
     later = volts[(times > turn_s) & (times < 2 * turn_s)]
     beyond = max(((later - after) / (after - before)).max(), 0.0)
     amplitude_v = abs(after - before) / 2
-    groups = front.groups  # lumped: the node steps in all of them at once
     left = abs(after - sampled) / (2 * amplitude_v)
-    return float(amplitude_v / groups), float(left), float(beyond)
+    return float(amplitude_v / (groups * share)), float(left), float(beyond)
 
 
 def _decoded(

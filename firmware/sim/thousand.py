@@ -43,8 +43,8 @@ QUICK = {"nodes": 128, "rows": 8, "columns": 16, "order": 912}
 """Fewer nodes, with all else as it is."""
 
 
-AMPLITUDE: dict[str, Value] = {"amplitude_mv": 15.0}
-"""Of 553 nodes at once, which a frame holds: four deviations of their sum stay within the rails."""
+AMPLITUDE: dict[str, Value] = {"amplitude_mv": 4.06}
+"""From `make amplifier PARAMS=config/sparse_skin.yaml`."""
 STREAM_BYTES = 4096
 """More at once than a digitizer sends that does not stream."""
 

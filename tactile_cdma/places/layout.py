@@ -81,6 +81,9 @@ class Layout(Surface):
     def __len__(self) -> int:
         return len(self.nodes)
 
+    def __repr__(self) -> str:
+        return f"Layout({self.name!r}, {len(self)} taxels)"
+
     @property
     def wired(self) -> int:
         """Number of nodes on the wire: the highest node number in the layout."""

@@ -82,6 +82,17 @@ def test_noise_is_that_of_its_sources() -> None:
     assert noise_v(front) == pytest.approx(expected, rel=0.15)
 
 
+def test_of_sparse_nodes_as_many_talk_as_a_frame_holds() -> None:
+    """So each may be louder than where all do."""
+    sparse = design(
+        FrameSpec(nodes=128, codes="sparse", order=48, scramble=True, frame_period_s=1.0), 4
+    )
+    assert sparse.talking == 22
+    everybody = design(FrameSpec(nodes=128, frame_period_s=1.0), 4)
+    assert everybody.talking == 128
+    assert sparse.amplitude_v > 1.5 * everybody.amplitude_v
+
+
 def test_a_chips_only_sample_is_late() -> None:
     front = design(FrameSpec(nodes=900, chip_s=2e-6, frame_period_s=1.0), 1)
     assert front.sample_s == LATE_SAMPLE * 2e-6

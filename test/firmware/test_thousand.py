@@ -22,7 +22,7 @@ VALUES = read_file(PARAMS)
 FEW = VALUES | QUICK | {"nodes": 20, "rows": 4, "columns": 5}
 SPARSE = read_file(SPARSE_PARAMS) | AMPLITUDE
 CROWD = SPARSE | {"nodes": 80, "rows": 8, "columns": 10, "order": 64, "resync_chips": 64,
-                  "frame_period_ms": 3.2}  # fmt: skip
+                  "frame_period_ms": 3.2, "amplitude_mv": 15.0}  # fmt: skip
 """31 may speak in a frame, so of a hug none is told, and all are by turns."""
 USB_BYTES_PER_S = 19 * 64 * 1000
 """What full-speed USB can carry in bulk: 19 packets of 64 bytes in a millisecond."""

@@ -15,12 +15,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import qos_profile_sensor_data
 
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.msg import TactileArray, TactileBody
 from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.client import SkinClient
 from tactile_cdma.ros.common.executor import LeanExecutor
+from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.driver import patches as patches_module
 from tactile_cdma.ros.driver.patches import PatchesNode
 from test.support.spinning import spinning
@@ -81,7 +82,7 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         said.update({status.name: status.message for status in message.status})
 
     def subscribe(kind: Any, topic: str, take: Any) -> None:
-        client.create_subscription(kind, topic, take, qos_profile_sensor_data)
+        client.create_subscription(kind, topic, take, QUEUE)
 
     for name, kept in arrays.items():
         subscribe(TactileArray, f"/{name}/skin/tactile", kept.append)
@@ -119,9 +120,14 @@ def test_a_patch_that_fails_takes_no_other_with_it(
 
         (tmp_path / "wrong.yaml").write_text(WRONG)  # mended
         wait_for(lambda: arrays["wrong"])
-        wait_for(lambda: bodies and bodies[-1].absent == ["/away/skin", "/wrong/skin"])
+        wait_for(lambda: bodies and bodies[-1].absent == ["/away/skin"])
         wait_for(lambda: "/wrong/skin" in bodies[-1].patches and len(bodies[-1].pressure) == 56)
         message = bodies[-1]
+        assert SkinClient(client, "/left/skin").change("deactivate")
+        wait_for(lambda: "/left/skin" in bodies[-1].absent)
+        silent = bodies[-1]
+    assert np.isnan(silent.pressure[:16]).all() and np.isfinite(silent.pressure[16:]).all()
+    assert set(silent.status[:16]) == {TactileArray.STATUS_STALE}
     assert message.header.frame_id == "torso"
     assert list(message.first) == [0, 16, 32]
     places = np.array([(p.x, p.y, p.z) for p in message.positions])
@@ -131,9 +137,8 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     assert places[0] == pytest.approx([1.0, 0.0105, 0.0105], abs=1e-5)
     assert normals[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-5)
     assert places[16] == pytest.approx([-0.0105, 2.0105, 0.0], abs=1e-5)
-    assert np.isnan(places[32:]).all() and np.isnan(pressure[32:]).all(), "hangs from no frame"
-    assert (status[32:] == TactileArray.STATUS_STALE).all()
-    assert pressure[:32].max() > 1e3 and np.isfinite(pressure[:32]).all()
+    assert np.isnan(places[32:]).all() and np.isnan(normals[32:]).all(), "hangs from no frame"
+    assert pressure.max() > 1e3 and np.isfinite(pressure).all() and not status.any()
     assert message.area[0] == pytest.approx(7e-3**2)
 
 

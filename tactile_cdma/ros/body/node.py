@@ -187,7 +187,7 @@ class BodyNode(Node):
         for name, feed in self._feeds.items():
             array, places = feed.taxels, feed.places
             pose = self._pose(feed, array.heading.frame_id) if array else None
-            is_absent = name not in present or pose is None or places is None
+            is_absent = name not in present or places is None
             if array and places:
                 is_absent |= array.info_id != places.info_id or len(array.status) != len(places)
                 parts.append(Part(name, array, places, pose, is_absent))

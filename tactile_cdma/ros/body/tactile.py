@@ -56,7 +56,7 @@ class Places:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A patch that was heard. pose: in the body's frame; None: not known. absent: it is silent."""
+    """A patch that was heard. pose: in the body's frame; None: unknown. absent: no present data."""
 
     name: str
     array: TaxelArray

@@ -12,7 +12,7 @@ import pytest
 from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[3]
-MOST_WORDS = 40_000
+MOST_WORDS = 35_700
 """Of README and docs/*.md, marks of tables included. Chosen: what there is; 30,000 is the goal."""
 PAGES = [
     ROOT / "README.md",

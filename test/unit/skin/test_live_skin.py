@@ -40,6 +40,7 @@ def test_contacts_are_those_of_the_pressed_taxels() -> None:
     assert pressed.wrench == pytest.approx([0, 0, -normal_n, 0, 0, 0], abs=1e-3)
     assert pressed.contacts.age_s == pytest.approx([2 * 12.8e-3])  # since the first of three frames
     assert pressed.grid.shape == (4, 4) and pressed.grid[2, 1] == pressed.pressure_pa[9]
+    assert repr(skin.layout) == "Layout('grid of 4 × 4', 16 taxels)"
     assert len(repr(pressed)) < 80 and len(repr(pressed.contacts)) < 80
 
 
