@@ -11,6 +11,8 @@ stream; words taken for silence and lost frames count as wrong in all bits.
 - parity: one more bit per word, by which the weakest bit of a word is mended.
 - late nodes: each node starts up to half a chip late; decoded as if none did, or by least squares
   after a roll call, which is heard at ρ = 30 as it takes ρ = 4.
+- sparse codes: 64 chips, which tell 31 speakers of any number apart; here all 16 nodes are. In this
+  noise every frame is in doubt.
 - dense product: marked chips times the rows, and the signs; no amplitudes, doubts or readings.
   What it takes less is what everything else costs.
 """
@@ -66,7 +68,8 @@ RAIL_V = 12.0
 class Way:
     """One way to sample and decode the skin; the defaults are those of the parameters.
 
-    late: nodes start late. called: a roll call has told how late. dense: nothing but a product.
+    late: nodes start late. called: a roll call has told how late. sparse: codes are. dense: nothing
+    but a product.
     """
 
     name: str
@@ -76,6 +79,7 @@ class Way:
     parity: bool = False
     late: bool = False
     called: bool = False
+    sparse: bool = False
     dense: bool = False
 
     @property
@@ -87,6 +91,7 @@ class Way:
             first_row=min(1, self.order - 16),
             parity=self.parity,
             period_chips=round(1.28 * bits * self.order),
+            sparse=self.sparse,
         )
 
     @property
@@ -101,6 +106,7 @@ class Way:
                 "timing": self.timing,
                 "samples_per_chip": self.samples_per_chip,
                 "roll_call": self.called,
+                "codes": "sparse" if self.sparse else "orthogonal",
             }
         )
 
@@ -116,6 +122,7 @@ WAYS = (
     Way("line, 4 per chip, parity", parity=True),
     Way("line, 4 per chip, order 16", order=16),
     Way("line, 4 per chip, order 24", order=24),
+    Way("line, 1 per chip, sparse codes", 1, order=64, sparse=True),
     Way("late nodes, 4 per chip, no roll call", late=True),
     Way("late nodes, 2 per chip, roll call", 2, late=True, called=True),
     Way("late nodes, 4 per chip, roll call", late=True, called=True),

@@ -9,6 +9,7 @@
 #define TACTILE_VECTORS_H
 
 #include <stddef.h> /* says which C library this is: only glibc's loader chooses */
+#include <stdint.h>
 
 #define INLINE static inline __attribute__((always_inline))
 
@@ -16,6 +17,7 @@
  * floats would do the same, but compilers take those apart. */
 typedef float floats4 __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float floats8 __attribute__((vector_size(32), aligned(4), may_alias));
+typedef int32_t ints8 __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double doubles4 __attribute__((vector_size(32), aligned(8), may_alias));
 
 /* Before a loop whose arrays differ, where `restrict` is not enough: there are many of them. */

@@ -181,29 +181,14 @@ VECTORS static bool decide(size_t nodes, const struct words_measures *measures, 
 
 /* ---- fit --------------------------------------------------------------------------------------- */
 
-/* Adds products to the sums of 16 lanes: many of them keep their error at that of a few additions. */
-INLINE void add_up(const float *some, const float *others, size_t size, float lanes[16])
-{
-    floats8 *sums = (floats8 *)lanes, low = sums[0], high = sums[1];
-    size_t i = 0;
-
-    for (; i + 16 <= size; i += 16) {
-        const floats8 *a = (const floats8 *)(some + i), *b = (const floats8 *)(others + i);
-        low += a[0] * b[0];
-        high += a[1] * b[1];
-    }
-    sums[0] = low;
-    sums[1] = high;
-    for (; i < size; i++)
-        lanes[0] += some[i] * others[i];
-}
-
-INLINE double total(const float lanes[16])
+/* Of all lanes: many partial sums keep their error at that of a few additions. */
+INLINE double all_lanes(const floats8 *sums, size_t count)
 {
     double sum = 0;
 
-    for (size_t lane = 0; lane < 16; lane++)
-        sum += (double)lanes[lane];
+    for (size_t i = 0; i < count; i++)
+        for (size_t lane = 0; lane < 8; lane++)
+            sum += (double)sums[i][lane];
     return sum;
 }
 
@@ -213,9 +198,16 @@ INLINE double dot(const float *some, const float *others, size_t size)
     double sum = 0;
 
     for (size_t begin = 0; begin < size; begin += PART) {
-        float lanes[16] = {0};
-        add_up(some + begin, others + begin, size - begin < PART ? size - begin : PART, lanes);
-        sum += total(lanes);
+        size_t end = size - begin < PART ? size : begin + PART, i = begin;
+        floats8 sums[2] = {{0}, {0}};
+        for (; i + 16 <= end; i += 16) {
+            const floats8 *a = (const floats8 *)(some + i), *b = (const floats8 *)(others + i);
+            sums[0] += a[0] * b[0];
+            sums[1] += a[1] * b[1];
+        }
+        for (; i < end; i++)
+            sums[0][0] += some[i] * others[i];
+        sum += all_lanes(sums, 2);
     }
     return sum;
 }
@@ -225,11 +217,10 @@ INLINE double power_of(const float *values, size_t size)
     return dot(values, values, size);
 }
 
-/* Sum of a block of squares, the same way. */
+/* Sum of a block of squares. */
 INLINE double sum_of(const float *squares, size_t size)
 {
     floats8 sums[2] = {{0}, {0}};
-    double sum = 0;
     size_t i = 0;
 
     for (; i + 16 <= size; i += 16) {
@@ -238,9 +229,7 @@ INLINE double sum_of(const float *squares, size_t size)
     }
     for (; i < size; i++)
         sums[0][0] += squares[i];
-    for (size_t lane = 0; lane < 16; lane++)
-        sum += (double)sums[lane / 8][lane % 8];
-    return sum;
+    return all_lanes(sums, 2);
 }
 
 /* Means of |r| and of r² of each node. */
@@ -268,11 +257,11 @@ VECTORS static double frame_power(const struct words_frame *frame, const float *
 {
     /* A free row 0 holds nothing but what is left of the offset. */
     size_t from = !frame->unipolar && frame->first > 0;
-    double total = 0;
+    double power = 0;
 
     for (size_t bit = 0; bit < frame->bits; bit++)
-        total += power_of(rows + bit * frame->order + from, frame->order - from);
-    return total;
+        power += power_of(rows + bit * frame->order + from, frame->order - from);
+    return power;
 }
 
 /* The loudest word's amplitude, and through `usual` that of a sound node: see usual_amplitude in
@@ -548,28 +537,32 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
 /* The chips of a bit that are looked at: what is left of its last two and first two. */
 enum chip { END, LAST, FIRST, SECOND, CHIPS };
 
-/* Chips of all bits, and the variance of the others that are left. */
+/* Chips of all bits, and the variance of the others that are left, without the line's offset. */
 INLINE void find_chips(const struct words_frame *frame, const float *rows, const float *meant,
                          const float *edges, float (*chips)[CHIPS], float *variance)
 {
-    size_t order = frame->order;
+    const size_t order = frame->order;
 
     for (size_t bit = 0; bit < frame->bits; bit++, rows += order) {
-        float sums[CHIPS + 1][16] = {{0}}; /* the last: power */
-        for (size_t begin = 0; begin < order; begin += 512) {
-            float left[512];
-            size_t size = order - begin < 512 ? order - begin : 512;
-            for (size_t i = 0; i < size; i++)
-                left[i] = rows[begin + i] - sign_of(rows[begin + i]) * meant[begin + i];
-            if (begin == 0 && frame->first > 0)
-                left[0] = 0; /* the line's offset */
-            for (size_t edge = 0; edge < CHIPS; edge++)
-                add_up(left, edges + edge * order + begin, size, sums[edge]);
-            add_up(left, left, size, sums[CHIPS]);
+        floats8 sums[CHIPS + 1] = {{0}}; /* the last one: power */
+        size_t i = frame->first > 0;
+        for (; i + 8 <= order; i += 8) {
+            floats8 level = *(const floats8 *)(rows + i);
+            ints8 sign = (ints8)level & INT32_MIN;
+            floats8 left = level - (floats8)(*(const ints8 *)(meant + i) | sign);
+            for (size_t e = 0; e < CHIPS; e++)
+                sums[e] += left * *(const floats8 *)(edges + e * order + i);
+            sums[CHIPS] += left * left;
         }
-        double power = (double)order * total(sums[CHIPS]);
+        for (; i < order; i++) {
+            float left = rows[i] - sign_of(rows[i]) * meant[i];
+            for (size_t e = 0; e < CHIPS; e++)
+                sums[e][0] += left * edges[e * order + i];
+            sums[CHIPS][0] += left * left;
+        }
+        double power = (double)order * all_lanes(&sums[CHIPS], 1);
         for (size_t chip = 0; chip < CHIPS; chip++) {
-            double level = total(sums[chip]);
+            double level = all_lanes(&sums[chip], 1);
             chips[bit][chip] = (float)level;
             power -= level * level;
         }

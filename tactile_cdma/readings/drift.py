@@ -30,7 +30,7 @@ FARTHEST = 4.0
 """Most drift since the first or a forced tare that is followed, either way, in multiples of the
 pressure at which a contact begins; chosen: more than 80 mV over temperature need (make
 bench-pressure)."""
-FOLLOW_S = 0.25
+FOLLOW_S = 0.5
 """Least interval of following, s. Chosen: drift is seen in seconds, and following takes as long as
 reading a frame."""
 LONGEST_S = 1.0

@@ -391,8 +391,11 @@ def _disturbed(frame: _Frame) -> Bools:
     jump or a slow discharge those of some rows, far enough to look right again: then no word is
     certain. Noise that is estimated from whole frames hardly shows any of these.
     """
-    active, amplitude = frame.active, frame.measures.amplitude
-    level, nodes = np.abs(frame.levels.values), len(active)
+    levels, found = frame.levels, np.zeros_like(frame.active)
+    # Rows without a level show no noise, by which others could be told.
+    rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
+    active, amplitude = frame.active[rows], frame.measures.amplitude[rows]
+    level, nodes = np.abs(levels.values[:, rows]), len(active)
     off, rank = np.abs(level - amplitude * active), round((1 - MOST_BROKEN) * (nodes - 1))
     unit = _middle(amplitude[active])
     # A node counts for its amplitude at most: a single one that is broken hits no bit.
@@ -403,13 +406,13 @@ def _disturbed(frame: _Frame) -> Bools:
     steps = np.abs(np.diff(_line_levels(frame)))  # those of hum are alike
     jumps = steps > unit + JUMP * _middle(steps)
     if (hit & (off.max(axis=1) > HIT_LEVEL * unit)).any() or jumps.any():
-        return active
+        return frame.active
     usual = np.partition(off, rank, axis=1)[:, rank]
     of_most = _middle(usual)
     least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
-    uncertain: Bools = active & ((level < least[:, None]) | (off > most)).any(axis=0)
-    return uncertain
+    found[rows] = active & ((level < least[:, None]) | (off > most)).any(axis=0)
+    return found
 
 
 def _middle(values: Floats32) -> np.float32:

@@ -96,6 +96,14 @@ def test_frames_are_certain_and_right_up_to_their_capacity(share: float) -> None
         assert told(read) == words
 
 
+def test_noise_makes_no_word_uncertain_beside_rows_that_are_told_to_be_empty() -> None:
+    rig = Rig(rho=15.0)
+    for _ in range(30):
+        words = rig.some(20)
+        read = rig.read(rig.sent(words))
+        assert certain(read)[read.active].all() and told(read) == words
+
+
 def test_equal_words_and_neighbours_are_told_apart() -> None:
     """As when everybody at rest speaks, or a hand is laid on."""
     rig = Rig()
