@@ -215,14 +215,14 @@ def test_an_unknown_offset_is_no_reason_to_look_for_late_words(
     signs = np.random.default_rng(3).choice([-1, 1], (spec.line_bits, spec.nodes))
     rows[:, spec.node_slice] = signs
     looks: list[Bools] = []
-    look = lateness.late_scrambled
+    look = lateness.displaced
 
     def note(*arguments: Any) -> tuple[Bools, bool]:
         found, hidden = look(*arguments)
         looks.append(found)
         return found, hidden
 
-    monkeypatch.setattr(lateness, "late_scrambled", note)
+    monkeypatch.setattr(lateness, "displaced", note)
 
     def hear(chips: NDArray[np.float32]) -> None:
         heard = rows_of(chips, spec)
