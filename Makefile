@@ -27,6 +27,7 @@
 #              up to 30 min; QUICK=1: a minute; docs/reliability.md has the results of the last full run
 # make soak    the driver node in real time for SECONDS=3600
 # make fuzz    hostile inputs to every reader of data: COUNT=1000000 for Python and for each C harness
+# make dist    sdist and wheel of this processor, in dist/, installed in empty environments; needs no .venv
 # make audit   known advisories for installed packages; upper bounds and lock files of requirements
 # make lint    ruff, mypy and import-linter;  make clean: remove .venv and build products
 # DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
@@ -65,7 +66,7 @@ endif
 
 BIN = $(VENV)/bin
 .DEFAULT_GOAL := help
-.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand demo demo-test firmware-figures firmware-tools amplifier spice boards scope paper
+.PHONY: help run example-grip check core-tests test all-tests mutants lint setup bench-setup view view-setup torture soak fuzz fuzz-setup fuzz-packages audit audit-packages clean firmware firmware-test firmware-thousand demo demo-test firmware-figures firmware-tools amplifier spice boards scope paper dist
 
 help:
 	@sed -n '/^$$/q; s/^# //p' Makefile
@@ -179,6 +180,9 @@ fuzz-packages audit-packages:
 
 audit: audit-packages
 	@"$(BIN)/python" tools/audit.py
+
+dist:
+	@"$(PYTHON)" tools/dist.py
 
 clean:
 	$(MAKE) -C firmware clean

@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from benchmarks.report import QUICK, Report
 from tactile_cdma.code.encode import line_chips, word_bits
 from tactile_cdma.code.frame import MAX_STRETCH, FrameSpec
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples

@@ -46,7 +46,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.framing.fit import Line, integrate
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The loud part of a stretch of samples, and the gaps beside it: what framing/burst.py does with an array of
+/* The loud part of a stretch of samples, and the gaps beside it: what framing/gaps/burst.py does with an array of
  * half chips. In C because every sample of the stream passes here, most of them in silence, and because
  * numpy takes some fifty calls for it. */
 #ifndef TACTILE_BURST_H

@@ -210,7 +210,7 @@ static bool has_equal_bits(const struct words_frame *frame, const struct judge_f
     return false;
 }
 
-/* As `strays` in framing/stray.py, where it finds nothing without a closer look. least: amplitude of a node, V. */
+/* As `strays` in framing/gaps/stray.py, where it finds nothing without a closer look. least: amplitude of a node, V. */
 static bool are_in_time(const struct fit_code *code, const struct gap_rules *rules, const struct fit_line *line,
                         double blur, double least, const struct gap_seen *seen)
 {

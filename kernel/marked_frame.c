@@ -131,11 +131,12 @@ enum frame_look frame_summed_up(const struct frame_rules *rules, const struct fr
     return silent(rules, rest, variance, found);
 }
 
-/* Whether words leave no more than the noise of the gap, as LineRecogniser._is_explained says; or those
- * of samples that are chips are believable beyond doubt, as WordFit.believable says; and the frame does
- * not look as if a bit began or ended at rest. outermost: the least level of the bits' first and last chips, V. */
+/* Whether words leave no more than the noise of the gap, and chips have the power of their samples, as
+ * LineRecogniser._is_explained and _is_kept say; or those of samples that are chips are believable beyond
+ * doubt, as WordFit.believable says; and the frame does not look as if a bit began or ended at rest. outermost:
+ * the least level of the bits' first and last chips, V. sampled: power of the samples, V². */
 static bool is_explained(const struct frame_rules *rules, const struct frame_rest *rest,
-                         const float *rows, double outermost, float *scratch)
+                         const float *rows, double outermost, double sampled, float *scratch)
 {
     const struct words_frame *frame = &rules->frame;
     float *amplitude = scratch, *uneven = scratch + frame->nodes, pedestal, power, spread, misfit;
@@ -156,8 +157,13 @@ static bool is_explained(const struct frame_rules *rules, const struct frame_res
         return false;
     bool is_odd = (size_t)active % 2 || CLEARLY * weakest < rules->whole * (double)frame->swing;
     bool may_be_shifted = active <= rules->few && !rules->scrambled;
+    if (may_be_shifted && left > CLEARLY * rules->hiding * weakest * weakest)
+        return false;
     if (may_be_shifted && is_odd && !frame->unipolar &&
         CLEARLY * outermost < rules->rest * weakest)
+        return false;
+    if (!rules->integrated &&
+        CLEARLY * ((double)power + left) < rules->kept * (sampled - rest->noise * rules->chip))
         return false;
     if (!rules->integrated)
         return left < rules->carried_noise * rest->noise + rules->carried_misfit * (double)power;
@@ -294,7 +300,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         outermost = outermost < last ? outermost : last;
     }
     transform_multiply(code->transform, rows, rows, frame->bits);
-    if (!is_explained(rules, rest, rows, outermost, scratch))
+    if (!is_explained(rules, rest, rows, outermost, power, scratch))
         return FRAME_UNEXPLAINED;
     if (!rules->integrated) {
         double missing = timing->until - (double)count;

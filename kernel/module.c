@@ -13,7 +13,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 24 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 25 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -45,8 +45,8 @@ static const struct field readout_fields[] = {
     OF_READOUT(reading.limits.low_rho),       OF_READOUT(reading.limits.low_margin),
     OF_READOUT(reading.limits.shared),        OF_READOUT(reading.limits.two),
     OF_READOUT(reading.limits.clear_rho),     OF_READOUT(reading.limits.lower),
-    OF_READOUT(lateness.late_share),          OF_READOUT(lateness.leaked),
-    OF_READOUT(lateness.by_chance),           OF_READOUT(bits.silent),
+    OF_READOUT(lateness.late_share),          OF_READOUT(lateness.by_chance),
+    OF_READOUT(lateness.of_two),              OF_READOUT(bits.silent),
     OF_READOUT(bits.low_snr),                 OF_READOUT(bits.stale),
     OF_READOUT(bits.saturated),               OF_READOUT(bits.uncalibrated),
     OF_READOUT(bits.masked),                  OF_READOUT(bits.faulty),

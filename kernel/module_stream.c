@@ -98,6 +98,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, frame.carried_misfit),      FIELD(stream_rules, frame.loud),
     FIELD(stream_rules, frame.spread),              FIELD(stream_rules, frame.misfit),
     FIELD(stream_rules, frame.left),                FIELD(stream_rules, frame.clear_spread),
+    FIELD(stream_rules, frame.hiding),              FIELD(stream_rules, frame.kept),
     FIELD(stream_rules, frame.chips),
     FIELD(stream_rules, frame.few),                 FIELD(stream_rules, frame.whole),
     FIELD(stream_rules, frame.rest),                FIELD(stream_rules, frame.tail_noise),

@@ -489,8 +489,6 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
     double most_moved = (double)reading->moved_share * (double)spoken->expected;
     if (moved > most_moved * most_moved && spoken->words < frame->nodes)
         return WORDS_NEED_STAGES;
-    if (!spoken->words)
-        return WORDS_ARE_PLAIN;
     double least = (double)spoken->least * (double)spoken->least;
     if (!offset && total + moved >= (double)reading->tone_share * least)
         return WORDS_LEAVE_MUCH;
@@ -530,73 +528,72 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     float share = threshold < reading->faint_share ? threshold : reading->faint_share;
     struct spoken spoken =
         clear_silent(frame->nodes, measures, decided, active, expected, share);
-    return look_at_rest(frame, reading, rows, offset, amplitude, active, &spoken);
+    return spoken.words ? look_at_rest(frame, reading, rows, offset, amplitude, active, &spoken)
+                        : WORDS_NEED_STAGES;
 }
 
 /* ---- late -------------------------------------------------------------------------------------- */
 
-/* The chips of a bit that are looked at: what is left of its last two and first two, and what is meant
- * by its last and its first one. */
-enum chip { LEFT_END, LEFT_LAST, LEFT_FIRST, LEFT_SECOND, MEANT_LAST, MEANT_FIRST, CHIPS };
+/* The chips of a bit that are looked at: what is left of its last two and first two. */
+enum chip { END, LAST, FIRST, SECOND, CHIPS };
 
-/* Chips of all bits, and the power of what is left in all rows but that of the line's offset. */
-INLINE double find_chips(const struct words_frame *frame, const float *rows, const float *meant,
-                         const float *edges, float (*chips)[CHIPS])
+/* Chips of all bits, and the variance of the others that are left, without the line's offset. */
+INLINE void find_chips(const struct words_frame *frame, const float *rows, const float *meant,
+                         const float *edges, float (*chips)[CHIPS], float *variance)
 {
     const size_t order = frame->order;
-    double power = 0;
 
     for (size_t bit = 0; bit < frame->bits; bit++, rows += order) {
         floats8 sums[CHIPS + 1] = {{0}}; /* the last one: power */
         size_t i = frame->first > 0;
         for (; i + 8 <= order; i += 8) {
-            floats8 level = *(const floats8 *)(rows + i), edge[4];
+            floats8 level = *(const floats8 *)(rows + i);
             ints8 sign = (ints8)level & INT32_MIN;
-            floats8 spoken = (floats8)(*(const ints8 *)(meant + i) | sign), left = level - spoken;
-            for (size_t e = 0; e < 4; e++) {
-                edge[e] = *(const floats8 *)(edges + e * order + i);
-                sums[e] += left * edge[e];
-            }
-            sums[MEANT_LAST] += spoken * edge[1];
-            sums[MEANT_FIRST] += spoken * edge[2];
+            floats8 left = level - (floats8)(*(const ints8 *)(meant + i) | sign);
+            for (size_t e = 0; e < CHIPS; e++)
+                sums[e] += left * *(const floats8 *)(edges + e * order + i);
             sums[CHIPS] += left * left;
         }
         for (; i < order; i++) {
-            float spoken = sign_of(rows[i]) * meant[i], left = rows[i] - spoken;
-            for (size_t e = 0; e < 4; e++)
+            float left = rows[i] - sign_of(rows[i]) * meant[i];
+            for (size_t e = 0; e < CHIPS; e++)
                 sums[e][0] += left * edges[e * order + i];
-            sums[MEANT_LAST][0] += spoken * edges[order + i];
-            sums[MEANT_FIRST][0] += spoken * edges[2 * order + i];
             sums[CHIPS][0] += left * left;
         }
-        for (size_t chip = 0; chip < CHIPS; chip++)
-            chips[bit][chip] = (float)all_lanes(&sums[chip], 1);
-        power += all_lanes(&sums[CHIPS], 1);
+        double power = (double)order * all_lanes(&sums[CHIPS], 1);
+        for (size_t chip = 0; chip < CHIPS; chip++) {
+            double level = all_lanes(&sums[chip], 1);
+            chips[bit][chip] = (float)level;
+            power -= level * level;
+        }
+        variance[bit] = (float)((power > 0 ? power : 0) / (double)(order - CHIPS));
     }
-    return power;
 }
 
 INLINE void find_late(const struct words_frame *frame, const float *rows, const float *meant,
-                      float (*chips)[CHIPS], float variance, const struct words_lateness *limits,
-                      uint8_t *late)
+                      float (*chips)[CHIPS], const float *variance,
+                      const struct words_lateness *limits, uint8_t *late)
 {
-    /* A word is looked for in chips of the bit after it, but for what the one before that bit leaks
-     * into it, and the other way round. */
+    /* A word is looked for in chips of the bit after it, and the other way round. */
     size_t pairs = frame->bits - 1;
 
     for (size_t begin = 0; begin < frame->nodes; begin += BLOCK) {
         size_t size = frame->nodes - begin < BLOCK ? frame->nodes - begin : BLOCK;
-        float alike[BLOCK] = {0}, word[2][3][BLOCK] = {0}, owner[2][3][BLOCK] = {0};
+        float alike[BLOCK] = {0}, word[2][2][BLOCK] = {0}, owner[2][2][BLOCK] = {0};
+        float noise[2] = {0}, common[2][BLOCK] = {0};
         const float *levels = rows + frame->first + begin, *spoken = meant + frame->first + begin;
         for (size_t pair = 0; pair < pairs; pair++, levels += frame->order) {
             const float *next = levels + frame->order;
             const float *now = chips[pair], *then = chips[pair + 1];
-            const float here[2][3] = {{then[LEFT_FIRST], then[LEFT_SECOND], now[MEANT_LAST]},
-                                      {now[LEFT_END], now[LEFT_LAST], then[MEANT_FIRST]}};
+            const float here[2][2] = {{then[FIRST], then[SECOND]}, {now[END], now[LAST]}};
+            noise[0] += variance[pair + 1];
+            noise[1] += variance[pair];
             for (size_t i = 0; i < size; i++) {
                 float earlier = sign_of(levels[i]), later = sign_of(next[i]);
                 alike[i] += earlier * later;
-                for (size_t c = 0; c < 3; c++) {
+                common[0][i] += earlier * later * variance[pair + 1];
+                common[1][i] += earlier * later * variance[pair];
+                for (size_t c = 0; c < 2; c++) {
                     word[0][c][i] += earlier * here[0][c];
                     owner[0][c][i] += later * here[0][c];
                     word[1][c][i] += later * here[1][c];
@@ -605,24 +602,27 @@ INLINE void find_late(const struct words_frame *frame, const float *rows, const 
             }
         }
         for (size_t i = 0; i < size; i++) {
-            float same = alike[i] / (float)pairs, beside[2];
+            float same = alike[i] / (float)pairs;
             float free = (float)pairs * (1 - same * same), scale = 1 / (free > 1e-3f ? free : 1e-3f);
+            int is_late = 0;
             for (size_t side = 0; side < 2; side++) {
-                float found[3];
-                for (size_t c = 0; c < 3; c++)
+                float found[2];
+                for (size_t c = 0; c < 2; c++)
                     found[c] = fabsf(word[side][c][i] - same * owner[side][c][i]) * scale;
-                beside[side] = (found[0] > found[1] ? found[0] : found[1]) - limits->leaked * found[2];
+                float together = sqrtf(found[0] * found[0] + found[1] * found[1]) / limits->of_two;
+                float most = found[0] > found[1] ? found[0] : found[1];
+                most = together > most ? together : most;
+                float by_chance = (1 + same * same) * noise[side] - 2 * same * common[side][i]; /* squared */
+                by_chance *= limits->by_chance * limits->by_chance * scale * scale;
+                is_late |= most > limits->late_share * spoken[i] && most * most > by_chance;
             }
-            float most = beside[0] > beside[1] ? beside[0] : beside[1];
-            float by_chance = limits->by_chance * limits->by_chance * variance * scale; /* squared */
-            late[begin + i] = spoken[i] > 0 && most > limits->late_share * spoken[i] &&
-                              most * most > by_chance;
+            late[begin + i] = spoken[i] > 0 && is_late;
         }
     }
 }
 
-/* Whether no chip that is left is as high as a late word makes it: what find_late finds of a node, a mean
- * of such chips, is no higher than the highest, but for rounding. */
+/* Whether no two chips that are left are as high as a late word makes them: what find_late finds of a node,
+ * a mean of such chips, is no higher than the highest, but for rounding. */
 INLINE bool are_low(const struct words_frame *frame, const float *meant, float (*chips)[CHIPS], float share)
 {
     float least = INFINITY;
@@ -633,24 +633,22 @@ INLINE bool are_low(const struct words_frame *frame, const float *meant, float (
         least = level > 0 && level < least ? level : least;
     }
     for (size_t bit = 0; bit < frame->bits; bit++)
-        for (size_t chip = 0; chip < MEANT_LAST; chip++)
-            high |= !(fabsf(chips[bit][chip]) * 1.001f <= share * least);
+        for (size_t chip = 0; chip < CHIPS; chip += 2) {
+            float one = chips[bit][chip], other = chips[bit][chip + 1];
+            high |= !((one * one + other * other) * 1.002f <= share * share * least * least);
+        }
     return !high;
 }
 
 VECTORS void words_late(const struct words_frame *frame, const float *rows, const float *meant,
                         const float *edges, const struct words_lateness *limits, uint8_t *late)
 {
-    float chips[WORDS_MOST_BITS][CHIPS];
-    double within = (double)frame->order * find_chips(frame, rows, meant, edges, chips);
+    float chips[WORDS_MOST_BITS][CHIPS], variance[WORDS_MOST_BITS];
 
-    for (size_t bit = 0; bit < frame->bits; bit++)
-        for (size_t edge = 0; edge < 4; edge++)
-            within -= (double)chips[bit][edge] * (double)chips[bit][edge];
-    double variance = (within > 0 ? within : 0) / (double)(frame->bits * (frame->order - 4));
+    find_chips(frame, rows, meant, edges, chips, variance);
     if (are_low(frame, meant, chips, limits->late_share)) {
         memset(late, 0, frame->nodes);
         return;
     }
-    find_late(frame, rows, meant, chips, (float)variance, limits, late);
+    find_late(frame, rows, meant, chips, variance, limits, late);
 }

@@ -61,7 +61,7 @@ struct words_reading {
 };
 
 enum words_look {
-    WORDS_NEED_STAGES, /* a word is faint or uneven; nothing is meant by the arrays */
+    WORDS_NEED_STAGES, /* a word is faint or uneven, or none is spoken; nothing is meant by the arrays */
     WORDS_LEAVE_ENERGY, /* as much as a chip of one of them: some may be out of place */
     WORDS_LEAVE_MUCH,   /* as much as a tone on one of their rows leaves */
     WORDS_ARE_PLAIN,
@@ -81,10 +81,10 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
 
 /* Limits of late in lateness.py. */
 struct words_lateness {
-    float late_share, leaked, by_chance;
+    float late_share, by_chance, of_two;
 };
 
-/* As late in lateness.py, of frames of 2 to WORDS_MOST_BITS bits. meant: (N,) amplitude of the words
+/* As late in lateness.py, but for what leaks, of frames of 2 to WORDS_MOST_BITS bits. meant: (N,) amplitude of the words
  * on all rows, 0 where none was spoken. edges: (4, N) last but one, last, first and second chip of all
  * rows. late: (n,). */
 void words_late(const struct words_frame *frame, const float *rows, const float *meant,

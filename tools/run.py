@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
@@ -71,6 +72,11 @@ def main() -> int:
     terminal = sys.stdin.isatty() and sys.stdout.isatty()
     seconds = arguments.seconds or (0.0 if terminal else SECONDS_WITHOUT_TERMINAL)
 
+    if find_spec("rclpy") is None:
+        if arguments.patches or arguments.rerun or firmware:
+            parser.error("without ROS only PORT, PARAMS and SECONDS: the rest shows topics")
+        watch = [sys.executable, str(CHECKOUT / "tools" / "watch.py"), "--params", str(params)]
+        os.execv(sys.executable, [*watch, "--port", port, "--seconds", f"{seconds:g}"])  # noqa: S606
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
     rerun = rerun_command(arguments.rerun == "web") if arguments.rerun else []

@@ -6,6 +6,7 @@
 Without a ROS 2 installation, .venv gets ROS 2 from PyPI (Jazzy, or another by --distro) and is
 itself the ROS prefix: the messages are built into it, next to those of the wheels. With one
 sourced, .venv borrows its rclpy and colcon and gets only the Python packages and our messages.
+Where PyPI has no wheels of ROS 2, on AArch64, .venv gets everything but ROS.
 
 Steps are stamped in .venv/setup.json with a hash of their inputs, so a second run does nothing and
 an interrupted one is repaired: a venv that is not stamped complete is made anew.
@@ -38,6 +39,8 @@ CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 # Of the ROS 2 distributions that PyPI has.
 ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-kilted.txt"}
 DEFAULT_DISTRO = "jazzy"
+NO_ROS = "none"
+"""In place of a distribution where PyPI has no wheels of ROS 2."""
 # What only some targets need, by the stamp of its step.
 EXTRA_REQUIREMENTS = {
     name: f"requirements-{name}.txt" for name in ("audit", "bench", "fuzz", "mujoco", "view")
@@ -103,18 +106,24 @@ def set_up(venv: Path, wanted_distro: str) -> None:
     if has_messages and state.get("kernel") == kernel_key:
         return
     if has_messages:
-        rebuild_kernel(venv)
+        build_kernel(venv) if distro == NO_ROS else rebuild_kernel(venv)
         state.put("kernel", kernel_key)
         return
     use_installation = bool(sourced) and imports_rclpy(interpreter)
     if sourced and not use_installation:
-        distro = distro if distro in ROS_REQUIREMENTS else DEFAULT_DISTRO
+        distro = distro if distro in ROS_REQUIREMENTS and has_wheels() else default_distro()
         print(
             f"setup: ROS_DISTRO is {sourced}, but {interpreter} cannot import rclpy: "
             f"using {of_pypi(distro)}"
         )
         if version_of(version) not in SUPPORTED:
             raise SetupError(unsupported(version))
+    if distro == NO_ROS:
+        print(
+            f"setup: PyPI has no ROS 2 for {platform.machine()}, only for x86_64: setting up all "
+            "but ROS. For topics, install ROS 2, source its setup.bash, and run make again",
+            flush=True,
+        )
     require_tools(interpreter, version_of(version))
     if not has_base:
         if venv.exists() and not state.path.exists():
@@ -124,7 +133,10 @@ def set_up(venv: Path, wanted_distro: str) -> None:
         adapt_venv(venv)
         state.put("base", base_key)
     state.put("messages", None)
-    build_messages(venv, use_installation)
+    if distro == NO_ROS:
+        build_kernel(venv)
+    else:
+        build_messages(venv, use_installation)
     state.put("messages", message_key)
     state.put("kernel", kernel_key)
     print(f"      ready after {time.monotonic() - started:.0f} s", flush=True)
@@ -158,15 +170,18 @@ def create_venv(venv: Path, state: State, interpreter: str, version: str, source
 
 
 def install_packages(venv: Path, distro: str) -> None:
-    """Install what requirements*.txt list. distro: the ROS 2 to take from PyPI; "": none."""
+    """Install what requirements*.txt list.
+
+    distro: the ROS 2 to take from PyPI; "": that of an installation; NO_ROS: none.
+    """
     names = list(CORE_REQUIREMENTS)
-    if distro:
+    if distro in ROS_REQUIREMENTS:
         step(2, f"installing {of_pypi(distro)} and Python packages (about 150 MB)")
         names.append(ROS_REQUIREMENTS[distro])
     else:
         step(2, "installing Python packages from PyPI")
     wanted = [argument for name in names for argument in ("-r", str(CHECKOUT / name))]
-    if not shutil.which("cmake"):
+    if distro != NO_ROS and not shutil.which("cmake"):
         wanted.append("cmake>=3.22,<4")
     if not (distro or shutil.which("colcon")):
         wanted.append("colcon-common-extensions~=0.3.0")
@@ -264,6 +279,17 @@ def build_messages(venv: Path, use_installation: bool) -> None:
     run([str(venv / "bin" / "python"), "-c", "import rclpy, tactile_cdma.msg"], venv / "setup.log")
 
 
+def build_kernel(venv: Path) -> None:
+    """Build the kernel into the venv where no ROS is, by which the messages would be built."""
+    step(4, "building the kernel")
+    python = str(venv / "bin" / "python")
+    place = output([python, "-c", "import sysconfig as s; print(s.get_path('purelib'))"])
+    build = [python, "setup.py", "-q", "build_ext", "--build-lib", place]
+    run([*build, "--build-temp", str(venv / "build")], venv / "setup.log")
+    # setup.py takes a failure for a machine without a compiler; this one has it (require_tools).
+    run([python, "-c", "import tactile_cdma._kernel"], venv / "setup.log")
+
+
 def rebuild_kernel(venv: Path) -> None:
     """Build the kernel anew where only its sources changed; .venv holds a link to it."""
     print("setup: building the kernel", flush=True)
@@ -283,17 +309,32 @@ def choose_distro(wanted: str, sourced: str) -> str:
             f"DISTRO={wanted} was asked for, but ROS 2 {sourced} is sourced (ROS_DISTRO): leave "
             "DISTRO out, or start from a shell in which no ROS 2 is sourced"
         )
+    if wanted and not sourced and not has_wheels():
+        raise SetupError(
+            f"DISTRO={wanted}: PyPI has no ROS 2 for {platform.machine()}, only for x86_64; "
+            "install ROS 2 and source its setup.bash, or leave DISTRO out to do without ROS"
+        )
     if wanted and not sourced and wanted not in ROS_REQUIREMENTS:
         raise SetupError(
             f"DISTRO={wanted}: PyPI has ROS 2 only as {' and '.join(ROS_REQUIREMENTS)}; for "
             "another one, install it, source its setup.bash and leave DISTRO out"
         )
-    return wanted or sourced or DEFAULT_DISTRO
+    return wanted or sourced or default_distro()
+
+
+def has_wheels() -> bool:
+    """Tell whether PyPI has ROS 2 for this processor."""
+    return platform.machine() == "x86_64"
+
+
+def default_distro() -> str:
+    """Return what is set up without a wish and without an installation."""
+    return DEFAULT_DISTRO if has_wheels() else NO_ROS
 
 
 def of_pypi(distro: str) -> str:
     """Name what is taken from PyPI."""
-    return f"ROS 2 {distro.capitalize()} from PyPI"
+    return "no ROS" if distro == NO_ROS else f"ROS 2 {distro.capitalize()} from PyPI"
 
 
 def choose_interpreter(any_version: bool) -> tuple[str, str]:
@@ -448,7 +489,7 @@ def explain_pip(text: str) -> str | None:
         return "PyPI cannot be reached; check the network (behind a proxy: set https_proxy)"
     if re.search(r"No matching distribution found for ros-", text):
         return (
-            "PyPI has no ROS 2 wheels for this platform (they are for Linux on x86_64): install "
+            "PyPI has no ROS 2 wheels for this platform (they are for Linux with glibc): install "
             "ROS 2, source its setup.bash and run make again; or do without ROS: pip install ."
         )
     return None

@@ -205,7 +205,7 @@ static void fit_words(struct input *input)
     uint8_t *late = malloc(nodes);
     float pedestal, power, spread, misfit;
     const struct words_frame frame = {bits, order, first, nodes, unipolar, swing, 0.25f, 0.5f, 2.2};
-    const struct words_lateness lateness = {0.35f, 0.3f, 4};
+    const struct words_lateness lateness = {0.35f, 5, 1.07f};
 
     for (size_t i = 0; i < bits * order; i++)
         rows[i] = level_of(input_u8(input));

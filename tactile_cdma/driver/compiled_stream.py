@@ -19,7 +19,7 @@ from ..code.separate import NodeLevels, frame_fields, may_be_offset
 from ..code.transform import compiled_transform
 from ..framing.fit import Fit, lowest_power
 from ..framing.frame_end import tail_of
-from ..framing.gap_timing import GapTiming
+from ..framing.gaps.gap_timing import GapTiming
 from ..framing.limits import LIMITS
 from ..framing.marked_timing import GAP_WEIGHT, LEAST_REST, MarkedFrame, MarkedLine, MarkedTiming
 from ..framing.sparse_timing import SparseTiming
@@ -67,7 +67,7 @@ GAP_TIMING = "gap timing"
 
 _SHARED_LIMITS = (
     "deafened", "carried_noise", "carried_misfit", "loud", "spread", "misfit", "left",
-    "clear_spread", "chips", "few", "whole", "rest",
+    "clear_spread", "chips", "few", "whole", "hiding", "kept", "rest",
     "tail_noise", "tail_scatter", "tail_level", "least_tail", "rise",
 )  # fmt: skip
 """Of `Limits`, and members of the kernel's rules by the same names."""

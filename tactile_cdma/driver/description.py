@@ -8,7 +8,7 @@ from ..clocks.clock_keeper import ClockKeeper
 from ..clocks.node_timing import NodeTiming
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.gap_timing import GapTiming
+from ..framing.gaps.gap_timing import GapTiming
 from ..framing.line_timing import LineTiming
 from ..framing.sparse_timing import SparseTiming
 from ..framing.timing import QuietBlock, SampleBlock

@@ -36,6 +36,8 @@ class Limits:
     carried_noise: factor on the noise of the gap that reused timing may leave. Chosen: the variance
         of the chips of a frame of order 20 is right to a tenth (√(2/200)), that of the gap to
         less.
+    kept: share of the samples' power, without noise, that chips have. Chosen: of nodes all half a
+        chip late it is a half, and at order 4 three nodes look like one with a third of theirs.
     odd_share: share of at least three words that may be uneven and still say nothing about the
         frame. Chosen: broken nodes are few, while wrong timing makes all words uneven.
     stricter: factor by which the other words must then be cleaner than they would have to be with
@@ -43,6 +45,9 @@ class Limits:
     lone_chip: median deviations beyond which a chip is none of noise. Chosen: 5 deviations.
     faint_power: power of the chips, relative to the gap's noise, below which no stretch is searched
         for: words would be hidden in noise. Chosen.
+    hiding: power of a chip that few words leave over, in squares of the weakest one's amplitude,
+        beyond which it hides the chips that tell a frame that is beside its mark. Chosen: those of
+        five bits that change, twice in each, are then 11 deviations.
     rest: share of the weakest word's amplitude below which a line is at rest. Chosen: below half,
         so that a lone node's chips exceed it even where their edges leave out part of them.
     tail_noise, tail_scatter: what follows a frame is noise where its power is below tail_noise +
@@ -106,10 +111,12 @@ class Limits:
     left: float = 3.0
     carried_misfit: float = 3e-3
     carried_noise: float = 1.5
+    kept: float = 0.6
     odd_share: float = 0.25
     stricter: float = 3.0
     lone_chip: float = 7.4
     faint_power: float = 1.6
+    hiding: float = 0.3
     rest: float = 0.4
     tail_noise: float = 2.0
     tail_scatter: float = 8.0

@@ -161,7 +161,7 @@ class LineRecogniser:
         carried.uses += 1
         chips = carried.edges.chips(line)
         words = read_words(chips[None], self._spec)
-        if not self._is_explained(words):
+        if not (self._is_explained(words) and self._is_kept(frame, words)):
             return None
         doubtful = self._doubtful(chips, words, True)
         return self._ended(frame, line, carried.fit, words.rows[0], words.amplitude[0], doubtful)
@@ -184,6 +184,13 @@ class LineRecogniser:
         left = words.misfit.item() * power
         most = LIMITS.carried_noise * self._line.noise + LIMITS.carried_misfit * power
         return left < most and not self._line.is_silent(words.amplitude[0])
+
+    def _is_kept(self, frame: MarkedFrame, words: WordFit) -> bool:
+        """Whether chips have the power of their samples; misplaced ones change within."""
+        power = self._line.sample_power(frame.volts[: self._line.size])
+        rows = words.rows[0]
+        chip_power = float(np.einsum("kr,kr->", rows, rows)) / len(rows)
+        return chip_power >= LIMITS.kept * (power - self._line.sample_noise_v**2)
 
     def _proposed(self, frame: MarkedFrame, line: Line) -> Verdict:
         """The likeliest of the frames that are proposed, or silence."""
@@ -237,7 +244,8 @@ class LineRecogniser:
         Else others may be it: then it is not said when it is over, nor a reason to reject it where
         no node of it speaks.
         """
-        start, chip = np.array([[fit.start for fit in fits], [fit.chip for fit in fits]])
+        spec, start = self._spec, np.array([fit.start for fit in fits])
+        chip = np.array([fit.chip for fit in fits])
         found = self._judge.choose(line, start, chip, self._line.noise)
         words = even_words(line, found.fit, self._spec, found.words)
         if self._line.is_silent(words.amplitude[0]):
@@ -249,6 +257,8 @@ class LineRecogniser:
             start, chip = np.array([found.fit.start]), np.array([found.fit.chip])
             chips = integrate(line, start, chip, self._spec)[0]
             doubtful = self._doubtful(chips, found.words, self._is_explained(words))
+        if not self._is_kept(frame, found.words):
+            doubtful = np.ones(spec.nodes, bool)
         ended = self._ended(frame, line, found.fit, rows, amplitude, doubtful)
         if ended is None:
             return Verdict(rejected=NOT_AT_REST)

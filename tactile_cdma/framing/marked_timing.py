@@ -15,7 +15,7 @@ from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
 from ..code.amplitude import MOVED_SHARE, rises
-from ..code.frame import BIPOLAR, FrameSpec
+from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
 from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
 from .limits import LIMITS
@@ -232,13 +232,15 @@ class MarkedLine:
     def _sticks_out(self, volts: Floats) -> bool:
         """Whether chips at the edges of bits stand out from the noise of the others.
 
-        All that half a chip's shift leaves of a lone node's row of the most level changes.
+        All that half a chip's shift leaves of a lone node's row of the most level changes; but for
+        its mean, if it is unipolar.
         """
         spec = self.spec
         level = np.abs(volts[: spec.chips] - self.level_v).reshape(spec.line_bits, spec.order)
         least = LIMITS.rest * (spec.node_swing_v or math.inf)
-        most = float(level[:, EDGES].max())
-        return most > least and most > LIMITS.lone_chip * float(np.median(level))
+        most, usual = float(level[:, EDGES].max()), float(np.median(level))
+        is_mean = spec.drive == UNIPOLAR and usual > least
+        return is_mean or (most > least and most > LIMITS.lone_chip * usual)
 
     def _holds_more(self, levels: NodeLevels) -> bool:
         """Whether a row holds more than noise, or the line moves."""

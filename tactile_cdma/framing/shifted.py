@@ -17,9 +17,10 @@ SHIFTS = (-2, -1, 1, 2)
 """Whole chips after the mark at which a frame may begin. Chosen: a digitizer that is late by more
 loses sync edges, and counts them."""
 
-BETTER = 0.25
-"""Chips of the weakest word that a rival must leave less. Chosen: one chip that is missing is 1,
-one that is the opposite 4; less is what noise decides.
+BETTER, AS_WELL = 0.25, 3.0
+"""Chips of the weakest word that a rival must leave less, where there is no noise; log-likelihood
+by which noise may make it worse. Chosen: one chip that is missing is 1, one that is the opposite 4;
+and marks that are late are few.
 """
 
 
@@ -28,13 +29,16 @@ def may_be_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
 
     There even clear words may be the opposite ones, as those of Sylvester's rows 1 to 3 that are
     the same in all bits, or be several of part of the amplitude: all that tells is the chip that is
-    missing. Scrambled frames that are shifted look like noise. See is_shifted.
+    missing. Nor do others show it where noise leaves as much as chips that are the opposite.
+    Scrambled frames that are shifted look like noise. See is_shifted.
     """
     spoken = words.amplitude[0][words.amplitude[0] > 0]
-    if not 0 < spoken.size <= LIMITS.few or spec.drive != BIPOLAR or spec.scramble:
+    if not 0 < spoken.size <= LIMITS.few or spec.scramble:
         return False
     weakest, swing_v = float(spoken.min()), spec.node_swing_v or 0.0
-    if spoken.size % 2 == 0 and weakest >= LIMITS.whole * swing_v:
+    if words.misfit.item() * words.power.item() > LIMITS.hiding * weakest**2:
+        return True
+    if spec.drive != BIPOLAR or (spoken.size % 2 == 0 and weakest >= LIMITS.whole * swing_v):
         return False
     return float(np.abs(chips[:, [0, -1]]).min()) < LIMITS.rest * weakest
 
@@ -51,7 +55,8 @@ def is_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
     if spec.scramble:
         return False
     weakest = float(words.amplitude[words.amplitude > 0].min(initial=np.inf))
-    least = words.misfit.item() * words.power.item() * chips.size - BETTER * weakest**2
+    noise = words.misfit.item() * words.power.item()  # variance of a chip
+    least = noise * (chips.size + 2 * AS_WELL) - BETTER * weakest**2
     signs = _signs(words, spec)
     for rows, besides in _rivals(chips, words, spec):
         rival = fit_words(np.ascontiguousarray(rows), spec)

@@ -11,7 +11,7 @@ from ..config.parameters import GAP, LINE, NATURAL_SIGNS, RENAMED, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..framing.gap_timing import GapTiming
+from ..framing.gaps.gap_timing import GapTiming
 from ..framing.timing import SampleBlock
 from ..wire._protocol import SyncMode
 from ..wire.messages import Info

@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +26,7 @@ from ..code.amplitude import (
 )
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
-from .lateness import out_of_place
+from .lateness import displaced, out_of_place
 from .leakage import unexplained
 from .limits import CLEAR_RHO, SHARED_SHARE, SOUND_SHARE, UNLIKE
 from .stages import Measures, decide, find_active, measure
@@ -53,6 +55,9 @@ HIT, HIT_OTHERS, HIT_LEVEL = 1.0, 4.0, 0.3
 node's amplitude more than those of most bits and by HIT_OTHERS times as much, one of them by
 HIT_LEVEL of an amplitude: a slow discharge turns some nodes' levels and shows in others'. Chosen on
 disturbed lines (make torture)."""
+JUMP = 2.0
+"""Steps of the line's level from bit to bit beyond which one that is more than an amplitude is a
+jump, within either bit. Chosen: those of hum are alike."""
 
 
 @stage
@@ -155,62 +160,156 @@ def decode(
     With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
     likely even word) and is doubtful.
     """
-    noise, bits = levels.noise_v, spec.line_bits
-    measures = measure(levels.values)
-    expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
-    active, faint, any_faint = find_active(
-        measures, expected, active_share, noise, bits, 0 if spec.sparse else spec.order
-    )
-    astray, hidden = np.zeros((2, len(active)), np.bool_)
-    noise_may_be_node = False
-    weak = nobody(len(active))
-    if any_faint:
-        loud = active & ~faint
-        rest, rest_noise = unexplained(levels, loud, faint, spec)
-        measures = _without_leakage(measures, rest, faint)
-        spoke = measures.amplitude > np.float32(active_share) * expected
-        astray = _out_of_step(measures.amplitude, active, spoke, expected)
-        hidden = ~spoke & _hides(rest, rest_noise, spoke, expected)
-        if not spec.sparse:  # there it is the certificate that says what noise may hide
-            noise_may_be_node = rest_noise * math.sqrt(spec.order) > HIDDEN * float(expected.min())
-        active = spoke & ~astray
-        weak = active & faint
-    amplitude = measures.amplitude
+    frame = _spoken(levels, spec, active_share, swing_v)
+    measures, active = frame.measures, frame.active
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(
-        measures, active, expected, spec.sign_mask, noise, bits, spec.parity
+        *(measures, active, frame.expected, spec.sign_mask),
+        *(levels.noise_v, spec.line_bits, spec.parity),
     )
     if uneven:
-        # Rows without a level show no noise, by which others could be told.
-        rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
-        own, spoke = np.abs(levels.values[:, rows]), active[rows]
-        doubtful[rows] |= _disturbed(own, amplitude[rows], spoke) & spoke
-    for node in levels.unresolved:
-        doubtful[node] = active[node]
-    astray[list(levels.late)] = True
-    if any_faint:
-        is_learnt = swing_v is None and spec.node_swing_v is None
-        doubtful |= _hidden_by_parts(measures, expected, active, weak, astray, is_learnt, bits)
-    doubtful |= astray | hidden
-    if noise_may_be_node:
-        doubtful |= ~active
-    if active.any():
-        others = out_of_place(levels, amplitude, active, float(expected.min()), spec)
-        if others is not None:  # any silent node may be the one that spoke
-            astray |= others
-            doubtful |= others | ~active
-        none, is_tone = _no_words(levels, amplitude, active, spec)
-        active &= ~none
-        # A tone that passes for a word may have given the frame its timing, too.
-        doubtful |= none | (~active & is_tone)
-    if _moves(levels, float(expected.min()), spec):
-        doubtful |= ~active
+        doubtful |= _disturbed(frame)
+    for rule in RULES:
+        doubtful |= rule(frame)
+    none, is_tone = _no_words(frame)
+    active = active & ~none
+    # A tone that passes for a word may have given the frame its timing, too.
+    doubtful |= none | (~active & is_tone)
     # The margin of what is not even faint says nothing, and would look like a doubt.
-    margin *= amplitude > np.float32(min(active_share, FAINT_SHARE)) * expected
+    margin *= measures.amplitude > np.float32(min(active_share, FAINT_SHARE)) * frame.expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
-    sigma = noise * math.sqrt(spec.order)
+    sigma = levels.noise_v * math.sqrt(spec.order)
     return Words(
-        active, codes, amplitude, rho, margin, doubtful, doubled, odd, astray, hidden, sigma
+        *(active, codes, measures.amplitude, rho, margin, doubtful, doubled, odd),
+        *(frame.astray | frame.late, frame.hidden, sigma),
     )
+
+
+class _Frame(NamedTuple):
+    """Who spoke in a frame, which the rules of doubt judge.
+
+    expected: (n,) V, each node's amplitude; expected_v: the least. is_learnt: it is the frame's
+    own. active: (n,) bool, words that count; weak: those of them that are too faint for a sound
+    node. parts: (n,) bool, rows that may hold a part of another's word; late: words that may be
+    those of others; is_late: whether somebody is. hidden: see Words.faint. noise_v: RMS of a level.
+    """
+
+    levels: NodeLevels
+    spec: FrameSpec
+    measures: Measures
+    expected: Floats32
+    expected_v: float
+    is_learnt: bool
+    active: Bools
+    weak: Bools
+    parts: Bools
+    late: Bools
+    is_late: bool
+    hidden: Bools
+    noise_v: float
+
+    @property
+    def astray(self) -> Bools:
+        """See Words."""
+        return self.parts | self.late
+
+
+def _spoken(
+    levels: NodeLevels, spec: FrameSpec, active_share: float, swing_v: ArrayLike | None
+) -> _Frame:
+    """Who spoke: words that are loud enough, and neither leakage nor parts of others."""
+    noise, is_learnt = levels.noise_v, swing_v is None and spec.node_swing_v is None
+    measures = measure(levels.values)
+    expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
+    expected_v = float(expected.min())
+    active, faint, any_faint = find_active(
+        *(measures, expected, active_share, noise, spec.line_bits),
+        0 if spec.sparse else spec.order,
+    )
+    weak, parts, late, hidden = np.zeros((4, len(active)), np.bool_)
+    if any_faint:
+        rest, noise = unexplained(levels, active & ~faint, faint, spec)
+        measures = _without_leakage(measures, rest, faint)
+        spoke = measures.amplitude > np.float32(active_share) * expected
+        parts = _out_of_step(measures.amplitude, active, spoke, expected)
+        hidden = ~spoke & _hides(rest, noise, spoke, expected)
+        active = spoke & ~parts
+        weak = active & faint
+    late[list(levels.late)] = True
+    others = None
+    if active.any():
+        others = out_of_place(levels, measures.amplitude, active, expected_v, spec)
+    return _Frame(
+        *(levels, spec, measures, expected, expected_v, is_learnt, active, weak, parts),
+        *(late if others is None else late | others, others is not None, hidden, noise),
+    )
+
+
+# Rules: each says whose word, or whose silence, is in doubt, (n,) bool.
+
+
+def _one_of_several(frame: _Frame) -> Bools:
+    """Words that their waveforms do not tell from some others'."""
+    nodes = np.zeros_like(frame.active)
+    nodes[list(frame.levels.unresolved)] = True
+    return nodes & frame.active
+
+
+def _more_than_words(frame: _Frame) -> Bools:
+    """Rows that hold a part of a word, or more than noise and leakage."""
+    return frame.astray | frame.hidden
+
+
+def _silent_beside_late(frame: _Frame) -> Bools:
+    """Where somebody is out of place, any silent node may be the one that spoke."""
+    return ~frame.active & frame.is_late
+
+
+def _silent_by_parts(frame: _Frame) -> Bools:
+    """A word that others' rows hold in parts leaves nothing on its own."""
+    parts, active = frame.parts & ~frame.active, frame.active
+    is_word = _is_one_word(frame.measures.signs[parts], frame.spec.line_bits)
+    if is_word or (frame.is_learnt and parts.any()):
+        # Where parts outnumber words, these may be parts, too.
+        outnumbered = np.count_nonzero(parts) > np.count_nonzero(active & ~frame.weak)
+        return ~active | frame.weak | outnumbered
+    is_shared = active & (frame.measures.amplitude > SHARED_SHARE * frame.expected)
+    return frame.weak & is_shared.any()  # the rest of weak ones may be there
+
+
+def _silent_elsewhere(frame: _Frame) -> Bools:
+    """Silent nodes, where one of them shows if the chips are read early or late, or noise hides it.
+
+    Looked for where rows hold more than words, or the noise of a chip may be a node. Of sparse
+    codes the certificate says what noise may hide.
+    """
+    levels, spec, active = frame.levels, frame.spec, frame.active
+    may_hide = frame.noise_v * math.sqrt(spec.order) > HIDDEN * frame.expected_v
+    if spec.sparse or not (may_hide or frame.hidden.any() or not active.any()):
+        return nobody(len(active))
+    # Of nodes of unknown amplitude, noise that leaves none may be words.
+    loudest, by_chance = float(frame.measures.amplitude.max()), 0.8 + 2 / math.sqrt(spec.line_bits)
+    is_seen = frame.is_learnt and not active.any() and loudest > by_chance * frame.noise_v
+    if levels.rows is None or spec.scramble:
+        is_seen |= may_hide
+    else:
+        found, _ = displaced(levels, frame.measures.amplitude, active, frame.expected_v, spec)
+        is_seen |= bool((found & ~active).any())
+    return ~active & is_seen
+
+
+def _silent_on_moving_line(frame: _Frame) -> Bools:
+    """Silent nodes, where the level moves so much that the frame may be somewhere else."""
+    return ~frame.active & bool(_line_levels(frame).std() > MOVED_SHARE * frame.expected_v)
+
+
+RULES: tuple[Callable[[_Frame], Bools], ...] = (
+    _one_of_several,
+    _more_than_words,
+    _silent_beside_late,
+    _silent_by_parts,
+    _silent_elsewhere,
+    _silent_on_moving_line,
+)
 
 
 def _expected(
@@ -252,28 +351,6 @@ def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Flo
     return astray
 
 
-def _hidden_by_parts(
-    measures: Measures,
-    expected: Floats32,
-    active: Bools,
-    weak: Bools,
-    astray: Bools,
-    is_learnt: bool,
-    bits: int,
-) -> Bools:
-    """Nodes whose words other rows may hold in parts, (n,).
-
-    weak: faint words that count. astray: see Words. is_learnt: the amplitude is this frame's own.
-    """
-    parts = astray & ~active
-    if _is_one_word(measures.signs[parts], bits) or (is_learnt and parts.any()):
-        outnumbered = np.count_nonzero(parts) > np.count_nonzero(active & ~weak)
-        hidden: Bools = ~active | weak | outnumbered  # its own row may hold nothing
-        return hidden
-    is_shared = (active & (measures.amplitude > SHARED_SHARE * expected)).any()
-    return weak if is_shared else nobody(len(active))  # the rest of weak ones may be there
-
-
 def _is_one_word(signs: NDArray[np.int32], bits: int) -> bool:
     """Whether any rows say the same, or the opposite, as parts of one late word do; signs: (m,)."""
     either = np.minimum(signs, signs ^ np.int32((1 << bits) - 1))
@@ -286,34 +363,39 @@ def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bo
     return rises(squares, expected, pooled_noise(noise, squares[~spoke], bits), bits)
 
 
-def _no_words(
-    levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
-) -> tuple[Bools, bool]:
+def _no_words(frame: _Frame) -> tuple[Bools, bool]:
     """Words that tones explain, or an offset of the line, (n,); whether tones do."""
-    explained = toned(levels, amplitude, active, spec)
-    is_tone = explained is not None
-    if explained is None:
-        explained = nobody(spec.nodes)
+    levels, active = frame.levels, frame.active
+    explained = None
+    if active.any():
+        explained = toned(levels, frame.measures.amplitude, active, frame.spec)
+    none = np.zeros_like(active) if explained is None else explained
     if levels.level_unknown and active[0]:
-        explained = explained | (np.arange(spec.nodes) == 0)
-    return explained, is_tone
+        none = none | (np.arange(active.size) == 0)
+    return none, explained is not None
 
 
-def _moves(levels: NodeLevels, expected: float, spec: FrameSpec) -> bool:
-    """Whether the line's level moves so much that a frame may be somewhere else."""
+def _line_levels(frame: _Frame) -> Floats32:
+    """The line's level in each bit, V; none where no row shows it."""
+    levels, spec = frame.levels, frame.spec
     if levels.rows is None or spec.first_row == 0 or spec.scramble:
-        return False
-    return float(levels.rows[:, 0].var()) > (MOVED_SHARE * expected) ** 2
+        return np.zeros(2, np.float32)
+    row: Floats32 = levels.rows[:, 0]
+    return row
 
 
-def _disturbed(level: Floats32, amplitude: Floats32, active: Bools) -> Bools:
+def _disturbed(frame: _Frame) -> Bools:
     """Words with a bit that a disturbance of the line may have turned, (n,).
 
     A spike or a dip within one bit moves the levels of all nodes there, by about as much, and a
     jump or a slow discharge those of some rows, far enough to look right again: then no word is
     certain. Noise that is estimated from whole frames hardly shows any of these.
     """
-    nodes = len(active)
+    levels, found = frame.levels, np.zeros_like(frame.active)
+    # Rows without a level show no noise, by which others could be told.
+    rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
+    active, amplitude = frame.active[rows], frame.measures.amplitude[rows]
+    level, nodes = np.abs(levels.values[:, rows]), len(active)
     off, rank = np.abs(level - amplitude * active), round((1 - MOST_BROKEN) * (nodes - 1))
     unit = _middle(amplitude[active])
     # A node counts for its amplitude at most: a single one that is broken hits no bit.
@@ -321,14 +403,16 @@ def _disturbed(level: Floats32, amplitude: Floats32, active: Bools) -> Bools:
     power = np.einsum("kn,kn->k", most_off, most_off)
     most_power = _middle(power)
     hit = (power > HIT_OTHERS * most_power) & (power > most_power + HIT * unit * unit)
-    if (hit & (off.max(axis=1) > HIT_LEVEL * unit)).any():
-        return active
+    steps = np.abs(np.diff(_line_levels(frame)))  # those of hum are alike
+    jumps = steps > unit + JUMP * _middle(steps)
+    if (hit & (off.max(axis=1) > HIT_LEVEL * unit)).any() or jumps.any():
+        return frame.active
     usual = np.partition(off, rank, axis=1)[:, rank]
     of_most = _middle(usual)
     least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
-    uncertain: Bools = ((level < least[:, None]) | (off > most)).any(axis=0)
-    return uncertain
+    found[rows] = active & ((level < least[:, None]) | (off > most)).any(axis=0)
+    return found
 
 
 def _middle(values: Floats32) -> np.float32:

@@ -15,26 +15,32 @@ from functools import lru_cache
 import numpy as np
 
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import HIDDEN
+from ..code.amplitude import HIDDEN, LEAST_SHARE
 from ..code.codes import CodeBook
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import chips_of, correlate, rows_of
+from .limits import SOUND_SHARE
 
 OFF_THE_MARK = 0.6
 """Delay of FEW words of one value per chip, in chips of what is left of them, from which on others
 may be less than FAINT_SHARE, as with a mark half a chip off; raw samples are read as late as they
 are. Chosen: d chips are d/(1 - d), and a low-pass of 0.3 chip looks like 0.3."""
-EDGE = 2
-"""Chips at either end of a bit that are looked at. Chosen: later nodes miss these, too."""
+EDGE, OF_TWO = 2, 1.07
+"""Chips at either end of a bit that are looked at, by themselves and together: how much more these
+have by chance. Chosen: later nodes miss these, too; e^(−5.36²/2) is as rare as 5 deviations."""
 LATE_SHARE = 0.35
 """Share of its amplitude with which a word shows in the wrong bits' chips, or on a row that no node
 has, if it is late. Chosen: one late by 0.6 chip shows in full there, or by 0.6."""
 LEAKED = 0.3
 """Share of a chip that may be the one beside it without anybody being late. Chosen: a low-pass of
 0.3 chip."""
-BY_CHANCE = 4.0
-"""Standard deviations by which it must show. Chosen."""
+BY_CHANCE = 5.0
+"""Standard deviations by which it must show in chips. Chosen: so it does by chance in one frame of
+1,000 nodes in 500."""
+SHOWN, ANYWHERE = 4.0, 6.0
+"""Standard deviations of a mean |r| by which it must show on a row; the same of a faint word, of
+any node. Chosen: of noise alone, levels of ten bits exceed the latter once in 10⁵ rows."""
 A_CHIP, FEW_SHARE = 1.0, 0.5
 """Energy that words may leave over in a bit without a closer look, in chips of the weakest of them;
 FEW_SHARE of it where there are FEW.
@@ -60,7 +66,8 @@ def out_of_place(
     rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
-    weakest, few = float(spoken.min()), few_share(spec) if spoken.size <= FEW else 1.0
+    are_few = spoken.size <= FEW
+    weakest, few = float(spoken.min()), few_share(spec) if are_few else 1.0
     if spec.scramble:
         left -= common_energy(levels.rows, amplitude, active, spec)
         weakest = min(weakest, expected)
@@ -68,17 +75,19 @@ def out_of_place(
     if left < least_v2:
         return None
     if spec.scramble:
-        others, hidden = late_scrambled(levels, amplitude, active, expected, spec)
+        others, hidden = displaced(levels, amplitude, active, expected, spec)
         return others if hidden or others.any() else None
     least = float(spoken.min())
-    if spoken.size <= FEW:
+    if are_few:
         by = delays(levels, amplitude, active, spec)[active]
         weak = least < PART * expected and not _leaks(levels, amplitude, active, least_v2, spec)
         if weak or np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK:
             return active
     are_late = late(levels, amplitude, active, spec)
+    if are_late.any():  # words that are weak may be parts of these
+        return are_late | (active & (amplitude < SOUND_SHARE * expected))
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
-    return are_late if are_late.any() or (spare > LATE_SHARE * least).any() else None
+    return are_late if (spare > LATE_SHARE * least).any() else None
 
 
 def _leaks(
@@ -129,7 +138,7 @@ def least_left(spec: FrameSpec) -> float:
     """Energy that is left over for a closer look, in chips of the weakest word."""
     if spec.sparse or spec.order <= 2 * EDGE:  # a bit of so few chips is all edges
         return math.inf
-    # Scrambled: half of what a word has that late_scrambled finds.
+    # Scrambled: half of what a word has that displaced finds.
     return 0.5 * LATE_SHARE**2 * spec.order if spec.scramble else A_CHIP
 
 
@@ -138,27 +147,39 @@ def few_share(spec: FrameSpec) -> float:
     return 1.0 if spec.scramble else FEW_SHARE
 
 
-def late_scrambled(
+def displaced(
     levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
 ) -> tuple[Bools, bool]:
     """Nodes whose words show when the chips are read early or late, (n,) bool; whether others may.
 
-    Scrambled chips that are late by whole chips show in no row; read as late as they are, they are
-    words again. They are looked for in what the words that are in time leave over. A node that is
-    later, or flips its chips otherwise, can only be told from noise by how much is left.
+    Chips that are late show in other rows, in parts, or, if they are scrambled, in none; read as
+    late as they are, they are words again. They are looked for in what the words that are in time
+    leave over. A node that is later, or flips its chips otherwise, can only be told from noise by
+    how much is left.
     """
     _, _, left = _taken_apart(levels, amplitude, active, spec)
     left_v = math.sqrt(float(np.square(left).sum()) / spec.line_bits)  # of a chip, RMS
     chips = np.pad(chips_of(left, spec).ravel(), EDGE)
-    least = LATE_SHARE * min(expected, float(amplitude[active].min()))
+    least, deviations = LATE_SHARE * float(amplitude[active].min(initial=expected)), SHOWN
+    if not active.any():  # then nothing of anybody's word is left over
+        least, deviations = LEAST_SHARE * expected, ANYWHERE
     found = np.zeros(spec.nodes, np.bool_)
-    for late_chips in (*range(-EDGE, 0), *range(1, EDGE + 1)):
+    in_place = most = 0.0
+    for late_chips in range(-EDGE, EDGE + 1):
         first = EDGE + late_chips
         read = chips[first : first + spec.chips].reshape(left.shape)
         mean = np.abs(rows_of(read, spec)[:, spec.node_slice]).mean(axis=0)
         # Noise, as which all else shows: mean of |r|, and how far it scatters by chance.
-        by_chance = float(np.median(mean)) * (1 + BY_CHANCE * 0.76 / math.sqrt(spec.line_bits))
-        found |= mean > max(least, by_chance)
+        by_chance = float(np.median(mean)) * (1 + deviations * 0.76 / math.sqrt(spec.line_bits))
+        shows = mean > max(least, by_chance)
+        loud = shows & ~active & (mean > 0.5 * mean.max(where=~active, initial=0))
+        power = float(np.square(mean[loud]).sum())
+        if late_chips:
+            found, most = found | shows, max(most, power)
+        else:
+            in_place = power
+    if most < in_place:  # words that are only faint show in place
+        found[:] = False
     return found, left_v > HIDDEN * expected
 
 
@@ -167,37 +188,50 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
 
     amplitude: (n,) V, of every node's word. active: (n,) bool, those that spoke or may have.
     """
-    first, last = _edges(spec.book)
     signs, meant, left = _taken_apart(levels, amplitude, active, spec)
+    chips = _without_leakage(chips_of(left, spec), chips_of(meant, spec))
     earlier, later = signs[:-1], signs[1:]
     alike = np.einsum("kn,kn->n", earlier, later) / np.float32(len(earlier))
     # How much of each word there is in the chips next to its bits, beside what is due to the bits
     # that own these chips: linear regression on both.
     scale = 1 / np.maximum(len(earlier) * (1 - np.square(alike)), np.float32(1e-3))
 
-    def shares(word: Floats32, owner: Floats32, chips: Floats32, leaked: Floats32) -> Floats32:
-        both: Floats32 = np.abs(np.hstack((chips, leaked)).T @ (word - alike * owner)) * scale
-        beside: Floats32 = both[:-1].max(axis=0) - np.float32(LEAKED) * both[-1]
-        return beside
+    variance = np.square(chips[:, EDGE:-EDGE]).mean(axis=1)
+    most_by_chance = by_chance_of(spec)
 
-    begins, ends = left @ first, left @ last
-    before = shares(earlier, later, begins[1:], (meant @ last[:, -1:])[:-1])
-    after = shares(later, earlier, ends[:-1], (meant @ first[:, :1])[1:])
-    by_chance_v = BY_CHANCE * np.sqrt(_variance_within(left, begins, ends) * scale)
-    limit = np.maximum(LATE_SHARE * amplitude, by_chance_v)
-    found: Bools = active & (np.maximum(before, after) > limit)
-    return found
+    def found(word: Floats32, owner: Floats32, edge: Floats32, noise: Floats32) -> Bools:
+        weights = word - alike * owner
+        each = np.abs(edge.T @ weights) * scale
+        most = np.maximum(each.max(axis=0), np.hypot(*each) * np.float32(1 / OF_TWO))
+        by_chance = most_by_chance * scale * np.sqrt(noise @ np.square(weights))
+        is_found: Bools = most > np.maximum(LATE_SHARE * amplitude, by_chance)
+        return is_found
+
+    are_late: Bools = found(earlier, later, chips[1:, :EDGE], variance[1:])
+    are_late |= found(later, earlier, chips[:-1, -EDGE:], variance[:-1])
+    return active & are_late
 
 
-def _variance_within(left: Floats32, begins: Floats32, ends: Floats32) -> float:
-    """Mean square of the chips left over but at the edges of bits, V²: (k, N) rows to a number.
+def by_chance_of(spec: FrameSpec) -> float:
+    """As rare as BY_CHANCE, in deviations estimated from the inner chips of a single bit.
 
-    begins, ends: (k, EDGE) V, the chips at the edges.
+    Of Student's t, in Peiser's approximation (1943).
     """
-    bits, order = left.shape
-    edges = np.square(begins).sum() + np.square(ends).sum()
-    within = float(order * np.einsum("kr,kr->", left, left)) - float(edges)
-    return max(within, 0.0) / float(bits * (order - 2 * EDGE))
+    return BY_CHANCE * (1 + (BY_CHANCE**2 + 1) / (4 * max(spec.order - 2 * EDGE, 1)))
+
+
+def _without_leakage(left: Floats32, meant: Floats32) -> Floats32:
+    """Chips that words leave over, without what they hold of the chips beside them, (k, N) V.
+
+    That is a share of all chips alike, and seen within the bits, too; what is late is not.
+    """
+    within = np.s_[..., EDGE:-EDGE]
+    before, after = np.pad(meant.ravel(), (1, 0))[:-1], np.pad(meant.ravel(), (0, 1))[1:]
+    beside = np.stack((before, after)).reshape(2, *meant.shape)
+    cause = beside[within].reshape(2, -1)
+    share = np.linalg.lstsq(cause @ cause.T, cause @ left[within].ravel(), rcond=None)[0]
+    rest: Floats32 = left - np.tensordot(share.clip(0, LEAKED).astype(np.float32), beside, 1)
+    return rest
 
 
 def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Floats32:
@@ -228,12 +262,6 @@ def _taken_apart(
     if spec.first_row > 0 and not spec.scramble:
         left[:, 0] = 0.0  # the line's offset
     return signs, meant, left
-
-
-def _edges(book: CodeBook) -> tuple[Floats32, Floats32]:
-    """The first and the last chips of all rows, (N, EDGE) each."""
-    rows = edge_rows(book)
-    return rows[EDGE:].T, rows[:EDGE].T
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 

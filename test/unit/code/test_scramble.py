@@ -19,7 +19,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -215,14 +215,14 @@ def test_an_unknown_offset_is_no_reason_to_look_for_late_words(
     signs = np.random.default_rng(3).choice([-1, 1], (spec.line_bits, spec.nodes))
     rows[:, spec.node_slice] = signs
     looks: list[Bools] = []
-    look = lateness.late_scrambled
+    look = lateness.displaced
 
     def note(*arguments: Any) -> tuple[Bools, bool]:
         found, hidden = look(*arguments)
         looks.append(found)
         return found, hidden
 
-    monkeypatch.setattr(lateness, "late_scrambled", note)
+    monkeypatch.setattr(lateness, "displaced", note)
 
     def hear(chips: NDArray[np.float32]) -> None:
         heard = rows_of(chips, spec)

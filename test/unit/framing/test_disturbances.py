@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import compare, decode
-from tactile_cdma.framing.gap_timing import GapTiming
-from tactile_cdma.framing.hum import Hum, without_impulses
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.hum import Hum, without_impulses
 from test.support.independent_line import Digitizer, Line, Skin, Talk, render
 from test.support.synthetic_line import DEFAULT, PAPER, Wire, check, run, same, words_of
 

@@ -14,8 +14,8 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.framing.fit import Line
-from tactile_cdma.framing.gap import GapSearch
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.search import GapSearch
 from tactile_cdma.framing.raster import Expected
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import decode
@@ -237,7 +237,7 @@ def test_chunking_is_invisible_where_the_raster_is_known(cuts: list[int]) -> Non
 def test_the_log_tells_when_the_raster_places_frames_and_when_no_more(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    caplog.set_level("DEBUG", logger="tactile_cdma.framing.gap_timing")
+    caplog.set_level("DEBUG", logger="tactile_cdma.framing.gaps.gap_timing")
     wire = on_a_raster(range(45))
     timing, volts = GapTiming(DEFAULT, wire.rate_hz), wire.volts(rho=400)
     timing.feed(SampleBlock(0, volts))

@@ -15,10 +15,10 @@ from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import node_levels
 from tactile_cdma.framing import judge
-from tactile_cdma.framing.burst import Gap
 from tactile_cdma.framing.fit import Fit, Line, WordFit, numpy_refine, refine
-from tactile_cdma.framing.gap import GapSearch
-from tactile_cdma.framing.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.burst import Gap
+from tactile_cdma.framing.gaps.gap_timing import GapTiming
+from tactile_cdma.framing.gaps.search import GapSearch
 from tactile_cdma.framing.judge import Votes, Weighed
 from tactile_cdma.framing.raster import Expected
 from test.support.examples import examples

@@ -12,8 +12,8 @@ import pytest
 from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[3]
-MOST_WORDS = 35_700
-"""Of README and docs/*.md, marks of tables included. Chosen: what there is; 30,000 is the goal."""
+MOST_WORDS = 32_000
+"""Of README and docs/*.md, marks of tables included. Chosen; 30,000 is the goal."""
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",

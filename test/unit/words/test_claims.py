@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.doubt.mixtures import mixture_of
 from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import TIMINGS, compare, decode
 from tactile_cdma.code.encode import line_chips
@@ -68,6 +69,20 @@ def test_a_node_in_no_row_is_no_noise(skin: Skin, late: tuple[tuple[int, float],
     """Late by chips it is what other rows hold alike: those who may be it are not silent."""
     counts = tally(Line(late=late, noise_v=0.03), Talk(together=3), skin, "means", 60)
     assert counts.right > 60
+
+
+@pytest.mark.parametrize(
+    ("number", "seed"),
+    [
+        *((34, 2), (48, 2), (74, 0), (126, 2), (199, 3), (221, 0), (344, 0), (541, 0), (806, 0)),
+        *((827, 1), (896, 1)),
+    ],
+)
+def test_what_was_claimed_falsely_once_is_flagged(number: int, seed: int) -> None:
+    """Of random mixtures, by their names in `make bench-doubt`."""
+    counts, complaints = mixture_of(number).run(250, seed)
+    assert not counts.false, complaints
+    assert counts.words > 20
 
 
 def test_parts_of_a_late_word_on_other_rows_are_somebodys() -> None:

@@ -11,21 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats
-from ..base.errors import SpecError
-from ..base.sums import dot, sums
-from ..code.amplitude import FAINT_SHARE, rises
-from ..code.frame import FrameSpec
-from ..code.separate import NodeLevels, node_levels
-from .burst import Beside, Burst, Gap
-from .fit import Fit, Line, WordFit, even_words, integrate, lowest_power, read_words
-from .gap import GapSearch, Look
-from .hum import Hum, without_impulses
-from .judge import Judgement
-from .limits import LIMITS
-from .raster import Expected, Raster
-from .stray import strays
-from .timing import (
+from ...base.arrays import Bools, Floats
+from ...base.errors import SpecError
+from ...base.sums import dot, sums
+from ...code.amplitude import FAINT_SHARE, rises
+from ...code.frame import FrameSpec
+from ...code.separate import NodeLevels, node_levels
+from ..fit import Fit, Line, WordFit, even_words, integrate, lowest_power, read_words
+from ..judge import Judgement
+from ..limits import LIMITS
+from ..raster import Expected, Raster
+from ..timing import (
     ABSURD,
     AT_RAIL,
     INCOMPLETE,
@@ -41,6 +37,10 @@ from .timing import (
     share_clipped,
     silence_hidden,
 )
+from .burst import Beside, Burst, Gap
+from .hum import Hum, without_impulses
+from .search import GapSearch, Look
+from .stray import strays
 
 _log = logging.getLogger(__name__)
 

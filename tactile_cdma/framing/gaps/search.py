@@ -30,14 +30,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
-from ..base.arrays import Floats, Floats32
-from ..code.amplitude import FAINT_SHARE
-from ..code.frame import MAX_STRETCH, FrameSpec
-from ..code.separate import NodeLevels
-from . import stray
-from .burst import Beside, Burst, BurstSearch, Gap
-from .fit import (
+from ...base import kernel
+from ...base.arrays import Floats, Floats32
+from ...code.amplitude import FAINT_SHARE
+from ...code.frame import MAX_STRETCH, FrameSpec
+from ...code.separate import NodeLevels
+from ..fit import (
     CHIPS_AT_ONCE,
     REACHES,
     SETTLED_CHIPS,
@@ -50,9 +48,11 @@ from .fit import (
     read_words,
     refine,
 )
-from .judge import RULED_OUT, VOTE_SETTINGS, Judge, Judgement
-from .limits import LIMITS
-from .raster import WIDE, Expected
+from ..judge import RULED_OUT, VOTE_SETTINGS, Judge, Judgement
+from ..limits import LIMITS
+from ..raster import WIDE, Expected
+from . import stray
+from .burst import Beside, Burst, BurstSearch, Gap
 
 _MOST_SHIFTS = 64
 """Largest number of silent chips that a frame may begin with; bounds the search. Chosen."""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Floats
-from ..base.sums import sums
+from ...base.arrays import Floats
+from ...base.sums import sums
 
 FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
 """Hum that is looked for: mains of 50 and 60 Hz, and what small generators make of them."""

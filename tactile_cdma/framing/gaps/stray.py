@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats, Floats32, Indices
-from ..base.sums import dot
-from ..code.frame import FrameSpec
-from ..code.transform import chips_of, rows_of
+from ...base.arrays import Bools, Floats, Floats32, Indices
+from ...base.sums import dot
+from ...code.frame import FrameSpec
+from ...code.transform import chips_of, rows_of
+from ..fit import Fit, Line, WordFit, integrate
 from .burst import Beside
-from .fit import Fit, Line, WordFit, integrate
 
 BESIDE_CHIPS = 0.25, 1.25
 """From where to where, chips, a line is looked at for chips of such nodes, behind a frame and

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import kernel
-from ..base.arrays import Floats
-from ..code.frame import MAX_STRETCH, FrameSpec
-from .fit import Fit, least_power
-from .limits import LIMITS
+from ...base import kernel
+from ...base.arrays import Floats
+from ...code.frame import MAX_STRETCH, FrameSpec
+from ..fit import Fit, least_power
+from ..limits import LIMITS
 
 _CELLS = 320
 """Most cells, about, that the burst search divides a frame into, whatever its order. Chosen: bounds

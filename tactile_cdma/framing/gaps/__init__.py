@@ -1,0 +1,3 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frames without marks: where frames start is seen by the gaps between them."""
