@@ -459,7 +459,8 @@ static void look_for_frame(struct input *input)
     const double chip = (double)per_chip, length = (double)frame;
     const struct gap_rules rules = {length, 1.1 * length, 1.1 * (double)order * chip,
                                     1.6 * length, 2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, 0.02,
-                                    1e-3, 0.5, 0.02, 0.12, 3, 0.15, first + nodes, order - first - nodes};
+                                    1e-3, 0.5, 0.02, 0.12, 3, 0.15, 0.02, 0.25, 1.25, 0.3, 2.5, 0.35, 1, 4, 2, 0.15,
+                                    512, first + nodes, order - first - nodes, false};
     size_t half = per_chip / 2, group = frame / half < 320 ? 1 : frame / half / 320, cell = half * group;
     const struct burst_search search = {
         half, 8, group, frame / cell, 11 * frame / 10 / cell + 1, order * per_chip / cell + 2,
