@@ -32,6 +32,9 @@ OTHER_AMPLITUDE = 0.2
 MANY_BEYOND, FEW_BEYOND = 0.25, 0.02
 """Shares of all words. The line is taken to be inverted if more than MANY_BEYOND of them are beyond
 the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
+UNCLEAR_SHARE = 0.25
+"""Share of frames without a clear word, yet in doubt, above which something is sent. Chosen: noise
+alone has 0.1 of them, as long as no amplitude is known."""
 MUCH_IN_PYTHON = 0.2
 """Share of frames decided in Python above which that is explained. Chosen: a sound skin with marked
 frames has less than 0.05."""
@@ -91,10 +94,13 @@ def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Che
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     yield from _range(clipped)
     if not decoded.active.any():
-        unclear = any((frame.words.active | frame.words.doubtful).any() for frame in decoded.frames)
+        words = [frame.words for frame in decoded.frames]
+        unclear = sum(bool((each.active | each.doubtful).any()) for each in words)
         text = "frames arrive, but no node speaks: is the skin powered?"
-        noise_v = float(np.nanmedian([frame.words.noise_rms_v for frame in decoded.frames]))
-        if unclear or silence_hidden(clipped, noise_v, config.spec):
+        if unclear:  # by chance, as long as no amplitude is known
+            text += f" {unclear} of {len(words)} frames may hold a word."
+        noise_v = float(np.nanmedian([each.noise_rms_v for each in words]))
+        if unclear > UNCLEAR_SHARE * len(words) or silence_hidden(clipped, noise_v, config.spec):
             text = "something is sent, but no word is clear: who spoke cannot be told on this line"
         yield problem("nodes", text)
         yield from _left_out(decoded, 0.0)

@@ -177,14 +177,14 @@ def test_clipping_says_by_how_much() -> None:
     assert float(client.value("stream", "clipped samples (%)")) > 1
 
 
-def test_more_nodes_at_once_than_sparse_codes_tell_apart() -> None:
+def test_more_nodes_at_once_than_sparse_codes_tell_apart_speak_by_turns() -> None:
     skin: dict[str, Any] = {"codes": "sparse", "nodes": 120, "order": 32, "samples_per_chip": 1}
     port = "sim://?scene=all&threshold=0"
-    text = "more nodes spoke at once than the 13 that"
-    client = complaint("stream", WARN, text, port=port, frame_period_ms=20.0, **skin)
-    assert client.value("stream", "nodes at once, capacity") == "13"
-    assert int(client.value("stream", "nodes at once")) > 100
-    assert int(client.value("stream", "frames beyond the capacity")) > 0
+    with hurrying(port=port, frame_period_ms=20.0, **skin) as (_, client):
+        wait_for(lambda: client.value("stream", "groups by turns") == "16", PATIENCE_S)
+        assert client.value("stream", "nodes at once, capacity") == "13"
+        wait_for(lambda: 0 < int(client.value("stream", "nodes at once")) <= 13, PATIENCE_S)
+        assert int(client.value("stream", "frames beyond the capacity")) > 0
 
 
 @pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
