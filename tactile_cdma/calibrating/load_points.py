@@ -80,7 +80,8 @@ def read_points(
     table = read_table(path, area_m2, units)
     if node is not None and "node" not in table.columns:
         table.columns["node"] = np.full(len(table.line), float(node))
-    hint = " (with times instead, give --capture)" if "time" in table.columns else ""
+    hint = "" if "node" in table.columns else ": if one node was loaded, give --node"
+    hint = " (with times instead, give --capture)" if "time" in table.columns else hint
     table.require(hint, *HEADING.split(","))
     voltage_v, unit = table.columns["voltage"], table.units["voltage"]
     _check_swapped(table, vref_v)
@@ -140,6 +141,8 @@ def pressures(table: Table) -> Floats:
             "pressures above ambient, 0 or more",
             lowest,
         )
+    if largest_pa <= 0:
+        raise table.refusal(f"{heading} is never above 0: a curve needs loads")
     if not PLAUSIBLE_PA[0] <= largest_pa <= PLAUSIBLE_PA[1]:
         size = "only" if largest_pa < PLAUSIBLE_PA[0] else "as much as"
         raise table.refusal(

@@ -17,7 +17,7 @@ from ..base.arrays import Floats
 from ..base.errors import CalibrationError
 from ..base.listing import listed
 from ..base.named_file import naming
-from ..readings.calibration import PressureCurve
+from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
 WORST = 5
@@ -184,8 +184,11 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
     return lines
 
 
-def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
-    """What was fitted and yet may be wrong, a line each. default: of sensors like these."""
+def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[str]:
+    """What was fitted and yet may be wrong, a line each.
+
+    default: curve of sensors like these. contact_pa: lightest contact, Pa.
+    """
     if not fit.curves:
         return []
     found, pieces = [], stages(fit)
@@ -202,6 +205,16 @@ def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
             f"no load below {lightest_pa / 1e3:.3g} kPa: curves are extrapolated to 0; does the "
             "reference read 0 without a load?"
         )
+    if off_rest := _off_rest(fit, contact_pa):
+        found.append(
+            f"{listed(off_rest, 'node')}: at rest before where the curve begins, thus no reading "
+            "there (FAULTY): other --pieces, or --power-law?"
+        )
+    if numb_pa := _numb_pa(fit, contact_pa):
+        found.append(
+            f"loads up to {numb_pa / 1e3:.3g} kPa leave a converter at the end of its range, where "
+            "the curve reads no contact: such touches are not felt"
+        )
     if bent := _bent(fit):
         found.append(
             f"{listed(bent, 'node')}: off to one side over whole stretches of load: more --pieces?"
@@ -213,6 +226,29 @@ def warnings(fit: SkinFit, default: PressureCurve) -> list[str]:
             "largest load: noise, hysteresis, or loads and voltages of different moments?"
         )
     return found
+
+
+def _off_rest(fit: SkinFit, contact_pa: float) -> list[int]:
+    """Nodes whose voltages under their lightest loads lie before the start of their curves.
+
+    As the driver counts it: by more than contact_pa would pull them from there.
+    """
+    points, curves = fit.points, Curves.of(list(fit.curves.values()))
+    rows = points.by_node(max(fit.curves))
+    lightest = [rows[node][np.argmin(points.pressure_pa[rows[node]])] for node in fit.curves]
+    before_v = curves.sign * (points.voltage_v[lightest] - curves.begin_v)
+    off = before_v > curves.pull_v(contact_pa)
+    return [node for node, is_off in zip(fit.curves, off, strict=True) if is_off]
+
+
+def _numb_pa(fit: SkinFit, contact_pa: float) -> float:
+    """The largest load that a converter at an end of its range reads as no contact, Pa; 0: none."""
+    points, end = fit.points, np.isnan(fit.residual_v)
+    columns = zip(points.node[end], points.pressure_pa[end], points.voltage_v[end], strict=True)
+    felt = ((pa, float(fit.curves[n].pressure(v))) for n, pa, v in columns if n in fit.curves)
+    return max(
+        (float(pa) for pa, read_pa in felt if read_pa <= contact_pa < pa - read_pa), default=0.0
+    )
 
 
 def _bent(fit: SkinFit) -> list[int]:

@@ -150,7 +150,7 @@ def _fit(arguments: argparse.Namespace, config: SkinConfig, points: LoadPoints) 
         loaded = set(points.node.tolist())
         fit = replace(fit, refused={n: why for n, why in fit.refused.items() if n in loaded})
     print(report.describe(fit))
-    for warning in report.warnings(fit, config.curve):
+    for warning in report.warnings(fit, config.curve, config.contact.contact_pa):
         print(f"warning: {warning}")
     if advice := report.advice(fit, nodes):
         print(f"advice: {advice}")

@@ -142,7 +142,8 @@ class _Table:
                 f"{_HEADER_LINES} others"
             )
         self.first = good.index(True)
-        self._above = [self._fields(line) for line in self._lines[: self.first] if line.strip()]
+        above = map(self._fields, self._lines[: self.first])
+        self._above = [fields for fields in above if any(fields)]  # spreadsheets pad empty lines
         last = [self._is_good(line) for line in self._lines[: -_HEADER_LINES - 1 : -1]]
         self._end = len(self._lines) - last.index(True) if True in last else len(self._lines)
 

@@ -130,6 +130,7 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         ),
         ("node,pressure_kpa,code\n1,0,993\n", "'code'; known are node, "),
         (f"{HEADING}\n1,3.2,0\n1,1.6,50\n", "are the columns swapped"),
+        (f"{HEADING}\n1,0,3.2\n", "pressure_kpa is never above 0: a curve needs loads"),
         (f"{HEADING}\n1,0,3.2\n1,0.14,1.1\n", "only 140 Pa: is pressure_kpa the right unit"),
         (
             f"{HEADING}\n1,0,3.2\n1,140000,1.1\n",

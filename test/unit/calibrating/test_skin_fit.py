@@ -158,12 +158,23 @@ def test_a_power_law_is_advised_where_it_fits_better(rises: bool) -> None:
     in_pieces = fit_skin(points, 1, ADC)
     assert rms_pa(in_pieces) == pytest.approx(95e3, rel=0.03)
     assert re.match("--power-law would be off by 1.* kPa .*, not ", advice(in_pieces, 1) or "")
+    assert "node 1: at rest before where the curve begins" in "".join(
+        warnings(in_pieces, CURVE, 1e3)
+    )
     fit = fit_skin(points, 1, ADC, POWER_LAW)
     assert rms_pa(fit) == pytest.approx(24e3, rel=0.05)
-    assert advice(fit, 1) is None
+    assert advice(fit, 1) is None and "at rest before" not in "".join(warnings(fit, CURVE, 1e3))
     read_pa = fit.curves[1].pressure(volts)
     assert math.sqrt(np.mean(np.square(read_pa - load_pa))) == pytest.approx(24e3, rel=0.15)
     assert [end_pa for end_pa, _ in errors(fit)][-1] == pytest.approx(load_pa[-1])
+
+
+@pytest.mark.parametrize(("numb_pa", "says"), [(0.5e3, False), (12e3, True)])
+def test_light_loads_that_are_not_felt_are_told(numb_pa: float, says: bool) -> None:
+    ratio = (np.maximum(UP_PA - numb_pa, 0) / 60e3) ** 0.9
+    volts = ADC.voltage(ADC.code(3.3 * ratio / (1 + ratio)))
+    said = "".join(warnings(fit_skin(points_of(UP_PA, {1: volts}), 1, ADC, POWER_LAW), CURVE, 1e3))
+    assert ("loads up to 7 kPa leave a converter at the end" in said) is says
 
 
 def test_a_power_law_is_found_in_spite_of_outliers_and_not_where_there_is_none() -> None:
@@ -232,7 +243,12 @@ def _loop_of(share: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("volts", "loads_pa", "pieces", "words"),
     [
-        (read(LOADS_PA), LOADS_PA, 1, ["nodes 1, 2, 3: off to one side", "kPa rms"]),
+        (
+            read(LOADS_PA),
+            LOADS_PA,
+            1,
+            ["at rest before", "nodes 1, 2, 3: off to one side", "kPa rms"],
+        ),
         (read(LOADS_PA), LOADS_PA / 100, 2, ["100 times as sensitive"]),
         (read(LOADS_PA), LOADS_PA * 100, 2, [r"0\.01 times as sensitive"]),
         (read(LOADS_PA), LOADS_PA + 2e3, 2, ["no load below 2 kPa"]),
@@ -247,7 +263,7 @@ def test_what_may_be_wrong_is_said(
     nodes = dict.fromkeys(range(1, NODES + 1), volts)
     fit = fit_skin(points_of(loads_pa, nodes), NODES, ADC, pieces)
     assert len(fit.curves) == NODES
-    said = warnings(fit, CURVE)
+    said = warnings(fit, CURVE, 1e3)
     assert len(said) == len(words), said
     for line, word in zip(said, words, strict=True):
         assert re.search(word, line)

@@ -169,7 +169,7 @@ def picoscope(line: Line) -> str:
     ms = Line(line.t * 1e3, line.v * 1e3, line.w)
     rows = ms.rows("{t:.8f},{v:.8f},{w:.8f}")
     rows[5], rows[6] = (row.split(",")[0] + ",\u221e,-\u221e" for row in rows[5:7])
-    return text("Time,Channel A,Channel B", "(ms),(mV),(V)", "", rows=rows)
+    return text("Time,Channel A,Channel B", "(ms),(mV),(V)", ",,", rows=rows)
 
 
 @layout("PicoScope, German", "channel 1 of 1 (Kanal A (mV)), 160 kS/s, mV")
