@@ -31,6 +31,9 @@ OUTLIER = 4.5
 KNEE_EVIDENCE = 20.0
 """Drop of the sum of squares, σ², that proves a knee: noise seldom makes as much (χ², 2 degrees of
 freedom: 5e-5, for any one place)."""
+EXPONENTS, MOST_END = (0.2, 20.0), 9.0
+"""Of a power law, and of |ln(V/(supply − V))| under the largest load. Chosen: sensors have 0.4 to 2
+or so; beyond, corners are closer to each other than a calibration file tells apart."""
 _CANDIDATES = 24
 """Places tried for a knee; chosen, like the next: with them test_curve_fit.py finds its curves."""
 _ABSOLUTE_STEPS, _NEWTON_STEPS, _TRIMS = 8, 12, 5
@@ -49,7 +52,7 @@ class CurveFit:
     residual_v: (n, m) voltage minus curve, V; NaN where there is no point.
     used: (n, m) bool, points that are no outliers.
     sigma_v: (n,) standard deviation of the points used, V.
-    knee_found: (n,) bool, every knee explains more than chance would.
+    knee_found: (n,) bool, every knee explains more than chance would; or there is a power law.
     """
 
     corner_pa: Floats
@@ -114,17 +117,20 @@ def fit_power_laws(
     for step in range(_ABSOLUTE_STEPS + _TRIMS):
         slope_v = fitted_v * (supply_v - fitted_v) / supply_v
         beta, off = _solve(design, y, trust * slope_v**2)
-        fitted_v = supply_v / (1 + np.exp(off - y))
+        fitted_v = supply_v / (1 + np.exp(np.minimum(off - y, 50.0)))
         residual_v = np.where(given, volts - fitted_v, 0.0)
         size_v = np.maximum(np.abs(residual_v), noise_v)
         trust = given / size_v
         if step >= _ABSOLUTE_STEPS - 1:
             used = given & (size_v <= OUTLIER * _spread(residual_v, given, noise_v)[:, None])
             trust = used.astype(float)
-    half_pa, range_pa = np.exp(-beta[:, 0] / beta[:, 1]), np.nanmax(pressure_pa, axis=1)
+    slope, range_pa = beta[:, 1], np.nanmax(pressure_pa, axis=1)
+    end = beta[:, 0] + slope * np.log(range_pa)
+    exponent, shown_end = np.clip(np.abs(slope), *EXPONENTS), np.clip(end, -MOST_END, MOST_END)
+    half_pa = range_pa * np.exp(-shown_end / np.copysign(exponent, slope))
     curves = [
-        PressureCurve.power_law(half, abs(exponent), largest, supply_v, rises=exponent > 0)
-        for half, exponent, largest in zip(half_pa, beta[:, 1], range_pa, strict=True)
+        PressureCurve.power_law(half, power, largest, supply_v, rises)
+        for half, power, largest, rises in zip(half_pa, exponent, range_pa, slope > 0, strict=True)
     ]
     freedom = np.maximum(used.sum(axis=1) - 2, 1)
     return CurveFit(
@@ -133,7 +139,7 @@ def fit_power_laws(
         residual_v=voltage_v - Curves.of(curves).voltage(pressure_pa.T).T,
         used=used,
         sigma_v=np.sqrt(np.square(residual_v).sum(axis=1, where=used) / freedom),
-        knee_found=np.ones(len(curves), dtype=bool),
+        knee_found=(exponent == np.abs(slope)) & (shown_end == end),
     )
 
 

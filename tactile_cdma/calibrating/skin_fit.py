@@ -182,7 +182,7 @@ def _unsound(
     load_pa = points.pressure_pa[own]
     slack_pa = 1e-6 * corner_pa[-1]
     if pieces == POWER_LAW:
-        return None
+        return None if fit.knee_found else "the voltages follow no power law"
     for (begin_pa, begin_v), (end_pa, end_v) in pairwise(zip(corner_pa, corner_v, strict=True)):
         within = (load_pa >= begin_pa - slack_pa) & (load_pa <= end_pa + slack_pa)
         where = f"from {begin_pa / 1e3:.1f} to {end_pa / 1e3:.1f} kPa"
