@@ -363,7 +363,10 @@ class Point:
 
 
 def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Figure:
-    """Bit error rate against CPU time; each way's two kernels are joined by a line."""
+    """Bit error rate against CPU time; each way's two kernels are joined by a line.
+
+    Numbers beside the points are those of the legend.
+    """
     figure = Figure(figsize=(10, 5))
     axes = figure.add_subplot()
     for number, way in enumerate(WAYS):
@@ -371,7 +374,23 @@ def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Fig
         times, rates = [p.cpu_us for p in some], [p.bit_error_rate for p in some]
         colour, marker = f"C{number % 10}", "o^"[number // 10]
         axes.plot(times, rates, color=colour, alpha=0.4, lw=1)
-        axes.errorbar(times[0], rates[0], some[0].scatter, fmt=marker, color=colour, label=way.name)
+        axes.errorbar(
+            times[0],
+            rates[0],
+            some[0].scatter,
+            fmt=marker,
+            color=colour,
+            label=f"{number + 1}  {way.name}",
+        )
+        axes.annotate(
+            f"{number + 1}",
+            (times[0], rates[0]),
+            (-5 - 4 * (number % 2), 5),
+            color=colour,
+            textcoords="offset points",
+            ha="right",
+            fontsize="small",
+        )
         axes.plot(times[1:], rates[1:], marker, color=colour, mfc="none")
     default = points[DEFAULT.name, kernels[0]]
     axes.plot(default.cpu_us, default.bit_error_rate, "o", ms=18, mfc="none", color="k")

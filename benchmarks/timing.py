@@ -440,17 +440,23 @@ STYLES = dict(zip(NODES, ("o-", "s--", "^:"), strict=True))
 
 def panel(
     report: Report,
-    axis: Axes,
+    axis: Axes | None,
     label: str,
     points: Iterable[tuple[int, float, dict[str, float]]],
     scale: float = 100.0,
 ) -> dict[str, float]:
-    """One table and one plot of points (nodes, value, errors); returns each method's worst."""
+    """One table and one plot of points (nodes, value, errors); returns each method's worst.
+
+    axis: None where all curves would lie on each other.
+    """
     kept = list(points)
     names = [name for name in COLOURS if name in kept[0][2]]
     columns = [*names, *(name for name in kept[0][2] if name not in names)]
     rows = [[nodes, value, *(found[name] for name in columns)] for nodes, value, found in kept]
     report.table(["nodes", label, *columns], rows, keep=False)
+    worst = {name: max(found[name] for _, _, found in kept) for name in names}
+    if axis is None:
+        return worst
     for nodes in dict.fromkeys(nodes for nodes, _, _ in kept):
         values = [scale * value for some, value, _ in kept if some == nodes]
         for name in names:
@@ -466,44 +472,43 @@ def panel(
     axis.set(xlabel=label + (" / %" if scale > 1 else ""), yscale="log", ylim=(7e-6, 1))
     axis.grid(alpha=0.3)
     axis.legend(
-        fontsize=6, ncols=len(NODES), loc="lower left", bbox_to_anchor=(0, 1)
+        fontsize=8, ncols=len(NODES), loc="lower left", bbox_to_anchor=(0, 1)
     )  # off the curves
-    return {name: max(found[name] for _, _, found in kept) for name in names}
+    return worst
 
 
 def main() -> None:
     report = Report("timing", f"Bit errors of timing, ρ = {RHO:g}")
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    axes = figure.subplots(2, 2, sharey=True)
+    figure = Figure(figsize=(15, 5.5), layout="constrained")
+    axes = figure.subplots(1, 3, sharey=True)
     clocked = NODES[:2] if QUICK else NODES  # 256 roll-call frames take long to listen to
     stretched = panel(
         report,
-        axes[0, 0],
+        axes[0],
         "stretch of all",
         ((n, x, common_errors(frame_spec(n), x, 0.0)) for n in NODES for x in STRETCHES),
     )
     jittered = panel(
         report,
-        axes[0, 1],
+        None,
         "jitter, chips",
         ((n, x, common_errors(frame_spec(n), 0.0, x)) for n in NODES for x in JITTERS),
         scale=1.0,
     )
     drifting = panel(
         report,
-        axes[1, 0],
+        axes[1],
         f"clock error (±), delay to {DELAY_BESIDE_RATE:g}",
         ((n, x, own_errors(n, x, DELAY_BESIDE_RATE)) for n in clocked for x in RATES),
     )
     delayed = panel(
         report,
-        axes[1, 1],
+        axes[2],
         "delay (0…), chips",
         ((n, x, own_errors(n, 0.0, x)) for n in clocked for x in DELAYS),
         scale=1.0,
     )
-    for axis in axes[:, 0]:
-        axis.set_ylabel("bit error rate; 1e-5: none")
+    axes[0].set_ylabel("bit error rate; 1e-5: none")
     headers = "nodes,order,scrambled,samples/chip,median gain,worst gain,unresolved,BER"
     report.table(headers.split(","), sampling_rows(), keep=False)
     decorrelate_ms = costs(report)
