@@ -51,6 +51,22 @@ def test_a_distribution_that_cannot_be_had_is_refused_before_anything_is_made(
     assert list(tmp_path.iterdir()) == []
 
 
+ON_ARM = "import platform; platform.machine = lambda: 'aarch64'; import setup_env as s; "
+
+
+def on_arm(program: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", ON_ARM + program]
+    return subprocess.run(command, cwd=TOOLS, capture_output=True, text=True)
+
+
+def test_where_pypi_has_no_ros_all_else_is_set_up() -> None:
+    """But an installation's ROS is used, and a distribution that is asked for refused."""
+    chosen = on_arm("print(s.choose_distro('', '') == s.NO_ROS, s.choose_distro('', 'jazzy'))")
+    assert chosen.stdout.split() == ["True", "jazzy"]
+    refused = on_arm("s.choose_distro('kilted', '')").stderr
+    assert "DISTRO=kilted: PyPI has no ROS 2 for aarch64, only for x86_64" in refused
+
+
 def test_distributions_from_pypi_bring_the_same_packages() -> None:
     """But for build tools, which were renamed between them."""
     packages = {
