@@ -39,7 +39,7 @@ FAST_SKIN = {
     "order": 64,
     "resync_chips": 64,
     "frame_period_ms": 3.2,
-    "amplitude_mv": 35.45,
+    "amplitude_mv": 34.63,
 }
 """Fewer of these nodes, of a shorter code."""
 FRAMES = 300
