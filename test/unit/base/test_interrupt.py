@@ -44,7 +44,7 @@ def test_the_time_that_was_given_stops_it() -> None:
             pass
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", SIGNALS[1:])
 def test_a_closed_terminal_and_sigterm_end_as_ctrl_c_does(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt), terminable():
