@@ -31,7 +31,10 @@ from .bag_file import CDR, BagFile, encoding
 from .bag_times import FAR_NS, believed_span
 from .opening import Wanted
 
-GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
+GENERIC = (
+    *("image", "image_raw", "image_color", "image_rect", "image_rect_color", "image_rect_raw"),
+    *("compressed", "compressedDepth"),
+)
 """Ends of cameras' topics that say nothing; features are called after what is before."""
 STAMP_OFF_S = 10.0
 """The most that a believed stamp is from the time of recording, s; chosen: far above what messages
