@@ -44,6 +44,7 @@ import numpy as np
 from tactile_cdma.base.errors import SpecError, check_limits
 from tactile_cdma.code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.framing.sparse_timing import capacity
+from tactile_cdma.hardware.passive import PIN_F, WIRE_F
 
 DIRECT, PAPER = "direct", "paper"
 CIRCUITS = (DIRECT, PAPER)
@@ -58,10 +59,8 @@ SUM_OHMS = (2e3, 1e3, 510.0)
 """Rf of nodes without followers, Ω: the first, or where the wire's capacitance makes its amplifier
 too fast a lower one. Chosen: an output drives them, and they take a large Cf, to which wire and
 disturbances on the line matter little, and small Rin, through which released pins soon settle."""
-PIN_F = 10e-12
-"""Capacitance of a released pin with its copper, F: data sheets give 3 to 10 pF for a pin."""
-WIRE_F, NODE_F = 200e-12, 2e-12
-"""Capacitance of the line: 2 m of it, and every node's copper, F."""
+NODE_F = 2e-12
+"""Capacitance of every node's copper on the line, F; of its wire: WIRE_F."""
 GROUP_NODES = 72
 """Nodes of a group at most. Chosen: nine strips of 8, for a regulator of 1 A and a sync buffer."""
 SETTLED = 0.01

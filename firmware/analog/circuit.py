@@ -212,7 +212,7 @@ def level_points(
     return np.column_stack((grid, np.interp(grid, *points.T) + kept))
 
 
-def steps_of(chip_s: float, tail_s: float) -> float:
+def steps_of(chip_s: float, tail_s: float = 0.0) -> float:
     """Largest step of a transient analysis, s: 40 in a chip of 2 µs, 200 at most; 2 in a tail."""
     step_s = max(50e-9, chip_s / 200)
     return min(step_s, tail_s / 2) if tail_s else step_s

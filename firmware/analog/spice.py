@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from amplifier import CIRCUITS, DIRECT, RAIL_V, FrontEnd, design
 from ngspice import SpiceError, noise_v, waveform
+from passive_spice import PassiveRun, passive_runs
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import Value, read_file
@@ -85,9 +86,7 @@ def simulate(
     talking = np.random.default_rng(seed + 1).permutation(nodes) < front.talking
     levels, released = _mean_levels(spec, codes, talking)
     times, volts = waveform(front, levels[None], chip_s, spec.frame_period_s, released)
-    decoded = [*_decoded(config, front, times, volts)]
-    sent = np.where(talking, codes, -1)
-    wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
+    wrong = _wrong(config, front, times, volts, np.where(talking, codes, -1))
     top_v = min(front.supply_v - RAIL_V, front.adc_volts)
     headroom_v = min(top_v - volts.max(), volts.min() - RAIL_V)
     figures = Figures(
@@ -96,8 +95,8 @@ def simulate(
         overshoot,
         noise_v(front),
         float(headroom_v),
-        len(decoded) * nodes,
-        wrong + (PERIODS - len(decoded)) * nodes,
+        PERIODS * nodes,
+        wrong,
     )
     return config, front, figures
 
@@ -132,9 +131,22 @@ def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
     return float(amplitude_v / (groups * share)), float(left), float(beyond)
 
 
+def _wrong(
+    config: SkinConfig,
+    front: FrontEnd | PassiveRun,
+    times: NDArray[np.float64],
+    volts: NDArray[np.float64],
+    sent: NDArray[np.int64],
+) -> int:
+    """Words of PERIODS frames that are not as sent (−1: by nobody), or are missing."""
+    decoded = [*_decoded(config, front, times, volts)]
+    wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
+    return wrong + (PERIODS - len(decoded)) * config.spec.nodes
+
+
 def _decoded(
     config: SkinConfig,
-    front: FrontEnd,
+    front: FrontEnd | PassiveRun,
     times: NDArray[np.float64],
     volts: NDArray[np.float64],
 ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int32]]]:
@@ -147,12 +159,13 @@ def _decoded(
     else:
         period = round(spec.frame_period_s / spec.chip_s * per_chip)
         instants = (np.arange(period) + 0.5) * spec.chip_s / per_chip
-    counts = np.clip(np.interp(instants, times, volts) / front.count_v, 0, 4095).astype(np.int16)
+    count_v = front.line.count_v if isinstance(front, PassiveRun) else front.count_v
+    counts = np.clip(np.interp(instants, times, volts) / count_v, 0, 4095).astype(np.int16)
     step_s = spec.chip_s / per_chip
     info = Info(
         frame=FrameLayout.of(spec, per_chip),
         sample_rate_uhz=round(1e6 / step_s),
-        volts_per_count=front.count_v,
+        volts_per_count=count_v,
         zero_count=2048,
         min_count=0,
         max_count=4095,
@@ -193,6 +206,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             flush=True,
         )
         words, wrong = words + found.words, wrong + found.wrong
+    for run in passive_runs():
+        nodes, talking = run.line.nodes, int(run.talking.sum())
+        low_v, high_v = run.amplitude_v.min(), run.amplitude_v.max()
+        missed = _wrong(run.config, run, run.times, run.volts, np.where(run.talking, run.codes, -1))
+        print(
+            f"passive={nodes} talking={talking} amplitude_mv={low_v * 1e3:.2f}…{high_v * 1e3:.2f} "
+            f"computed={run.line.amplitude_v(talking) * 1e3:.2f} words={PERIODS * nodes} "
+            f"wrong={missed}",
+            flush=True,
+        )
+        words, wrong = words + PERIODS * nodes, wrong + missed
     print(f"words={words} wrong={wrong}")
     return int(wrong > 0)
 

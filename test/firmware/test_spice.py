@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amplifier import CIRCUITS, DIRECT, LATE_SAMPLE, PAPER, PIN_F, SETTLED, design
+from amplifier import CIRCUITS, DIRECT, LATE_SAMPLE, PAPER, SETTLED, design
 from circuit import level_points, netlist
 from ngspice import noise_v, transient, waveform
+from passive_spice import passive_run
 from spice import simulate
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.passive import PIN_F
 
 pytestmark = pytest.mark.skipif(
     shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
@@ -37,6 +39,12 @@ def test_the_circuit_does_what_was_computed(nodes: int, circuit: str) -> None:
     assert found.noise_v < 0.1 * front.amplitude_v
     assert (found.words, found.wrong) == (3 * nodes, 0)
     assert config.spec.polarity == front.polarity
+
+
+def test_without_an_amplifier_every_speaker_adds_as_much() -> None:
+    """The less the more speak: of four, two that drive the line are heard alike, as computed."""
+    run = passive_run(4, 22e3, 2.2e3, 2)
+    assert run.amplitude_v == pytest.approx([run.line.amplitude_v(2)] * 2, rel=0.003)
 
 
 def test_a_circuit_that_is_too_slow_is_seen() -> None:
