@@ -24,10 +24,12 @@ def _rectangle(left: float, top: float, right: float, bottom: float, fill: str =
     return f"(rectangle {corners} (stroke (width 0.2) (type default)) (fill (type {fill})))"
 
 
-def _two(name: str, prefix: str, *shape: str, body: float = 0.7, names: str = "12") -> Symbol:
-    """A part of two pins, the first one above."""
+def _two(
+    name: str, prefix: str, *shape: str, body: float = 0.7, names: str = "12", numbers: str = "12"
+) -> Symbol:
+    """A part of two pins, the first one above. KiCad's diodes have their cathode at pin 1."""
     pins = tuple(
-        Pin(str(i + 1), names[i], "passive", (0, 1 - 2 * i), 270 - 180 * i, 1 - body)
+        Pin(numbers[i], names[i], "passive", (0, 1 - 2 * i), 270 - 180 * i, 1 - body)
         for i in range(2)
     )
     return Symbol(name, prefix, pins, shape)
@@ -67,6 +69,7 @@ LED = _two(
     _line((0.5, 0.1), (0.9, -0.3)),
     body=0.4,
     names="AK",
+    numbers="21",
 )
 OPAMP = Symbol(
     "OpAmp",

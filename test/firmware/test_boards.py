@@ -43,7 +43,7 @@ PACKAGES = {  # pin numbers as KiCad's own library of symbols has them
     "74LVC1G17": "NC A GND Y VCC",
     "TLV1117LV33": "GND OUT IN",
     "REF3033": "IN OUT GND",
-    "LED": "A K",
+    "LED": "K A",
     "Clamp": "K A",
     "SRV05-4": "IO1 GND IO2 IO3 VCC IO4",
 }
@@ -212,7 +212,7 @@ def test_a_nodes_pins_are_those_of_its_firmware(strip: str, boards: dict[str, Ne
         led = board.net(mcu, pin_at(board, mcu, defined["LED"]))
         ((_, anode),) = beyond(board, led, "R").items()
         (diode,) = [r for r, _ in anode if board.components[r].symbol == "LED"]
-        assert (diode, "1") in anode and board.net(diode, "K") == board.names["GND"]
+        assert (diode, "2") in anode and board.net(diode, "K") == board.names["GND"]
         for supply in ("4", "6", "18"):
             assert board.net(mcu, supply) == board.names["+3V3"]
         for ground in ("3", "5", "21", "33"):
