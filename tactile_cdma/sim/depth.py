@@ -48,7 +48,8 @@ def at_force(
     before_m: Floats | None = None
     for _ in range(1 if flat else MOST_STEPS):
         height_m, leaves_m = moved.spans_m(points_m, normals)
-        height_m = np.where(leaves_m > 0, height_m, np.inf)  # else it is behind the skin
+        if not flat:  # what is behind the skin here may press on it elsewhere
+            height_m = np.where(leaves_m > 0, height_m, np.inf)
         if before_m is not None:
             share = _shares(before_m, height_m, step_m, share)
         step_m = _step_m(height_m, share, weights, force_n)
