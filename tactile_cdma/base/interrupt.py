@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ctrl-C and SIGTERM, for commands that run until they are told to stop."""
+"""Ctrl-C, SIGTERM and SIGHUP, for commands that run until they are told to stop."""
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""SIGHUP: the terminal has gone, as when a connection by ssh breaks."""
 
 
 class Stop:
@@ -31,25 +33,37 @@ class Stop:
 
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[Stop]:
-    """What Ctrl-C, SIGTERM or, after `seconds`, a timer sets."""
+    """What Ctrl-C, SIGTERM, SIGHUP (but under nohup) or, after `seconds`, a timer sets."""
     stop = Stop()
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
         timer.start()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in SIGNALS}
     try:
-        yield stop
+        with _handled(SIGNALS, lambda *_: stop.set()):
+            yield stop
     finally:
         timer.cancel()
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """SIGTERM interrupts as Ctrl-C does, so that unfinished files are removed."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """SIGTERM and SIGHUP interrupt as Ctrl-C does, so that unfinished files are removed."""
+    with _handled((signal.SIGTERM, signal.SIGHUP), signal.default_int_handler):
+        yield
+
+
+@contextmanager
+def _handled(
+    numbers: Iterable[signal.Signals], handler: Callable[[int, FrameType | None], object]
+) -> Iterator[None]:
+    """Signals have this handler; but not SIGHUP where it is ignored, as nohup wants it."""
+    before = {number: signal.getsignal(number) for number in numbers}
+    if before.get(signal.SIGHUP) == signal.SIG_IGN:
+        del before[signal.SIGHUP]
+    for number in before:
+        signal.signal(number, handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, former in before.items():
+            signal.signal(number, former)

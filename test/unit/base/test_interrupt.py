@@ -2,6 +2,7 @@
 
 """Signals that come while another one's handler runs."""
 
+import signal
 import subprocess
 import sys
 
@@ -39,3 +40,17 @@ def test_the_time_that_was_given_stops_it() -> None:
     with stop_event(1e-3) as stop:
         while not stop.is_set():
             pass
+
+
+def test_a_program_that_nohup_runs_is_not_ended_by_sighup() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_event(None) as stop:
+            signal.raise_signal(signal.SIGHUP)
+            assert not stop.is_set()
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        with stop_event(None) as stop:
+            signal.raise_signal(signal.SIGHUP)
+            assert stop.is_set()
+    finally:
+        signal.signal(signal.SIGHUP, before)
