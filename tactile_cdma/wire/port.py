@@ -16,7 +16,7 @@ import serial
 
 from ..base.errors import CaptureError, PortError
 from .discovery import device_of
-from .latency import reduce_latency
+from .latency import held_back
 from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
 
@@ -77,7 +77,9 @@ class Port:
             if "://" not in pyserial_url:
                 self._serial.exclusive = True
             self._serial.open()
-            self.held_back = reduce_latency(self._serial, pyserial_url)
+            with suppress(AttributeError, NotImplementedError, OSError, ValueError):  # no adapter
+                self._serial.set_low_latency_mode(True)
+            self.held_back = held_back(pyserial_url)
             _limit_wait_for_host(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # left from before this port was opened
             self._has_file = hasattr(select, "poll") and (

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from tactile_cdma.srv import Tare
-from test.ros.test_security import USER, ordinary
 from test.support.programs import run_program
 from test.support.skin_client import Client
 from test.support.spinning import spinning
+from test.support.users import NAMELESS, ordinary
 from test.support.waiting import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,9 +49,7 @@ def test_as_process_1_of_a_user_without_name_and_home_it_runs_and_ends_when_told
     tmp_path: Path,
 ) -> None:
     said = tmp_path / "said"
-    prefix = ["--pid", "--fork", "--kill-child", *ordinary(USER)]
-    number = f"--reuid={USER - 1}"  # that of nobody, not even of "nobody"
-    prefix = [number if word.startswith("--reuid") else word for word in prefix]
+    prefix = ["--pid", "--fork", "--kill-child", *ordinary(NAMELESS, NAMELESS)]
     with receiving(said, prefix, HOMELESS) as unshare:
         children = Path(f"/proc/{unshare.pid}/task/{unshare.pid}/children").read_text().split()
         os.kill(int(children[0]), signal.SIGTERM)  # as `docker stop`

@@ -71,8 +71,8 @@ def running(make: Callable[[], N]) -> Iterator[Running[N]]:
     """A node for as long as the context lasts; raises what rcl, or the node, does not take.
 
     Signals (see stop_event) tell it to end; they raise nothing, as that could come amid the
-    conversion of a message. Everything ends in order: the executor, the node with all it has, and the ROS
-    context last.
+    conversion of a message. Everything ends in order: the executor, the node with all it has, and
+    the ROS context last.
     """
     with stop_event(None) as stop, ExitStack() as ends:
         ends.callback(rclpy.try_shutdown)

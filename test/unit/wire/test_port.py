@@ -18,7 +18,7 @@ import pytest
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import PortError
 from tactile_cdma.wire.discovery import is_away
-from tactile_cdma.wire.latency import reduce_latency
+from tactile_cdma.wire.latency import held_back
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.port import HOST_GONE_S, Port
@@ -243,8 +243,6 @@ def test_an_adapter_that_holds_bytes_back_is_told(
     timer.parent.mkdir()
     if held_ms:
         timer.write_text(f"{held_ms}\n")
-    with pty_port() as (_, port):
-        said = reduce_latency(port.device, "/dev/ttyUSB0", tmp_path)
-        assert not port.held_back
+    said = held_back("/dev/ttyUSB0", tmp_path)
     assert said.endswith(f"could not be changed: echo 1 | sudo tee {timer}" if told else "")
     assert ("up to 16 ms" in said) == told
