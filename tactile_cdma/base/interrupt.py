@@ -6,10 +6,9 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""SIGHUP: the terminal has gone, as when a connection by ssh breaks."""
+"""What ends a command: Ctrl-C, a service manager, a terminal that is closed."""
 
 
 class Stop:
@@ -33,37 +32,33 @@ class Stop:
 
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[Stop]:
-    """What Ctrl-C, SIGTERM, SIGHUP (but under nohup) or, after `seconds`, a timer sets."""
+    """What one of SIGNALS or, after `seconds`, a timer sets."""
     stop = Stop()
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
         timer.start()
-    try:
-        with _handled(SIGNALS, lambda *_: stop.set()):
+    with _handling(SIGNALS, lambda *_: stop.set()):
+        try:
             yield stop
-    finally:
-        timer.cancel()
+        finally:
+            timer.cancel()
 
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """SIGTERM and SIGHUP interrupt as Ctrl-C does, so that unfinished files are removed."""
-    with _handled((signal.SIGTERM, signal.SIGHUP), signal.default_int_handler):
+    """All of SIGNALS interrupt as Ctrl-C does, so that unfinished files are removed."""
+    with _handling(SIGNALS[1:], signal.default_int_handler):
         yield
 
 
 @contextmanager
-def _handled(
-    numbers: Iterable[signal.Signals], handler: Callable[[int, FrameType | None], object]
-) -> Iterator[None]:
-    """Signals have this handler; but not SIGHUP where it is ignored, as nohup wants it."""
-    before = {number: signal.getsignal(number) for number in numbers}
-    if before.get(signal.SIGHUP) == signal.SIG_IGN:
-        del before[signal.SIGHUP]
-    for number in before:
-        signal.signal(number, handler)
+def _handling(signals: Iterable[int], handler: Callable[..., object]) -> Iterator[None]:
+    """With a handler for signals, but for SIGHUP where nohup has it ignored."""
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    taken = [one for one in signals if not (ignored and one == signal.SIGHUP)]
+    before = {number: signal.signal(number, handler) for number in taken}
     try:
         yield
     finally:
-        for number, former in before.items():
-            signal.signal(number, former)
+        for number, old in before.items():
+            signal.signal(number, old)

@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 
-from tactile_cdma.base.interrupt import stop_event
+import pytest
+
+from tactile_cdma.base.interrupt import SIGNALS, stop_event, terminable
 
 PATIENCE_S = 60.0
 """Far more than a child takes on a busy machine; a stuck one stays for ever."""
@@ -42,15 +44,23 @@ def test_the_time_that_was_given_stops_it() -> None:
             pass
 
 
-def test_a_program_that_nohup_runs_is_not_ended_by_sighup() -> None:
+@pytest.mark.parametrize("number", SIGNALS[1:])
+def test_a_closed_terminal_and_sigterm_end_as_ctrl_c_does(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), terminable():
+        signal.raise_signal(number)
+    with stop_event(None) as stop:
+        signal.raise_signal(number)
+        assert stop.is_set()
+    assert signal.getsignal(number) == before
+
+
+def test_nohup_is_obeyed() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with stop_event(None) as stop:
+        with stop_event(None) as stop, terminable():
             signal.raise_signal(signal.SIGHUP)
             assert not stop.is_set()
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)
-        with stop_event(None) as stop:
-            signal.raise_signal(signal.SIGHUP)
-            assert stop.is_set()
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
