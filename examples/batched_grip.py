@@ -57,8 +57,8 @@ class Worlds:
         gap_m, stiffness = rng.uniform(1e-3, 8e-3, count), np.exp(rng.uniform(7, 9, count))
         place_m = rng.uniform(-5e-3, 5e-3, (count, 3))
         arrays: Any = (gap_m, stiffness, place_m)
-        repeated = [np.concatenate([array] * repeats).astype(np.float32) for array in arrays]
-        return cls(*repeated, float(rng.uniform(0.01, 0.03)))
+        repeated: Any = [np.concatenate([array] * repeats).astype(np.float32) for array in arrays]
+        return cls(*repeated, radius_m=float(rng.uniform(0.01, 0.03)))
 
 
 def speed_m_s(rules: Any, felt_n: Any, before_n: Any) -> Any:

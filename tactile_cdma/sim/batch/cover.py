@@ -52,7 +52,8 @@ class BatchCover:
 
     def __init__(self, layout: Layout) -> None:
         self.areas_m2 = layout.areas_m2.astype(np.float64)
-        points_m = Foundation(layout.positions_m, layout.normals, layout.areas_m2).points_m
+        places = layout.positions_m, layout.normals, layout.areas_m2
+        points_m = Foundation(*places, layout.aspect).points_m
         self._per_taxel = points_m.shape[1]
         self._points_m = points_m.reshape(-1, 3)
         self._normals = layout.normals.astype(np.float64).repeat(self._per_taxel, axis=0)

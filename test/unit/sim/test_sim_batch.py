@@ -215,7 +215,7 @@ def test_the_cover_is_that_of_single_objects(thing: Indenter, layout: str) -> No
     turned[:8] = 0, 0, 0, 3
     turned[8:10] = 1, 0, 0, 1
     felt_pa = BatchCover(skin).pressure_pa(thing, places_m, turned)
-    foundation = Foundation(skin.positions_m, skin.normals, skin.areas_m2)
+    foundation = Foundation(skin.positions_m, skin.normals, skin.areas_m2, skin.aspect)
     for env, (place_m, quaternion) in enumerate(zip(places_m, turned, strict=True)):
         unit = quaternion / np.linalg.norm(quaternion)
         each = replace(thing, position_m=place_m.tolist(), orientation_xyzw=unit.tolist())
