@@ -56,9 +56,11 @@ class Worlds:
         """So many, each set of them `repeats` times."""
         gap_m, stiffness = rng.uniform(1e-3, 8e-3, count), np.exp(rng.uniform(7, 9, count))
         place_m = rng.uniform(-5e-3, 5e-3, (count, 3))
-        arrays: Any = (gap_m, stiffness, place_m)
-        repeated: Any = [np.concatenate([array] * repeats).astype(np.float32) for array in arrays]
-        return cls(*repeated, radius_m=float(rng.uniform(0.01, 0.03)))
+        gaps_m, stiffnesses, places_m = (
+            np.concatenate([array] * repeats).astype(np.float32)
+            for array in (gap_m, stiffness, place_m)
+        )
+        return cls(gaps_m, stiffnesses, places_m, float(rng.uniform(0.01, 0.03)))
 
 
 def speed_m_s(rules: Any, felt_n: Any, before_n: Any) -> Any:
