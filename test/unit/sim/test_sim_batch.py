@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -245,3 +246,17 @@ def test_pressed_with_a_force_the_cover_answers_with_it(asarray: Callable[..., A
         layout = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
                                 "frame_period_ms": 40.0}).layout  # fmt: skip
         BatchCover(layout).pressure_pa(THINGS[0], places_m, force_n=force_n)
+
+
+def test_the_example_grips_what_it_does_not_know(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(LAYOUTS.parents[1] / "examples")
+    example = import_module("batched_grip")
+    rng = np.random.default_rng(5)
+    worlds = example.Worlds.drawn(rng, 12)
+    rules = np.array([0.013, 0.006, 8.5e-5], np.float32)[:, None]  # as it tunes them
+    forces_n = example.gripped(rules, worlds, rng)
+    assert np.median(np.abs(forces_n[-1] - example.FORCE_N)) < 0.05 * example.FORCE_N
+    crushing = example.gripped(5 * rules, worlds, rng)
+    assert example.cost(forces_n).mean() < 0.7 * example.cost(crushing).mean()
+    monkeypatch.setattr(example, "GUESS", 3 * example.GUESS)
+    assert (example.tuned(2, 8, 4) < example.GUESS).any(), "it learns to go more slowly"
