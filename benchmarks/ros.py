@@ -289,8 +289,9 @@ class Digitizer:
     def _ends_frame(self, packet: Samples) -> bool:
         spec, per_chip = self._config.spec, self._config.samples_per_chip
         if packet.sync:
-            tail = TAIL_CHIPS if per_chip > 1 else 0
-            self._last = packet.first_index + (spec.span_chips + tail) * per_chip - 1
+            # One value per chip: guards have none.
+            count = (spec.span_chips + TAIL_CHIPS) * per_chip if per_chip > 1 else spec.chips
+            self._last = packet.first_index + count - 1
             self._middle_us = packet.device_time_us + round(spec.frame_s / 2 * 1e6)
         if self._last is None or packet.first_index + len(packet.counts) <= self._last:
             return False
