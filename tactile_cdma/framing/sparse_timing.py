@@ -253,8 +253,8 @@ class SparseRecogniser:
 
     def _may_be_turned(self, found: Detected) -> bool:
         """Whether what is left may be that of a few pairs of wrong bits."""
-        few = int(np.count_nonzero(found.heard)) <= MOST_TURNED
-        return few and self._line.noise > 0 and self._is_understood(found)
+        are_few = 1 < int(np.count_nonzero(found.heard)) <= MOST_TURNED
+        return are_few and self._line.noise > 0 and self._is_understood(found)
 
     def _are_told_apart(self, found: Detected) -> bool:
         """Whether no other bits of those who spoke would give nearly the same chips.
