@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from amplifier import RAIL_V, FrontEnd, design
 from ngspice import SpiceError, noise_v, waveform
+from passive_spice import PassiveRun, passive_runs
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
@@ -82,9 +83,7 @@ def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
     chips = line_chips(spec, codes, talking, amplitude_v=mean_v)
     levels = frame_levels(chips, spec).astype(np.float64)[None]
     times, volts = waveform(front, levels, chip_s, spec.frame_period_s)
-    decoded = [*_decoded(config, front, times, volts)]
-    sent = np.where(talking, codes, -1)
-    wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
+    wrong = _wrong(config, front, times, volts, np.where(talking, codes, -1))
     top_v = min(front.supply_v - RAIL_V, front.adc_volts)
     headroom_v = min(top_v - volts.max(), volts.min() - RAIL_V)
     figures = Figures(
@@ -93,8 +92,8 @@ def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
         overshoot,
         noise_v(front),
         float(headroom_v),
-        len(decoded) * nodes,
-        wrong + (PERIODS - len(decoded)) * nodes,
+        PERIODS * nodes,
+        wrong,
     )
     return config, front, figures
 
@@ -116,9 +115,22 @@ def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
     return float(amplitude_v / (groups * share)), float(left), float(beyond)
 
 
+def _wrong(
+    config: SkinConfig,
+    front: FrontEnd | PassiveRun,
+    times: NDArray[np.float64],
+    volts: NDArray[np.float64],
+    sent: NDArray[np.int64],
+) -> int:
+    """Words of PERIODS frames that are not as sent (−1: by nobody), or are missing."""
+    decoded = [*_decoded(config, front, times, volts)]
+    wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
+    return wrong + (PERIODS - len(decoded)) * config.spec.nodes
+
+
 def _decoded(
     config: SkinConfig,
-    front: FrontEnd,
+    front: FrontEnd | PassiveRun,
     times: NDArray[np.float64],
     volts: NDArray[np.float64],
 ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int32]]]:
@@ -131,12 +143,13 @@ def _decoded(
     else:
         period = round(spec.frame_period_s / spec.chip_s * per_chip)
         instants = (np.arange(period) + 0.5) * spec.chip_s / per_chip
-    counts = np.clip(np.interp(instants, times, volts) / front.count_v, 0, 4095).astype(np.int16)
+    count_v = front.line.count_v if isinstance(front, PassiveRun) else front.count_v
+    counts = np.clip(np.interp(instants, times, volts) / count_v, 0, 4095).astype(np.int16)
     step_s = spec.chip_s / per_chip
     info = Info(
         frame=FrameLayout.of(spec, per_chip),
         sample_rate_uhz=round(1e6 / step_s),
-        volts_per_count=front.count_v,
+        volts_per_count=count_v,
         zero_count=2048,
         min_count=0,
         max_count=4095,
@@ -174,6 +187,17 @@ def main() -> int:
             flush=True,
         )
         words, wrong = words + found.words, wrong + found.wrong
+    for run in passive_runs():
+        nodes, talking = run.line.nodes, int(run.talking.sum())
+        low_v, high_v = run.amplitude_v.min(), run.amplitude_v.max()
+        missed = _wrong(run.config, run, run.times, run.volts, np.where(run.talking, run.codes, -1))
+        print(
+            f"passive={nodes} talking={talking} amplitude_mv={low_v * 1e3:.2f}…{high_v * 1e3:.2f} "
+            f"computed={run.line.amplitude_v(talking) * 1e3:.2f} words={PERIODS * nodes} "
+            f"wrong={missed}",
+            flush=True,
+        )
+        words, wrong = words + PERIODS * nodes, wrong + missed
     print(f"words={words} wrong={wrong}")
     return int(wrong > 0)
 

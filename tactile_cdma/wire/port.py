@@ -15,6 +15,7 @@ from contextlib import suppress
 import serial
 
 from ..base.errors import CaptureError, PortError
+from ..places.layout import Layout
 from .discovery import device_of
 from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
@@ -58,7 +59,8 @@ class Port:
     stepped: of a simulated skin whose frames pass as a program asks for them: silence is no fault.
     """
 
-    def __init__(self, url: str, baud: int) -> None:
+    def __init__(self, url: str, baud: int, layout: Layout | None = None) -> None:
+        """layout: where the taxels of the skin are, for a simulated one; None: as its URL says."""
         self.url = url
         # Looked up at every opening: a board that is plugged in again may be another device.
         pyserial_url = device_of(url)
@@ -74,6 +76,8 @@ class Port:
             self._serial.write_timeout = WRITE_TIMEOUT_S
             if "://" not in pyserial_url:
                 self._serial.exclusive = True
+            if hasattr(self._serial, "layout"):
+                self._serial.layout = layout
             self._serial.open()
             _reduce_latency(self._serial)
             _limit_wait_for_host(self._serial, pyserial_url)

@@ -10,6 +10,7 @@ import pytest
 
 from amplifier import LATE_SAMPLE, SETTLED, design
 from ngspice import noise_v, waveform
+from passive_spice import passive_run
 from spice import simulate
 from tactile_cdma.code.frame import FrameSpec
 
@@ -32,6 +33,12 @@ def test_the_circuit_does_what_was_computed(nodes: int) -> None:
     assert found.noise_v < 0.1 * front.amplitude_v
     assert (found.words, found.wrong) == (3 * nodes, 0)
     assert config.spec.polarity == front.polarity
+
+
+def test_without_an_amplifier_every_speaker_adds_as_much() -> None:
+    """The less the more speak: of four, two that drive the line are heard alike, as computed."""
+    run = passive_run(4, 22e3, 2.2e3, 2)
+    assert run.amplitude_v == pytest.approx([run.line.amplitude_v(2)] * 2, rel=0.003)
 
 
 def test_a_circuit_that_is_too_slow_is_seen() -> None:

@@ -69,9 +69,9 @@ class Running(Generic[N]):
 def running(make: Callable[[], N]) -> Iterator[Running[N]]:
     """A node for as long as the context lasts; raises what rcl, or the node, does not take.
 
-    SIGINT and SIGTERM tell it to end; they raise nothing, as that could come amid the conversion
-    of a message. Everything ends in order: the executor, the node with all it has, and the ROS
-    context last.
+    SIGINT, SIGTERM and SIGHUP tell it to end; they raise nothing, as that could come amid the
+    conversion of a message. Everything ends in order: the executor, the node with all it has, and
+    the ROS context last.
     """
     with stop_event(None) as stop, ExitStack() as ends:
         ends.callback(rclpy.try_shutdown)

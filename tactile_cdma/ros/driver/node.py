@@ -143,7 +143,7 @@ class SkinNode(ManagedNode):
             if not self._last_failure:  # else it is tried again
                 self.get_logger().info(f"opening {url}")
             if not is_remote(url):  # else the driver does it, which holds up nothing
-                self._port = Port(url, int(self._live["baud"]))
+                self._port = Port(url, int(self._live["baud"]), config.layout)
             self._objects.configure(self._port)
         except TactileError as error:
             if str(error) != self._last_failure:
