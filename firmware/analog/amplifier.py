@@ -58,6 +58,8 @@ LOOP_GAIN = 10.0
 MOST_GAIN_BANDWIDTH_HZ = 80e6
 """Gain-bandwidth of an amplifier above which nodes are wired in groups. Chosen: with a margin for
 cheap ones of the kind (100 MHz at 3.3 V, rail to rail, unity-gain stable: TLV3541)."""
+MOST_GROUPS = 64
+"""Groups that one amplifier adds up. Chosen: as many as a board's edge has connectors for."""
 INPUT_F = 8e-12
 """Capacitance at a follower's input with its copper and the released pin, F: data sheets give 3 to
 6 pF for the op-amp; the rest is chosen."""
@@ -385,23 +387,29 @@ def _stages(
 ) -> tuple[list[Stage], float] | None:
     """Amplifiers, and the time constant of each. level: the room in units of a follower's level.
 
-    Nodes are divided into as few groups as an amplifier of MOST_GAIN_BANDWIDTH_HZ allows; None
-    where it allows no number of groups.
+    Nodes are divided into as few groups as an amplifier of MOST_GAIN_BANDWIDTH_HZ allows. Where
+    that are more than MOST_GROUPS, these have less than their range, as few of many nodes talk:
+    the adder's noise then counts for more, and the converter's still most. None where that does
+    not help, either.
     """
     tau = low_pass_s(sample_s, 1, attenuator_s(*attenuator))
     whole = _stage(spec.nodes, level / largest_sum(spec, math.ceil(active * spec.nodes)), tau)
     if whole.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ:
         return [whole], tau
     tau = low_pass_s(sample_s, 2, attenuator_s(*attenuator))
-    for groups in range(2, spec.nodes + 1):
+    total = level / largest_sum(spec, math.ceil(active * spec.nodes))
+
+    def in_groups(groups: int, range_share: float) -> tuple[list[Stage], float] | None:
         size = -(-spec.nodes // groups)
-        group_peak = largest_sum(spec, math.ceil(active * size))
-        first = _stage(size, level / group_peak, tau)
-        total = level / largest_sum(spec, math.ceil(active * spec.nodes))
+        gain = range_share * level / largest_sum(spec, math.ceil(active * size))
+        first = _stage(size, gain, tau)
         second = _stage(-(-spec.nodes // size), total / first.gain, tau)
-        if max(first.gain_bandwidth_hz, second.gain_bandwidth_hz) <= MOST_GAIN_BANDWIDTH_HZ:
-            return [first, second], tau
-    return None
+        fastest = max(first.gain_bandwidth_hz, second.gain_bandwidth_hz)
+        return ([first, second], tau) if fastest <= MOST_GAIN_BANDWIDTH_HZ else None
+
+    tries = [(groups, 1.0) for groups in range(2, min(spec.nodes, MOST_GROUPS) + 1)]
+    tries += [(MOST_GROUPS, 0.95**step) for step in range(1, 60) if spec.nodes >= MOST_GROUPS]
+    return next((found for each in tries if (found := in_groups(*each))), None)
 
 
 def largest_sum(spec: FrameSpec, talking: int) -> float:

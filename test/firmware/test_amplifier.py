@@ -21,6 +21,7 @@ from amplifier import (
     E24,
     LATE_SAMPLE,
     MOST_GAIN_BANDWIDTH_HZ,
+    MOST_GROUPS,
     RAIL_V,
     SETTLED,
     SIGMAS,
@@ -37,6 +38,7 @@ from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate, spread
+from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.nodes import NodeRules, node_frames
 from tactile_cdma.sim.options import SimOptions
@@ -181,6 +183,17 @@ def test_when_a_chip_is_first_sampled() -> None:
 def test_steps_have_settled_when_the_first_sample_is_taken(nodes: int, chip_s: float) -> None:
     front = design(FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=1e4), 4)
     assert SETTLED / 20 < front.unsettled <= SETTLED
+
+
+def test_of_many_nodes_there_are_no_more_groups_than_a_board_has_connectors_for() -> None:
+    """Groups of nine nodes fill their range; larger ones need a smaller gain to be as fast."""
+    spec = SkinConfig.of(read_file(Path("config/sparse_skin.yaml"))).spec
+    front = design(spec, 1)
+    assert front.groups == MOST_GROUPS == 64 and front.nodes_stage.inputs == 63
+    assert max(stage.gain_bandwidth_hz for stage in front.stages) <= MOST_GAIN_BANDWIDTH_HZ
+    talk = math.ceil(front.talking / front.nodes * front.nodes_stage.inputs)
+    assert talk * front.node_level_v * front.nodes_stage.gain < front.room_v
+    assert front.amplitude_v > 4e-3  # 445 groups of nine give 4.06 mV
 
 
 def test_nodes_are_grouped_where_one_amplifier_is_too_slow() -> None:
