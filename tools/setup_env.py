@@ -70,6 +70,12 @@ def main() -> int:
     except SetupError as error:
         print(f"setup: error: {error}", file=sys.stderr)
         return 1
+    except PermissionError as error:
+        print(
+            f"setup: error: {error.filename} is another user's; one of your own: make VENV=FOLDER",
+            file=sys.stderr,
+        )
+        return 1
     except KeyboardInterrupt:
         print("\nsetup: interrupted; the next run starts this step again", file=sys.stderr)
         return 130
