@@ -6,9 +6,23 @@
                                               schedule ──┘       └──▶ a tty (pty)
 
 pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_packages. For programs
-that press on sim://?scene=external there are the objects below; docs/simulation.md.
+that press on sim://?scene=external there are the objects below; batch/ simulates thousands of skins
+at once, without the line; docs/simulation.md.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from .indenters import Box, Cylinder, Foundation, Indenter, Sphere
 
-__all__ = ["Box", "Cylinder", "Foundation", "Indenter", "Sphere"]
+__all__ = ["BatchCover", "Box", "Cylinder", "Foundation", "Indenter", "SkinBatch", "Sphere"]
+
+if TYPE_CHECKING:
+    from .batch import BatchCover, SkinBatch
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import the batched skin, which needs an optional package, when it is used."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(".batch", __name__), name)
