@@ -9,6 +9,26 @@ pyserial finds `sim://` once 'tactile_cdma.sim' is in serial.protocol_handler_pa
 that press on sim://?scene=external there are the objects below; docs/simulation.md.
 """
 
-from .indenters import Box, Cylinder, Foundation, Indenter, Sphere
+from .depth import at_force
+from .indenters import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Foundation,
+    HeightMap,
+    Indenter,
+    Sphere,
+)
 
-__all__ = ["Box", "Cylinder", "Foundation", "Indenter", "Sphere"]
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "Ellipsoid",
+    "Foundation",
+    "HeightMap",
+    "Indenter",
+    "Sphere",
+    "at_force",
+]
