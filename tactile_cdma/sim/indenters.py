@@ -10,8 +10,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import ClassVar
+from functools import cached_property, reduce
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -141,9 +141,9 @@ class Cylinder(Indenter):
         return math.hypot(self.radius_m, self.length_m / 2)
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        return _within_all(
+        return within_all(
             _round_spans(points_m[:, :2], directions[:, :2], self.radius_m),
-            _slab_spans(points_m[:, 2], directions[:, 2], self.length_m / 2),
+            slab_spans(points_m[:, 2], directions[:, 2], self.length_m / 2),
         )
 
 
@@ -160,7 +160,7 @@ class Box(Indenter):
         return math.hypot(*self.size_m) / 2
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        return _within_all(*map(_slab_spans, points_m.T, directions.T, np.array(self.size_m) / 2))
+        return within_all(*map(slab_spans, points_m.T, directions.T, np.array(self.size_m) / 2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,7 +246,7 @@ class HeightMap(Indenter):
 class Foundation:
     """The elastic cover of t taxels: rectangles of the taxels' areas, tangential to the skin.
 
-    areas_m2: (t,), m².
+    areas_m2: (t,), m². points_m: (t, p, 3), m, the points of every taxel.
     """
 
     def __init__(
@@ -267,7 +267,7 @@ class Foundation:
         steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
         offsets_m = wide_m * x * right[:, None] + tall_m * y * up[:, None]
-        self._points_m = self._positions_m[:, None] + offsets_m
+        self.points_m = self._positions_m[:, None] + offsets_m
 
     def near(self, indenter: Indenter, moves_m: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """The points that an object may reach, their normals (both (m, 3)) and areas (m,), m².
@@ -282,7 +282,7 @@ class Foundation:
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
-        pressure_pa = np.zeros(self._points_m.shape[:2])
+        pressure_pa = np.zeros(self.points_m.shape[:2])
         for indenter in indenters:
             near, points_m = self._near(indenter)
             normals = self._normals[near].repeat(points_m.shape[1], axis=0)
@@ -295,41 +295,52 @@ class Foundation:
         """Which taxels it may touch, (t,), and their points (k, EDGE_POINTS², 3)."""
         around_m = self._corners_m + moves_m
         near = indenter.may_touch(self._positions_m, self._normals, around_m)
-        return near, self._points_m[near]
+        return near, self.points_m[near]
 
 
 def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:
     """Of a ball (3 coordinates) or an endless cylinder (2) about the origin."""
-    # |p + s·n|² = R² for s; n is shorter than 1 where it has a part along the cylinder's axis.
-    a = np.square(directions).sum(axis=1)
-    b = (points_m * directions).sum(axis=1)
-    c = np.square(points_m).sum(axis=1) - radius_m**2
+    return round_spans(
+        np.square(directions).sum(axis=1),
+        (points_m * directions).sum(axis=1),
+        np.square(points_m).sum(axis=1) - radius_m**2,
+    )
+
+
+def round_spans(a: Any, b: Any, c: Any, xp: Any = np) -> Spans:
+    """Where a·s² + 2·b·s + c ≤ 0: |p + s·n|² ≤ R², with n shorter than 1 along a cylinder's axis.
+
+    xp: the arrays' namespace, by the array API standard.
+    """
     along = a < 1e-18  # parallel to the cylinder: inside for ever, or never
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    a_safe = np.where(along, 1.0, a)
-    hits = np.where(along, c <= 0, b * b >= a * c)
-    enters_m = np.where(along, -np.inf, (-b - root) / a_safe)
-    leaves_m = np.where(along, np.inf, (-b + root) / a_safe)
-    return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
+    square = b * b - a * c
+    root = xp.sqrt(xp.clip(square, 0.0, None))
+    a_safe = xp.where(along, 1.0, a)
+    hits = xp.where(along, c, -square) <= 0
+    enters_m = xp.where(along, -np.inf, (-b - root) / a_safe)
+    leaves_m = xp.where(along, np.inf, (-b + root) / a_safe)
+    return xp.where(hits, enters_m, np.inf), xp.where(hits, leaves_m, -np.inf)
 
 
-def _slab_spans(place_m: Floats, direction: Floats, half_m: float) -> Spans:
+def slab_spans(place_m: Any, direction: Any, half_m: float, xp: Any = np) -> Spans:
     """Between two planes at ±half_m on one axis. place_m, direction: (m,), along that axis."""
     along = direction == 0
-    safe = np.where(along, 1.0, direction)
+    safe = xp.where(along, 1.0, direction)
     one, other = (-half_m - place_m) / safe, (half_m - place_m) / safe
-    inside = np.abs(place_m) <= half_m
-    enters_m = np.where(along, np.where(inside, -np.inf, np.inf), np.minimum(one, other))
-    leaves_m = np.where(along, np.where(inside, np.inf, -np.inf), np.maximum(one, other))
+    inside = abs(place_m) <= half_m
+    enters_m = xp.where(along, np.inf, xp.minimum(one, other))
+    leaves_m = xp.where(along, -np.inf, xp.maximum(one, other))
+    enters_m = xp.where(along & inside, -np.inf, enters_m)
+    leaves_m = xp.where(along & inside, np.inf, leaves_m)
     return enters_m, leaves_m
 
 
-def _within_all(*spans: Spans) -> Spans:
+def within_all(*spans: Spans, xp: Any = np) -> Spans:
     """Where lines are inside of all of some convex objects."""
     all_enter_m, all_leave_m = zip(*spans, strict=True)
-    enters_m, leaves_m = np.max(all_enter_m, axis=0), np.min(all_leave_m, axis=0)
+    enters_m, leaves_m = reduce(xp.maximum, all_enter_m), reduce(xp.minimum, all_leave_m)
     hits = enters_m <= leaves_m
-    return np.where(hits, enters_m, np.inf), np.where(hits, leaves_m, -np.inf)
+    return xp.where(hits, enters_m, np.inf), xp.where(hits, leaves_m, -np.inf)
 
 
 def _between(grid: Floats, row: Floats, column: Floats) -> Floats:
