@@ -39,14 +39,13 @@ def hand() -> mujoco.MjModel:
 
 def skins(model: mujoco.MjModel) -> dict[str, tuple[MujocoSkin, Skin]]:
     """By name: where each skin is in the physics, and its driver, not open yet."""
-    grid = {"rows": 6, "columns": 4, "pitch_mm": [15.0, 16.0]}
-    palm = Skin(PORT, nodes=24, frame_period_ms=FRAME_MS, **grid)
+    palm = Skin(PORT, nodes=24, rows=6, columns=4, pitch_mm=[15.0, 16.0], frame_period_ms=FRAME_MS)
     covered = ["robot0:C_palm0", "robot0:C_palm1"]  # one body, several geoms
     at_m = np.array([0.011, -0.0111, 0.038])
     found = {"palm": (MujocoSkin(model, covered, palm.layout, Pose(OUT, at_m)), palm)}
     for finger in FINGERS:
         radius_m = float(model.geom(f"robot0:C_{finger}distal").size[0])
-        skin = Skin(PORT, nodes=12, frame_period_ms=FRAME_MS, layout_file=TIP)
+        skin = Skin(PORT, nodes=12, frame_period_ms=FRAME_MS, layout_file=str(TIP))
         pose = Pose(OUT, np.array([0.0, -radius_m, 0.013]))
         found[finger] = MujocoSkin(model, f"robot0:{finger}distal", skin.layout, pose), skin
     return found

@@ -181,9 +181,9 @@ class Capsule(Indenter):
 
     def _spans(self, points_m: Floats, directions: Floats) -> Spans:
         half_m, radius_m = self.length_m / 2, self.radius_m
-        middle = _within_all(
+        middle = within_all(
             _round_spans(points_m[:, :2], directions[:, :2], radius_m),
-            _slab_spans(points_m[:, 2], directions[:, 2], half_m),
+            slab_spans(points_m[:, 2], directions[:, 2], half_m),
         )
         ends = (
             _round_spans(points_m - [0, 0, z_m], directions, radius_m) for z_m in (-half_m, half_m)
