@@ -20,6 +20,7 @@ from ..code.amplitude import (
     FAINT_SHARE,
     HIDDEN,
     MOVED_SHARE,
+    SILENT_RHO,
     pooled_noise,
     rises,
     usual_amplitude,
@@ -283,6 +284,8 @@ def _silent_elsewhere(frame: _Frame) -> Bools:
     codes the certificate says what noise may hide.
     """
     levels, spec, active = frame.levels, frame.spec, frame.active
+    if not spec.sparse and levels.noise_v * SILENT_RHO > frame.expected_v:
+        return ~active  # as faint as words may be
     may_hide = frame.noise_v * math.sqrt(spec.order) > HIDDEN * frame.expected_v
     if spec.sparse or not (may_hide or frame.hidden.any() or not active.any()):
         return nobody(len(active))
@@ -410,8 +413,10 @@ def _disturbed(frame: _Frame) -> Bools:
     usual = np.partition(off, rank, axis=1)[:, rank]
     of_most = _middle(usual)
     least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
+    # What has turned a level from one side to the other shows in others that it has not turned.
+    turned = level + amplitude < OFF_HIT * off.max(axis=1)[:, None]
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
-    found[rows] = active & ((level < least[:, None]) | (off > most)).any(axis=0)
+    found[rows] = active & ((turned & (level < least[:, None])) | (off > most)).any(axis=0)
     return found
 
 
