@@ -20,7 +20,7 @@ sound lines leave there (edges, hum of a third of an amplitude, droop) stays bel
 MOVED_SHARE = 0.3
 """Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
 may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
-SILENT_RHO = 8.0
+SILENT_RHO = 6.0
 """ρ of a node below which noise may be a faint word, and nobody's silence is certain. Chosen: words
 are flagged below 5, and those of weak nodes are half as loud."""
 HIDDEN = 0.65

@@ -47,6 +47,9 @@ OFF, OFF_HIT, OFF_OTHERS, MOST_BROKEN = 2.0, 5.0, 4.0, 0.25
 """A level is uncertain below OFF times the typical deviation of that bit's levels, of all nodes but
 MOST_BROKEN; below OFF_HIT times that where it is OFF_OTHERS times that of most bits: something has
 hit this bit, and that is not alike for all nodes. Chosen on disturbed lines (make torture)."""
+LEAST_ALIKE = 8
+"""Levels that are not all turned by what shows in none as another one. Chosen: a spike has the same
+sign in so many rows once in 100."""
 UNLIKE_OTHERS = 5.0
 """A level is also uncertain if it is off by more than UNLIKE of the word's amplitude, and by more
 than UNLIKE_OTHERS times the typical deviation of its bit and of most bits: something else is on
@@ -399,7 +402,10 @@ def _disturbed(frame: _Frame) -> Bools:
     rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
     active, amplitude = frame.active[rows], frame.measures.amplitude[rows]
     level, nodes = np.abs(levels.values[:, rows]), len(active)
-    off, rank = np.abs(level - amplitude * active), round((1 - MOST_BROKEN) * (nodes - 1))
+    off, rank = level - amplitude * active, round((1 - MOST_BROKEN) * (nodes - 1))
+    if nodes >= LEAST_ALIKE:  # what lowers all levels, as clipping does, turns none of them
+        off -= off.max(axis=1, keepdims=True).clip(max=0)
+    off = np.abs(off)
     unit = _middle(amplitude[active])
     # A node counts for its amplitude at most: a single one that is broken hits no bit.
     most_off = np.minimum(off, unit)
@@ -413,10 +419,8 @@ def _disturbed(frame: _Frame) -> Bools:
     usual = np.partition(off, rank, axis=1)[:, rank]
     of_most = _middle(usual)
     least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
-    # What has turned a level from one side to the other shows in others that it has not turned.
-    turned = level + amplitude < OFF_HIT * off.max(axis=1)[:, None]
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
-    found[rows] = active & ((turned & (level < least[:, None])) | (off > most)).any(axis=0)
+    found[rows] = active & ((level < least[:, None]) | (off > most)).any(axis=0)
     return found
 
 
