@@ -214,7 +214,8 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
         # A late word shows wherever its bits change, what has hit one chip in one place.
         rest = word[others], owner[others], edge[others]
         changes_once = (rest[0] == rest[1]).all(axis=0)
-        return is_found & (changes_once | shows(*rest, np.zeros(others.sum(), np.float32)))
+        is_found &= changes_once | shows(*rest, np.zeros(others.sum(), np.float32))
+        return is_found
 
     are_late: Bools = found(earlier, later, chips[1:, :EDGE], variance[1:])
     are_late |= found(later, earlier, chips[:-1, -EDGE:], variance[:-1])

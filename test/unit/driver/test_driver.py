@@ -154,7 +154,7 @@ def test_a_digitizer_that_restarts_is_started_again() -> None:
 def test_silence_is_told_when_patience_ends_however_long_a_read_may_wait(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("tactile_cdma.driver.driver.READ_TIMEOUT_MS", 3_600_000)
+    monkeypatch.setattr("tactile_cdma.driver.driver.READ_TIMEOUT_MS", round(2e3 * PATIENCE_S))
     with raw_pty() as (host, name):
         os.set_blocking(host, False)
         watch = Watch()
