@@ -40,7 +40,13 @@ def main() -> None:
     torch.manual_seed(1)
 
     touch = f"observation.tactile.{arguments.patch}"
-    statistics = json.loads((arguments.dataset / "meta/stats.json").read_text())[touch]
+    every = json.loads((arguments.dataset / "meta/stats.json").read_text())
+    if touch not in every:
+        stem = touch.removesuffix(arguments.patch)
+        names = [key.removeprefix(stem) for key in every if key.startswith(stem)]
+        patches = ", ".join(name for name in names if "." not in name) or "none"
+        raise SystemExit(f"{arguments.dataset}: no patch {arguments.patch} (there is {patches})")
+    statistics = every[touch]
     mean, std = (np.ravel(statistics[key])[0] for key in ("mean", "std"))  # the same for all taxels
     pressure = (read(arguments.dataset, touch) - mean) / std
     valid = read(arguments.dataset, f"{touch}.valid")

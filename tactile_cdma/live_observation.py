@@ -201,7 +201,7 @@ class LiveObservation:
         reason = obstacle(row, streams, self._meta.policy, self._begin_ns, "this run")
         if reason is not None:
             raise ObservationError(reason + self._problems())
-        found = cells(row, streams)
+        found = cells(row, streams, self._meta.features)
         return {
             name: np.asarray(found[name], dtype=dtype).reshape(shape)
             for name, (shape, dtype) in self.features.items()

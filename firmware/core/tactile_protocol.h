@@ -43,6 +43,8 @@
 #define TP_NODE_MAGIC 1314145108u
 #define TP_NODE_VERSION 3u
 #define TP_NODE_LEARN_REST 65535u
+#define TP_NODE_FLASH 12288u
+#define TP_NODE_FLASH_END 30720u
 
 /* packet types */
 #define TP_INFO 0x01
@@ -220,6 +222,15 @@ static inline bool tp_node_record_in_range(const struct tp_node_record *m)
            m->frame_period_us <= 10000000u &&
            m->discipline <= 1u;
 }
+
+/* Begins the memories in a node's flash; each follows as it would be in the EEPROM. */
+struct __attribute__((packed)) tp_node_table {
+    uint16_t count; /* memories that follow: 1, that of this node; else those of nodes 1, 2, … */
+    uint8_t crystal_mhz; /* MHz: 8, or 16: its clock is divided by 2 */
+};
+TP_ASSERT_AT(tp_node_table, count, 0);
+TP_ASSERT_AT(tp_node_table, crystal_mhz, 2);
+_Static_assert(sizeof(struct tp_node_table) == 3, "size of tp_node_table");
 
 /* What the digitizer is and how it is set. */
 struct __attribute__((packed)) tp_info {

@@ -18,7 +18,7 @@ static bool in_range(const struct tp_configure *asked)
 
     return frame->nodes >= 1 && within(8, frame->bits, 16) && within(1, frame->order, 65536) &&
            within(10, frame->chip_ns, 1000000000) && frame->frame_period_us >= 1 &&
-           frame->signs <= 2 && frame->drive <= 1 &&
+           frame->signs <= 3 && frame->drive <= 1 &&
            (frame->polarity == 1 || frame->polarity == -1) && frame->samples_per_chip >= 1 &&
            frame->parity <= 1 && asked->sync_mode <= 2 && asked->integrated <= 1;
 }

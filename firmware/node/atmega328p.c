@@ -3,6 +3,7 @@
 #include "node_board.h"
 #include "doze.h"
 
+#include <avr/pgmspace.h>
 #include <avr/power.h>
 #include <avr/wdt.h>
 #include <util/atomic.h>
@@ -26,7 +27,8 @@ void board_init(void)
     /* after a watchdog reset the watchdog runs on with its shortest period */
     MCUSR = 0;
     wdt_enable(WDTO_250MS);
-    clock_prescale_set(clock_div_1);
+    clock_prescale_set(board_flash_byte(offsetof(struct tp_node_table, crystal_mhz)) == 16 ? clock_div_2
+                                                                                           : clock_div_1);
 
     PRR = _BV(PRTWI) | _BV(PRTIM2) | _BV(PRTIM0) | _BV(PRSPI);
     ACSR = _BV(ACD);
@@ -56,6 +58,11 @@ uint32_t board_now(void)
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         now = board_time(TCNT1);
     return now;
+}
+
+uint8_t board_flash_byte(uint16_t address)
+{
+    return pgm_read_byte(TP_NODE_FLASH + address);
 }
 
 void board_sleep(uint32_t when, const volatile uint8_t *event)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* ATmega328P at 8 MHz (crystal), 3.3 V: sync on PB0 (ICP1), line on PB1 (OC1A), sensor on PC0 (ADC0),
+/* ATmega328P at 8 MHz (crystal, or half of one of 16 MHz), 3.3 V: sync on PB0 (ICP1), line on PB1 (OC1A), sensor on PC0 (ADC0),
  * LED on PD7. With NODE_FAST the line is on PD1 (TXD), and PD4 (XCK) stays unconnected.
  *
  * Timer1 counts cycles. It captures edges of the sync line and generates those of the analog line, so
@@ -38,6 +38,7 @@
 #define BOARD_RESTART_US 96u
 #endif
 
+#define BOARD_LARGE true
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB0
 #define BOARD_LED PD7

@@ -32,6 +32,7 @@
 #define BOARD_BITS_RESTART false
 #define BOARD_RESTART_US 96u
 
+#define BOARD_LARGE false
 #define BOARD_LINE PB1
 #define BOARD_SYNC PB2
 #define BOARD_SENSOR PB3

@@ -8,7 +8,7 @@
 #include "node_board.h"
 #include "discipline.h"
 #include "event.h"
-#include "node_memory.h"
+#include "number.h"
 #include "talk.h"
 
 #define MS (1000ul * BOARD_TICKS_PER_US)
@@ -38,6 +38,11 @@ static bool heard;         /* … and whether it came */
 static bool ever_heard;
 static bool clock_known;   /* accurate enough to transmit */
 static uint16_t code;      /* of the plan */
+
+/* Frame periods in a row with pulses, but no frame's pulse at its time. */
+static uint8_t strange;
+#define STRANGE 32 /* of them the LED tells; chosen: half a second or so, more than a restarted digitizer takes */
+#define BLINK 8u   /* frames that it is lit, and as many dark. Chosen: 0.1 s, unlike the faults above */
 
 /* Waits until a frame begins (returns true) or a time comes. Feeds the watchdog while time advances. */
 static bool wait(uint32_t until)
@@ -84,6 +89,22 @@ static void blink(enum node_memory_fault fault)
     }
 }
 
+/* Blinks, without an end of its own, while pulses come that are none by this clock: it is another than the
+ * record was made for, or the digitizer's frame period is. */
+static void tell(bool sound)
+{
+    static uint8_t turns;
+
+    if (!BOARD_LARGE)
+        return;
+    if (sound)
+        strange = 0;
+    else if (talk_pulsed && strange < STRANGE)
+        strange++;
+    talk_pulsed = 0;
+    board_led(strange == STRANGE && turns++ & BLINK);
+}
+
 static void plan(void)
 {
     talk_stop();
@@ -96,8 +117,11 @@ static void frame_began(void)
 {
     struct talk_frame frame = talk_take();
 
-    if (heard && discipline_period(&clock, frame.when - mark))
-        clock_known = true;
+    if (heard) {
+        bool sound = discipline_period(&clock, frame.when - mark);
+        clock_known |= sound;
+        tell(sound);
+    }
     mark = frame.when;
     heard = ever_heard = true;
     talk_expect(mark + clock.period);
@@ -109,6 +133,7 @@ static void frame_missed(void)
 {
     mark += clock.period;
     heard = false;
+    tell(false);
     talk_expect(mark + clock.period);
     if (ever_heard)
         event_frame(&event, false, false, false, code);
@@ -120,7 +145,7 @@ int main(void)
 
     board_init();
     sei();
-    fault = node_memory_load(&record, row, &limits, board_memory_byte);
+    fault = number_load(&record, row, &limits);
     if (fault)
         blink(fault);
 

@@ -27,6 +27,8 @@ void board_sleep(uint32_t when, const volatile uint8_t *event);
 uint16_t board_measure(void);
 void board_led(bool on);
 uint8_t board_memory_byte(uint16_t address);
+/* Of the table in the node's flash (protocol.yaml), for BOARD_LARGE only. */
+uint8_t board_flash_byte(uint16_t address);
 
 /* For talk.c; inline, interrupts are off. The microcontroller's header also defines
  *
@@ -40,6 +42,7 @@ uint8_t board_memory_byte(uint16_t address);
  *   BOARD_MATCH_vect     interrupt of the latch's match
  *   BOARD_SYNC_vect      interrupt of the sync line's edges
  *   BOARD_SPIN_TICKS     shortest time to an edge that board_spin can wait for
+ *   BOARD_LARGE          whether its flash has room for memories, and for telling of a wrong clock
  *   BOARD_LINE           pin of the line, on port B
  *   BOARD_LED, BOARD_LED_PORT    for avr.c
  */

@@ -1,6 +1,6 @@
 # Images of the sensing nodes: one main, one board each, and a way to make chips.
 NODE_BUILD := $(BUILD)/node
-NODE_SOURCES := $(addprefix node/,avr.c main.c talk.c) \
+NODE_SOURCES := $(addprefix node/,avr.c main.c number.c talk.c) \
 	$(addprefix $(CORE)/,crc32.c discipline.c event.c node_memory.c sequencer.c)
 NODE_FLAGS := $(STRICT) -Os -flto -ffreestanding -DCRC32_SMALL -DF_CPU=8000000UL \
 	-ffunction-sections -fdata-sections -Wl,--gc-sections

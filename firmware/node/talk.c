@@ -31,7 +31,7 @@ static uint8_t turn;               /* its digits so far … */
 static bool others;                /* … by which it is another group's turn */
 
 static struct talk_frame frame;
-volatile uint8_t talk_began;
+volatile uint8_t talk_began, talk_pulsed;
 
 /* The bit of a length in units, below 4: an AVR would shift in a loop. */
 static BOARD_INLINE uint8_t bit_of(uint8_t units)
@@ -54,6 +54,8 @@ static BOARD_INLINE uint8_t answers(void)
 static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
 {
     high = false;
+    if (BOARD_LARGE)
+        talk_pulsed = 1;
     if (may_frame && (units == TP_SYNC_FRAME || units == TP_SYNC_CALL)) {
         frame.when = rise;
         frame.units = units;

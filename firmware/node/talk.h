@@ -23,6 +23,8 @@ struct talk_frame {
 
 /* Not 0: a frame has begun that talk_take has not yet returned. */
 extern volatile uint8_t talk_began;
+/* Not 0: there was a pulse since this was set to 0; for BOARD_LARGE only. */
+extern volatile uint8_t talk_pulsed;
 
 /* row: as chips_init takes it. */
 void talk_init(const struct tp_node_record *record, const uint8_t *row);

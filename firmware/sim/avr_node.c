@@ -41,13 +41,15 @@ struct wiring {
     avr_regbit_t sleep;   /* SE */
     avr_regbit_t mode;    /* SM, of which 0 is idle */
     avr_regbit_t canceller; /* of the sync pin's capture; or none */
+    avr_io_addr_t divider;  /* CLKPR */
 };
 
 #define ATMEGA328P(name, is_usart, port, pin)                                                      \
     {.mcu = name, .core = "atmega328p", .usart = is_usart, .sync_pin = 0, .out_port = port,         \
      .out_pin = pin, .led_port = 'D', .led_pin = 7, .sensor = 0,                                    \
      .foc = {.reg = 0x82, .bit = 7, .mask = 1}, .sleep = {.reg = 0x53, .bit = 0, .mask = 1},         \
-     .mode = {.reg = 0x53, .bit = 1, .mask = 7}, .canceller = {.reg = 0x81, .bit = 7, .mask = 1}}
+     .mode = {.reg = 0x53, .bit = 1, .mask = 7}, .canceller = {.reg = 0x81, .bit = 7, .mask = 1},           \
+     .divider = 0x61}
 
 static const struct wiring wirings[] = {
     ATMEGA328P("atmega328p", false, 'B', 1),
@@ -55,7 +57,7 @@ static const struct wiring wirings[] = {
     {.mcu = "attiny85", .core = "attiny85", .sync_pin = 2, .out_port = 'B', .out_pin = 1,
      .led_port = 'B', .led_pin = 4, .sensor = 3, .foc = {.reg = 0x4C, .bit = 2, .mask = 1},
      .psr = {.reg = 0x4C, .bit = 0, .mask = 1}, .sleep = {.reg = 0x55, .bit = 5, .mask = 1},
-     .mode = {.reg = 0x55, .bit = 3, .mask = 3}},
+     .mode = {.reg = 0x55, .bit = 3, .mask = 3}, .divider = 0x46},
 };
 
 /* A register whose writes are observed, with simavr's own handler or NULL. */
@@ -75,7 +77,10 @@ struct avr_node {
     avr_timer_t *timer;
     avr_timer_t *prescaled;        /* Timer0, if its prescaler is modelled */
     int64_t prescaler;             /* cycle at which that one was 0 */
-    uint64_t clock_mhz; /* millihertz */
+    uint64_t crystal_mhz, clock_mhz; /* millihertz; the clock is the crystal's, divided */
+    int64_t from_ns;                 /* when it was divided so */
+    avr_cycle_count_t from;
+    bool divided_anew;
     double supply_v;
     int64_t start_ns, delay_ns;
 
@@ -102,14 +107,27 @@ struct avr_node {
 static avr_cycle_count_t cycle_at(const struct avr_node *node, int64_t t_ns)
 {
     /* the first clock edge at or after it */
-    __int128 scaled = (__int128)(t_ns - node->start_ns) * node->clock_mhz;
-    return scaled <= 0 ? 0 : (avr_cycle_count_t)((scaled + 999999999999) / 1000000000000);
+    __int128 scaled = (__int128)(t_ns - node->from_ns) * node->clock_mhz;
+    return node->from + (scaled <= 0 ? 0 : (avr_cycle_count_t)((scaled + 999999999999) / 1000000000000));
 }
 
 static int64_t time_of(const struct avr_node *node, avr_cycle_count_t cycle)
 {
-    __int128 scaled = (__int128)cycle * 1000000000000 + node->clock_mhz / 2;
-    return node->start_ns + (int64_t)(scaled / node->clock_mhz);
+    __int128 scaled = (__int128)(cycle - node->from) * 1000000000000 + node->clock_mhz / 2;
+    return node->from_ns + (int64_t)(scaled / node->clock_mhz);
+}
+
+static void divide_clock(struct avr_node *node, uint8_t log2)
+{
+    uint64_t clock_mhz = node->crystal_mhz >> log2;
+
+    if (clock_mhz == node->clock_mhz)
+        return;
+    node->from_ns = time_of(node, node->avr->cycle);
+    node->from = node->avr->cycle;
+    node->clock_mhz = clock_mhz;
+    node->avr->frequency = (uint32_t)((clock_mhz + 500) / 1000);
+    node->divided_anew = true;
 }
 
 /* The output pin */
@@ -285,6 +303,17 @@ static void replace_interrupt(avr_t *avr, const avr_int_vector_t *vector)
     replace_write(avr, vector->enable.reg, write_mask);
 }
 
+/* CLKPR: after CLKPCE alone has been written, the clock's division. Its time limit is left out. */
+static void write_divider(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    bool allowed = avr->data[address] == 0x80;
+
+    avr->data[address] = value;
+    if (allowed && !(value & 0x80))
+        divide_clock(param, value & 0x0F);
+    avr->run_cycle_count = 0;
+}
+
 /* Peripherals */
 
 static void *peripheral(avr_t *avr, const char *kind, char name)
@@ -318,6 +347,7 @@ static void start_sync_level(struct avr_node *node)
 /* After each reset: undoes connections that simavr makes by itself, restores what it forgets. */
 static void after_reset(struct avr_node *node)
 {
+    divide_clock(node, 0);
     avr_extint_set_strict_lvl_trig(node->avr, 0, 0);
     avr_unconnect_irq(&node->timer->io.irq[TIMER_IRQ_OUT_COMP + AVR_TIMER_COMPA],
                       &node->port->io.irq[node->wiring->out_pin]);
@@ -350,6 +380,7 @@ static void prepare(struct avr_node *node)
     tap(node, TAP_PIN, node->out->r_pin);
     tap(node, TAP_COM, node->timer->comp[AVR_TIMER_COMPA].com.reg);
     tap(node, TAP_FOC, node->wiring->foc.reg);
+    avr_register_io_write(avr, node->wiring->divider, write_divider, node);
     if (node->wiring->psr.reg) {
         node->prescaled = peripheral(avr, "timer", '0');
         tap(node, TAP_CLOCK, node->prescaled->cs[0].reg);
@@ -510,6 +541,11 @@ void node_run(struct avr_node *node, int64_t t_ns)
             avr->cycle = event;
             node->counters.cycles_asleep += avr->cycle - begin;
         }
+        if (node->divided_anew) {
+            node->divided_anew = false;
+            end = cycle_at(node, t_ns);
+            look_ahead(node);
+        }
     }
     catch_up(node);
 }
@@ -583,12 +619,19 @@ static const struct wiring *wiring_of(const char *mcu)
 }
 
 /* Loads an image; returns the reason if it cannot be loaded, else NULL. */
-static const char *load(avr_t *avr, const char *image)
+static const char *load(avr_t *avr, const struct node_plan *plan)
 {
     elf_firmware_t firmware = {0};
     const char *obstacle = NULL;
 
-    if (elf_read_firmware(image, &firmware))
+    if (plan->flash_size > avr->flashend + 1)
+        return "an image larger than its flash";
+    if (plan->flash_size) {
+        memcpy(avr->flash, plan->flash, plan->flash_size);
+        avr->codeend = (uint32_t)plan->flash_size;
+        return NULL;
+    }
+    if (elf_read_firmware(plan->image, &firmware))
         return "no ELF image";
     if (!firmware.flashsize)
         obstacle = "an image without code";
@@ -614,12 +657,14 @@ struct avr_node *node_create(const struct node_plan *plan, const struct sync_lin
     }
     node = calloc(1, sizeof *node);
     *node = (struct avr_node){.avr = avr_make_mcu_by_name(wiring->core), .wiring = wiring,
+                              .crystal_mhz = (uint64_t)llround(plan->clock_hz * 1e3),
                               .clock_mhz = (uint64_t)llround(plan->clock_hz * 1e3),
+                              .from_ns = plan->start_ns,
                               .supply_v = plan->supply_v, .start_ns = plan->start_ns,
                               .delay_ns = plan->delay_ns,
                               .sync = sync, .seen = sync->dropped};
     avr_init(node->avr);
-    obstacle = load(node->avr, plan->image);
+    obstacle = load(node->avr, plan);
     if (!obstacle && plan->memory_size > node->avr->e2end + 1u)
         obstacle = "a memory larger than its EEPROM";
     if (obstacle) {

@@ -16,6 +16,7 @@
  *     queue stay taken); enabling an interrupt whose flag is set raises it (simavr: never).
  *   - Timer1's noise canceller delays an edge by 4 cycles, and drops a shorter pulse (simavr: has none).
  *   - The USART as master of a serial bus: avr_usart.h.
+ *   - CLKPR divides the clock, whose frequency is that of a crystal.
  *   - SLEEP does nothing without SE. The ATtiny85's Timer1 counts, to 255.
  *   - The converter's code is ⌊1024 · V / AVcc⌋; its only reference is AVcc.
  *
@@ -50,6 +51,8 @@ struct node_counters {
 /* Description of a node. */
 struct node_plan {
     const char *image, *mcu;
+    const uint8_t *flash;  /* its whole flash up to the last byte written, where image is no ELF file */
+    size_t flash_size;
     const uint8_t *memory; /* beginning of its EEPROM; the rest is blank */
     size_t memory_size;
     double clock_hz;

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from breadboard import breadboard_line, breadboard_nodes
 from emulated import EmulatedNodes, EmulatedSkin, EmulationError
 from rp2040 import EmulatorError
 from rp2040_skin import Rp2040Skin
@@ -26,12 +27,15 @@ from skin import Digitized, PressedSkin, Spread, reference_amplifier, reference_
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import FAST
+from tactile_cdma.hardware.passive import passive_line
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US
 from trial import Trial, edge_errors, press_and_decode
 
 PARAMS = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"
-THOUSAND = PARAMS.with_name("thousand_skin.yaml")
+BREADBOARD, THOUSAND = (
+    PARAMS.with_name(f"{name}.yaml") for name in ("breadboard", "thousand_skin")
+)
 FAST_SKIN = {
     "nodes": 60,
     "rows": 6,
@@ -39,9 +43,10 @@ FAST_SKIN = {
     "order": 64,
     "resync_chips": 64,
     "frame_period_ms": 3.2,
-    "amplitude_mv": 35.45,
+    "amplitude_mv": 34.63,
 }
 """Fewer of these nodes, of a shorter code."""
+SIXTEEN_PASSIVE = {"polarity": 1, "amplitude_mv": 15.3}
 FRAMES = 300
 """Per trial. Chosen: seconds of emulation."""
 HISTORY_S = 60.0
@@ -77,6 +82,19 @@ def fast_on_virtual_board(frames: int) -> tuple[Trial, str]:
         return press(skin, skin, config, frames), f"nodes={config.spec.nodes}"
 
 
+def on_breadboard(
+    frames: int, config: SkinConfig, ohm: float, bias_ohm: float
+) -> tuple[Trial, str]:
+    """Trial without an amplifier; the last node has 16 MHz and 5 V."""
+    line = passive_line(config.spec, input_ohm=ohm, bias_ohm=bias_ohm)
+    with (
+        breadboard_nodes(config, unos=1) as nodes,
+        EmulatedSkin(nodes, breadboard_line(line), history_s=HISTORY_S) as skin,
+    ):
+        trial = press(skin, skin, config, frames)
+        return trial, edges(skin, config, trial.words)
+
+
 def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.int32]]) -> str:
     """Largest error of an edge, and largest change of the error from one edge to the next, µs."""
     errors_us = [errors / 1e3 for errors in edge_errors(nodes, config.spec, words)]
@@ -100,6 +118,12 @@ def main() -> int:
         "16 ATtiny85, core": lambda: on_virtual_board(config, "attiny85", FRAMES),
         "60 fast ATmega328P, core": lambda: fast_on_virtual_board(FRAMES),
         "16 ATmega328P, RP2040": lambda: on_rp2040(config, FRAMES),
+        "4 passive, one of 16 MHz": lambda: on_breadboard(
+            FRAMES, SkinConfig.of(read_file(BREADBOARD)), 22e3, 2200.0
+        ),
+        "16 passive, one of 16 MHz": lambda: on_breadboard(
+            FRAMES, SkinConfig.of(read_file(PARAMS) | SIXTEEN_PASSIVE), 100e3, 2000.0
+        ),
     }
     for name, run in plan.items():
         begin = time.monotonic()

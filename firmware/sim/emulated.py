@@ -33,6 +33,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_cdma.hardware.intel_hex import from_hex
+
 LIBRARY = Path(__file__).resolve().parents[1] / "build" / "sim" / "libskin.so"
 EDGE = np.dtype([("t_ns", "<i8"), ("level", "i1")], align=True)
 """A change of an output pin: level is +1 high, −1 low, 0 released."""
@@ -50,9 +52,10 @@ class EmulationError(Exception):
 class Node:
     """A sensing node.
 
-    image: its firmware, an ELF file. mcu: "atmega328p" or "attiny85". memory: the beginning of its
-    EEPROM. clock_hz: true frequency of its nominal 8 MHz oscillator. supply_v: V. gain: of its
-    input of the amplifier; its level on the line is gain · supply_v / 2. start_ns: power-up.
+    image: its firmware, an ELF file, or Intel hex of its flash. mcu: "atmega328p" or "attiny85".
+    memory: the beginning of its EEPROM. clock_hz: true frequency of its oscillator, which it may
+    divide. supply_v: V. gain: of its input of the amplifier; its level on the line is
+    gain · supply_v / 2. start_ns: power-up.
     delay_ns: of the sync line's edges on the way to its pin.
     """
 
@@ -71,6 +74,7 @@ class Amplifier:
     """Sums the nodes: offset_v ± the sum of their levels + noise, clipped at the rails, in V.
 
     polarity: −1 if it inverts. noise_v: standard deviation, independent from sample to sample.
+    load: without an amplifier, the conductance of the line itself; see skin.h. 0: with one.
     """
 
     offset_v: float = 1.65
@@ -79,6 +83,7 @@ class Amplifier:
     high_v: float = 3.3
     noise_v: float = 0.0
     seed: int = 1
+    load: float = 0.0
 
 
 class _Amplifier(ctypes.Structure):
@@ -88,6 +93,7 @@ class _Amplifier(ctypes.Structure):
         ("low_v", c_double),
         ("high_v", c_double),
         ("noise_v", c_double),
+        ("load", c_double),
         ("seed", c_uint64),
     )
 
@@ -96,6 +102,8 @@ class _Plan(ctypes.Structure):
     _fields_ = (
         ("image", c_char_p),
         ("mcu", c_char_p),
+        ("flash", c_char_p),
+        ("flash_size", c_size_t),
         ("memory", c_char_p),
         ("memory_size", c_size_t),
         ("clock_hz", c_double),
@@ -140,7 +148,13 @@ class EmulatedNodes:
         self._skin: int | None = self._library.skin_create(
             byref(
                 _Amplifier(
-                    line.offset_v, line.polarity, line.low_v, line.high_v, line.noise_v, line.seed
+                    line.offset_v,
+                    line.polarity,
+                    line.low_v,
+                    line.high_v,
+                    line.noise_v,
+                    line.load,
+                    line.seed,
                 )
             ),
         )
@@ -153,10 +167,12 @@ class EmulatedNodes:
             raise
 
     def _add(self, node: Node) -> None:
-        _check_image(node.image)
+        flash = _flash(node.image)
         plan = _Plan(
             str(node.image).encode(),
             node.mcu.encode(),
+            flash,
+            len(flash),
             node.memory,
             len(node.memory),
             node.clock_hz,
@@ -289,15 +305,19 @@ class EmulatedSkin(EmulatedNodes):
         return b"".join(parts)
 
 
-def _check_image(image: Path) -> None:
+def _flash(image: Path) -> bytes:
+    """What Intel hex says of a node's flash; nothing of an ELF file, which the library reads."""
     try:
-        head = image.read_bytes()[:20]
+        head = image.read_bytes()
     except OSError as error:
         raise EmulationError(
             f"{image}: {error.strerror}; `make -C firmware node` builds the nodes' images"
         ) from error
+    if head[:1] == b":":
+        return from_hex(head.decode("ascii"))
     if head[:4] != b"\x7fELF" or int.from_bytes(head[18:20], "little") != _AVR:
         raise EmulationError(f"{image}: this is no ELF image for an AVR")
+    return b""
 
 
 def _load(path: Path) -> ctypes.CDLL:

@@ -9,6 +9,8 @@
 struct member {
     struct avr_node *node;
     double swing_nv; /* nV at the amplifier's output per level; an integer, so that sums are exact */
+    double shift_nv; /* … while it drives the line */
+    double gain;
 };
 
 struct skin {
@@ -42,13 +44,15 @@ void skin_free(struct skin *skin)
 
 int skin_add(struct skin *skin, const struct node_plan *plan, char *error, size_t error_size)
 {
-    double swing_v = skin->amplifier.polarity * plan->gain * plan->supply_v / 2;
+    const struct amplifier *amplifier = &skin->amplifier;
+    double swing_v = amplifier->polarity * plan->gain * plan->supply_v / 2;
+    double shift_v = amplifier->load > 0 ? plan->gain * (plan->supply_v / 2 - amplifier->offset_v) : 0;
     struct avr_node *node = node_create(plan, &skin->sync, error, error_size);
 
     if (!node)
         return -1;
     skin->members = realloc(skin->members, (skin->size + 1) * sizeof *skin->members);
-    skin->members[skin->size] = (struct member){node, round(swing_v * 1e9)};
+    skin->members[skin->size] = (struct member){node, round(swing_v * 1e9), round(shift_v * 1e9), plan->gain};
     return (int)skin->size++;
 }
 
@@ -135,9 +139,19 @@ static size_t find_edge(const struct pin_edge *edges, size_t size, double t_ns)
     return low;
 }
 
-/* Adds a member's steps to the line's: the difference of each sample from the one before. */
+/* A member at a level in place of another, from a sample on. */
+static void add_step(const struct member *member, int8_t before, int8_t level, double *nv, double *loads)
+{
+    int drives = (level != 0) - (before != 0);
+
+    *nv += member->swing_nv * (level - before) + member->shift_nv * drives;
+    if (loads)
+        *loads += member->gain * drives;
+}
+
+/* Adds a member's steps to the line's, and to its load: the difference of each sample from the one before. */
 static void add_steps(const struct member *member, double t_ns, double step_ns, double *nv,
-                      size_t size)
+                      double *loads, size_t size)
 {
     const struct pin_edge *edges;
     int8_t level;
@@ -146,12 +160,13 @@ static void add_steps(const struct member *member, double t_ns, double step_ns, 
 
     if (i)
         level = edges[i - 1].level;
-    nv[0] += member->swing_nv * level;
+    add_step(member, 0, level, nv, loads);
     for (; i < count; i++) {
         double sample = ceil(((double)edges[i].t_ns - t_ns) / step_ns);
         if (sample >= (double)size)
             break;
-        nv[(size_t)sample] += member->swing_nv * (edges[i].level - level);
+        size_t at = (size_t)sample;
+        add_step(member, level, edges[i].level, &nv[at], loads ? &loads[at] : NULL);
         level = edges[i].level;
     }
 }
@@ -159,16 +174,20 @@ static void add_steps(const struct member *member, double t_ns, double step_ns, 
 void skin_volts(struct skin *skin, double t_ns, double step_ns, double *volts, size_t size)
 {
     const struct amplifier *amplifier = &skin->amplifier;
-    double sum_nv = 0;
+    double *loads = amplifier->load > 0 ? calloc(size, sizeof *loads) : NULL;
+    double sum_nv = 0, load = amplifier->load;
 
     for (size_t i = 0; i < size; i++)
         volts[i] = 0;
     for (size_t i = 0; size && i < skin->size; i++)
-        add_steps(&skin->members[i], t_ns, step_ns, volts, size);
+        add_steps(&skin->members[i], t_ns, step_ns, volts, loads, size);
     for (size_t i = 0; i < size; i++) {
         double noise = amplifier->noise_v > 0 ? amplifier->noise_v * normal(skin) : 0;
         sum_nv += volts[i];
-        volts[i] = amplifier->offset_v + sum_nv / 1e9 + noise;
+        if (loads)
+            load += loads[i];
+        volts[i] = amplifier->offset_v + sum_nv / 1e9 / (loads ? load : 1) + noise;
         volts[i] = fmin(fmax(volts[i], amplifier->low_v), amplifier->high_v);
     }
+    free(loads);
 }

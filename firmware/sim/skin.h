@@ -5,7 +5,11 @@
  *     volts(t) = offset + polarity · Σ gain · level(t) · supply / 2  + noise, clipped at the rails
  *
  * with level +1, −1 or 0 (released), for a summing amplifier whose summing point holds a released
- * input at half its supply. */
+ * input at half its supply. Without an amplifier the nodes' resistors load the line:
+ *
+ *     volts(t) = offset + Σ gain · (level(t) · supply / 2 + supply / 2 − offset) / (load + Σ gain) + noise
+ *
+ * over the nodes that drive it, with gain the conductance of their resistors. */
 #ifndef SKIN_H
 #define SKIN_H
 
@@ -16,6 +20,7 @@ struct amplifier {
     double polarity;       /* +1, or −1 where it inverts */
     double low_v, high_v;  /* its rails */
     double noise_v;        /* standard deviation */
+    double load;           /* conductance of the line without nodes; 0: an amplifier holds it */
     uint64_t seed;         /* of the noise */
 };
 

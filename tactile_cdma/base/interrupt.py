@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ctrl-C and SIGTERM, for commands that run until they are told to stop."""
+"""Ctrl-C, SIGTERM and SIGHUP, for commands that run until they are told to stop."""
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What ends a command: Ctrl-C, a service manager, a terminal that is closed."""
 
 
 class Stop:
@@ -31,25 +32,33 @@ class Stop:
 
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[Stop]:
-    """What Ctrl-C, SIGTERM or, after `seconds`, a timer sets."""
+    """What one of SIGNALS or, after `seconds`, a timer sets."""
     stop = Stop()
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
         timer.start()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in SIGNALS}
-    try:
-        yield stop
-    finally:
-        timer.cancel()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with _handling(SIGNALS, lambda *_: stop.set()):
+        try:
+            yield stop
+        finally:
+            timer.cancel()
 
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """SIGTERM interrupts as Ctrl-C does, so that unfinished files are removed."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """All of SIGNALS interrupt as Ctrl-C does, so that unfinished files are removed."""
+    with _handling(SIGNALS[1:], signal.default_int_handler):
+        yield
+
+
+@contextmanager
+def _handling(signals: Iterable[int], handler: Callable[..., object]) -> Iterator[None]:
+    """With a handler for signals, but for SIGHUP where nohup has it ignored."""
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    taken = [one for one in signals if not (ignored and one == signal.SIGHUP)]
+    before = {number: signal.signal(number, handler) for number in taken}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, old in before.items():
+            signal.signal(number, old)

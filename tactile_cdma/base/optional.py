@@ -9,15 +9,17 @@ from .errors import MissingPackageError
 
 
 @contextmanager
-def needed_for(what: str, package: str) -> Iterator[None]:
-    """For the imports of what needs an optional package of PyPI, which is imported by that name.
+def needed_for(what: str, module: str, package: str = "") -> Iterator[None]:
+    """For the imports of what needs a module of an optional package of PyPI.
 
-    what: the command or option that needs it. Raises MissingPackageError where it is missing.
+    what: the command or option that needs it. package: called as the module unless it is given.
+    Raises MissingPackageError where it is missing.
     """
+    package = package or module
     try:
         yield
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != package:
+        if (error.name or "").partition(".")[0] != module:
             raise
         raise MissingPackageError(
             f"{what} needs the Python package {package}, which is not installed: pip install "

@@ -14,7 +14,7 @@ from types import ModuleType
 from .. import __version__
 from ..base.errors import TactileError
 from ..doctor import command as doctor
-from . import calibrate, decode, export, info, layout, node, ports, record, simulate
+from . import amplifier, calibrate, decode, export, info, layout, node, ports, record, simulate
 
 SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "decode": (decode, "decode a recording or an oscilloscope capture"),
@@ -22,7 +22,8 @@ SUBCOMMANDS: dict[str, tuple[ModuleType, str]] = {
     "info": (info, "say what is in a recording or a bag"),
     "export": (export, "write frames as NPZ, CSV, Parquet, LeRobotDataset or bag"),
     "simulate": (simulate, "run a virtual digitizer behind a real tty"),
-    "node": (node, "write or read the EEPROM contents of sensing nodes"),
+    "node": (node, "write or read what sensing nodes are programmed with"),
+    "amplifier": (amplifier, "values of the parts between the nodes and the digitizer"),
     "ports": (ports, "list serial ports and the digitizers on them"),
     "doctor": (doctor, "check this installation or a port, and report problems"),
     "layout": (layout, "check a layout file and draw it with node numbers"),

@@ -28,7 +28,7 @@ from ..datasets.tables import about_path, taxels_path, write_csv, write_npz
 from ..datasets.touch import HOLD, MODES, POLICIES, WINDOW
 
 _WRITERS = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
-_CHOICES = ("topic", "start", "end", "episode", "marks", "from_first_complete")
+_CHOICES = ("topic", "info", "start", "end", "episode", "marks", "from_first_complete")
 _OF_LEROBOT = ("fps", "clock", "samples", "nan", "image", "state", "action", "task")
 """Options that not every output has, by their destination."""
 
@@ -63,6 +63,9 @@ def _add_choices(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("what to export")
     group.add_argument(
         "--topic", action="append", default=[], help="arrays of a bag; repeat it; default: all"
+    )
+    group.add_argument(
+        "--info", type=Path, metavar="BAG", help="takes ~/info from here if the bag has none"
     )
     group.add_argument("--start", type=finite, metavar="S", help="s from each file's beginning")
     group.add_argument("--end", type=finite, metavar="S", help="s from each file's beginning")
@@ -99,8 +102,14 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
         help=f"taxels without a reading: last valid one, 0, or leave the row out; default: {HOLD}",
     )
     group.add_argument("--image", action="append", metavar="TOPIC", help="repeat it; default: all")
-    group.add_argument("--state", metavar="TOPIC", help="observation.state: joints, or an array")
-    group.add_argument("--action", metavar="TOPIC", help="action: joints, or an array")
+    for name, column in (("--state", "observation.state"), ("--action", "action")):
+        group.add_argument(
+            name,
+            action="append",
+            default=[],
+            metavar="TOPIC[:NAME,…]",
+            help=f"{column}: joints, or an array; all or those of these names; repeat it",
+        )
     group.add_argument("--task", help="what was done, in words")
 
 
@@ -161,6 +170,7 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
         cameras=arguments.image,
         state=arguments.state,
         action=arguments.action,
+        info=arguments.info,
     )
     with naming(folder, CaptureError):
         outcome = write_lerobot(folder, arguments.files, wanted, plan, progress)
@@ -198,7 +208,8 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
         raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")
     sources = [
-        open_source(path, Wanted(given(arguments), arguments.topic)) for path in arguments.files
+        open_source(path, Wanted(given(arguments), arguments.topic, info=arguments.info))
+        for path in arguments.files
     ]
     names = [stream.feature for stream in patches_of(sources[0])]
     if not names:

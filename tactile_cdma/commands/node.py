@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The subcommand `tactile-cdma node`: writes and reads the EEPROM contents of sensing nodes."""
+"""The subcommand `tactile-cdma node`: writes and reads what sensing nodes are programmed with."""
 
 import argparse
 import shlex
@@ -10,24 +10,52 @@ from pathlib import Path
 from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
 from ..config.skin_config import SkinConfig
+from ..hardware.node_image import CRYSTALS_MHZ, node_image
 from ..hardware.node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
-from ..hardware.programmer import avrdude, burn, node_files, read_memory, write_memory
+from ..hardware.programmer import (
+    EEPROM,
+    FLASH,
+    avrdude,
+    burn,
+    node_files,
+    read_memory,
+    write_image,
+    write_memory,
+)
 
 ALL = "all"
 """Instead of a node's number."""
+ARDUINO = "arduino -P /dev/ttyUSB0 -b 57600"
+"""What avrdude is told of a Pro Mini's boot loader, and of an older Nano's; an Uno's is faster."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
+    what.add_argument("--all", action="store_const", dest="node", const=ALL, help="as --node all")
     what.add_argument("--read", type=Path, metavar="FILE", help="print the contents of such a file")
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="FILE",
-        help="Intel HEX (.hex, .eep) or bytes (.bin); with all: a directory, made if missing",
+        help="EEPROM: Intel HEX (.hex, .eep) or bytes (.bin); with all: a folder, made if missing",
+    )
+    parser.add_argument(
+        "--hex",
+        type=Path,
+        metavar="FILE",
+        help="flash, for boot loaders: program and memory in one Intel HEX; with all: a directory",
+    )
+    parser.add_argument(
+        "--crystal-mhz",
+        type=int,
+        choices=CRYSTALS_MHZ,
+        help="of a node flashed by --hex: 16 for an Arduino Uno or Nano (8)",
+    )
+    parser.add_argument(
+        "--image", type=Path, metavar="FILE", help="program for --hex (that of `make firmware`)"
     )
     parser.add_argument("--mcu", choices=MCUS, default="atmega328p")
     parser.add_argument(
@@ -48,7 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="time chips by the node's own clock only, not corrected by the sync edges",
     )
     parser.add_argument(
-        "--programmer", metavar="NAME", help="also write it to the node by avrdude: usbasp, …"
+        "--programmer",
+        metavar="NAME",
+        help="also write it to the node by avrdude: usbasp, 'arduino -P /dev/ttyUSB0 -b 57600', …",
     )
     add_skin_options(parser, "the driver's")
 
@@ -58,9 +88,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.read:
         print(describe_memory(*read_memory(arguments.read)))
         return 0
-    output, mcu, programmer = arguments.output, arguments.mcu, arguments.programmer
-    if output is None:
-        raise SpecError("-o is missing: the file to write, or with --node all the directory")
+    mcu, programmer, of_flash = arguments.mcu, arguments.programmer, arguments.hex is not None
+    if (arguments.output is None) != of_flash:
+        both = "-o and --hex are given: EEPROM or flash, not both"
+        none = "-o is missing: the file to write, or with --node all the directory"
+        raise SpecError(both if of_flash else f"{none}; or --hex")
+    if not of_flash and (arguments.crystal_mhz or arguments.image):
+        raise SpecError("--crystal-mhz and --image are about flash: give --hex instead of -o")
     if programmer and arguments.node == ALL:
         raise SpecError("--programmer writes one node, the one that is connected: --node is all")
     config = SkinConfig.of(given(arguments))
@@ -81,16 +115,22 @@ def run(arguments: argparse.Namespace) -> int:
         )
         for node in nodes
     ]
+    output = arguments.hex if of_flash else arguments.output
     paths = [output] if arguments.node != ALL else node_files(output, len(memories))
     for path, memory in zip(paths, memories, strict=True):
-        write_memory(path, memory)
+        if of_flash:
+            crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
+            write_image(path, node_image(mcu, [memory], crystal_mhz, arguments.image))
+        else:
+            write_memory(path, memory)
     if arguments.threshold:
         _warn_of_silence(heartbeat, config)
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
+    kind, usual = (FLASH, ARDUINO) if of_flash else (EEPROM, "usbasp")
     if programmer:
-        burn(output, mcu, programmer)
+        burn(output, mcu, programmer, kind)
     else:
-        print("to the node:", shlex.join(avrdude(paths[0], mcu, "usbasp")))
+        print("to the node:", shlex.join(avrdude(paths[0], mcu, usual, kind)))
     return 0
 
 

@@ -45,6 +45,7 @@ class Parameter:
     """One parameter. limits are inclusive; live parameters may change while the node is active.
 
     If the default is a tuple, values have its length and limits apply to every element.
+    pair: two numbers are taken as well as one.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Parameter:
     limits: tuple[float, float] | None = None
     choices: tuple[Value, ...] = ()
     live: bool = False
+    pair: bool = False
 
     @property
     def description(self) -> str:
@@ -65,6 +67,8 @@ class Parameter:
 
         Raises ParameterError, which names the value, the limit and the unit.
         """
+        if self.pair and isinstance(value, list | tuple | array):
+            return replace(self, default=(0.0, 0.0), pair=False).check(value)
         kind = type(self.default)
         if type(value) is int and value.bit_length() > 63:
             raise ParameterError(f"{self.name} is an integer of {value.bit_length()} bits")
@@ -198,7 +202,9 @@ PARAMETERS: tuple[Parameter, ...] = (
         "taxel positions, for skins other than a flat grid; empty: rows, columns, pitch_mm"),
     Parameter("rows", 0, "taxel rows; 0: as square as possible", "", (0, 4_096)),
     Parameter("columns", 0, "taxel columns; 0: as square as possible", "", (0, 4_096)),
-    Parameter("pitch_mm", 7.0, "distance between neighbouring taxels", "mm", (0.01, 1_000.0)),
+    Parameter("pitch_mm", 7.0,
+        "distance between neighbouring taxels; two numbers: from column to column, and from row to "
+        "row", "mm", (0.01, 1_000.0), pair=True),
     Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
     Parameter("parent_frame", "",

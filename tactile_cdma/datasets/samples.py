@@ -21,6 +21,8 @@ CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z
 """Elements of a sample of contacts; x, y, z: centre of pressure in the patch's frame."""
 WRENCH_NAMES = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
 NANO = 1_000_000_000
+PUBLISHER = "#"
+"""In the key of a vector's stream before the number of the program that publishes it."""
 MOST_SHOWN = 8
 """Taxels, or names, that a message lists; chosen."""
 _ALONE = "export them one by one"
@@ -35,6 +37,7 @@ class Kind(StrEnum):
     STATE = "state"
     ACTION = "action"
     IMAGE = "image"
+    DEPTH = "depth"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +118,8 @@ class SampleStream:
     """What is the same in all samples of a stream.
 
     key: its name, unique. feature: name for datasets, [a-z0-9_].
-    shape: of one sample; of images height, width, 3. names: of a vector's elements.
+    shape: of one sample; of images height, width, 3. names: of a vector's elements. dtype, unit:
+    of depths.
     """
 
     key: str
@@ -124,11 +128,13 @@ class SampleStream:
     shape: tuple[int, ...]
     names: tuple[str, ...] = ()
     patch: PatchInfo | None = field(default=None, compare=False)
+    dtype: str = "float32"
+    unit: str = ""
 
     @property
     def topic(self) -> str:
         """The topic that it is made of; its kind for a recording, which has no topics."""
-        return self.key.removeprefix(f"{self.kind}:")
+        return self.key.removeprefix(f"{self.kind}:").partition(PUBLISHER)[0]
 
 
 class SampleSource(Protocol):

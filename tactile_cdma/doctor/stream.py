@@ -24,6 +24,8 @@ from ..words.health import NodeHealth, NodeState
 from ..words.limits import DOUBLE_SHARE, LOW_RHO
 from .report import Check, ok, problem, warning
 
+WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
+"""Firmware of nodes says so by its LED (docs/firmware.md)."""
 FULL_RATE = 0.95
 """Share of the expected frame rate below which frames are missed. Chosen: in 3 s of 78 frames per
 second the rate is known to 1 in 234."""
@@ -96,7 +98,7 @@ def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Che
     if not decoded.active.any():
         words = [frame.words for frame in decoded.frames]
         unclear = sum(bool((each.active | each.doubtful).any()) for each in words)
-        text = "frames arrive, but no node speaks: is the skin powered?"
+        text = f"frames arrive, but no node speaks: is the skin powered? {WRONG_CLOCK}"
         if unclear:  # by chance, as long as no amplitude is known
             text += f" {unclear} of {len(words)} frames may hold a word."
         noise_v = float(np.nanmedian([each.noise_rms_v for each in words]))
@@ -278,8 +280,8 @@ def _nodes(decoded: DecodedStream, seconds: float) -> Iterator[Check]:
         silent = listed((np.flatnonzero(~spoke) + 1).tolist(), "node")
         yield warning(
             "nodes",
-            f"{total}, not heard: {silent}: are they connected and powered? (one that is at rest "
-            f"only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
+            f"{total}, not heard: {silent}: are they connected and powered? {WRONG_CLOCK} (one at "
+            f"rest only speaks at its heartbeat: --seconds {2 * seconds:g} listens longer)",
         )
     for state, text in UNSOUND.items():
         if numbers := decoded.pipeline.health.nodes(state):

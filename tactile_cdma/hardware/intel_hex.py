@@ -14,11 +14,13 @@ BLANK = 0xFF
 
 def to_hex(data: bytes) -> str:
     """The text of a memory of up to 64 kB that begins at address 0."""
-    lines = [
-        _record(address, DATA, data[address : address + PER_RECORD])
-        for address in range(0, len(data), PER_RECORD)
-    ]
-    return "\n".join([*lines, _record(0, END, b""), ""])
+    return "\n".join([*_records(data, 0), _record(0, END, b""), ""])
+
+
+def joined_hex(text: str, data: bytes, address: int) -> str:
+    """Such a text, and after it data at an address behind it."""
+    before = [line.strip() for line in text.splitlines() if line.strip()]
+    return "\n".join([*before[:-1], *_records(data, address), before[-1], ""])
 
 
 def from_hex(text: str) -> bytes:
@@ -42,6 +44,13 @@ def from_hex(text: str) -> bytes:
         memory.extend(bytes([BLANK]) * (end - len(memory)))
         memory[address:end] = data
     raise NodeMemoryError("the Intel HEX text has no end record: is it truncated?")
+
+
+def _records(data: bytes, begin: int) -> list[str]:
+    return [
+        _record(begin + at, DATA, data[at : at + PER_RECORD])
+        for at in range(0, len(data), PER_RECORD)
+    ]
 
 
 def _record(address: int, kind: int, data: bytes) -> str:

@@ -31,7 +31,7 @@ class Mcu:
     part: avrdude's name. order: longest code row that fits its memories. chip_ns, longest_chip_ns:
     range of chips that it keeps up with, ns. scrambled_chip_ns: shortest chip that it flips, ns;
     sparse_chip_ns: of a sparse code; 0: it has none.
-    chip_step_ns: chips are a multiple of this.
+    chip_step_ns: chips are a multiple of this. flash_table: whether its flash can hold memories.
     bits_restart: it starts anew at every bit. restart_s: least guard before a restart within the
     frame, s: the restart's sync pulse, 64 µs ahead of it, must not begin before a node has released
     the line.
@@ -46,13 +46,14 @@ class Mcu:
     chip_step_ns: int = 1
     bits_restart: bool = False
     restart_s: float = 96e-6
+    flash_table: bool = True
 
 
 FAST = "atmega328p-fast"
 MCUS = {
     "atmega328p": Mcu("m328p", 4096, 35_000, 35_000, 35_000),
     FAST: Mcu("m328p", 4096, 500, 1750, 2000, 16_000, 250, bits_restart=True, restart_s=80e-6),
-    "attiny85": Mcu("t85", 1024, 40_000, 40_000, 0),
+    "attiny85": Mcu("t85", 1024, 40_000, 40_000, 0, flash_table=False),
 }
 HEARTBEAT_S = 1.0
 """Default time between two words of a node at rest, s; chosen, below stale_after_s."""

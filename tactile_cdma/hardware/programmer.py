@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..base.errors import NodeMemoryError
 from ..base.named_file import naming, read_named
 from .intel_hex import from_hex, to_hex
+from .node_image import first_memory
 from .node_memory import MCUS, NodeRecord, read_node_memory
 
 _log = logging.getLogger(__name__)
@@ -20,6 +21,8 @@ _log = logging.getLogger(__name__)
 HEX, RAW = (".hex", ".eep"), (".bin",)
 """Endings of file names: Intel HEX, and the bare bytes."""
 AVRDUDE = "avrdude"
+EEPROM, FLASH = "eeprom", "flash"
+"""Memories by its names."""
 MOST_BYTES = 1 << 20
 """Largest file read; chosen: Intel HEX of 64 kB takes 180 kB."""
 
@@ -29,6 +32,14 @@ def write_memory(path: Path, data: bytes) -> None:
     content = to_hex(data).encode() if _is_hex(path) else data
     with naming(path, NodeMemoryError):
         path.write_bytes(content)
+
+
+def write_image(path: Path, text: str) -> None:
+    """Write the Intel HEX of a node's flash. Raises NodeMemoryError."""
+    if path.suffix.lower() != HEX[0]:
+        raise NodeMemoryError(f"{path}: the flash's Intel HEX ends in {HEX[0]}")
+    with naming(path, NodeMemoryError):
+        path.write_text(text)
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:
@@ -43,7 +54,7 @@ def node_files(directory: Path, nodes: int) -> list[Path]:
 
 
 def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
-    """Record and chips in a file that write_memory or avrdude made.
+    """Record and chips in a file that write_memory, write_image or avrdude made.
 
     Raises NodeMemoryError, naming the file and what is wrong.
     """
@@ -51,23 +62,28 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
     with naming(path, NodeMemoryError):
         content = read_named(path, MOST_BYTES)
     try:
-        return read_node_memory(from_hex(content.decode("latin-1")) if is_hex else content)
+        memory = from_hex(content.decode("latin-1")) if is_hex else content
+        return read_node_memory(first_memory(memory) or memory)
     except NodeMemoryError as error:
         raise NodeMemoryError(f"{path}: {error}") from None
 
 
-def avrdude(path: Path, mcu: str, programmer: str) -> list[str]:
-    """The command that writes such a file to a node's EEPROM, and verifies it."""
+def avrdude(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> list[str]:
+    """The command that writes such a file to a node's EEPROM or FLASH, and verifies it.
+
+    programmer: its name, and what else avrdude has to be told of it: "arduino -P /dev/ttyUSB0".
+    """
     kind = "i" if _is_hex(path) else "r"
-    return [AVRDUDE, "-c", programmer, "-p", MCUS[mcu].part, "-U", f"eeprom:w:{path}:{kind}"]
+    connected = [AVRDUDE, "-c", *shlex.split(programmer)]
+    return [*connected, "-p", MCUS[mcu].part, "-U", f"{memory}:w:{path}:{kind}"]
 
 
-def burn(path: Path, mcu: str, programmer: str) -> None:
+def burn(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> None:
     """Write such a file to the node at the programmer; avrdude reports on stderr.
 
     Raises NodeMemoryError where that fails.
     """
-    command = avrdude(path, mcu, programmer)
+    command = avrdude(path, mcu, programmer, memory)
     _log.debug("%s", shlex.join(command))
     try:
         code = subprocess.run(command, check=False).returncode

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import ParameterError
-from ..places.mesh import tangents
+from ..places.layout_shapes import tangents
 from ..places.poses import Pose
 
 STIFFNESS_PA_PER_M = 1e7
@@ -74,14 +74,21 @@ class Indenter(ABC):
         """The object's own frame in the skin's."""
         return Pose.of_quaternion(self.position_m, self.orientation_xyzw)
 
+    def spans_m(self, points_m: Floats, normals: Floats) -> Spans:
+        """Where lines along the normals of a surface enter and leave it, as heights above there.
+
+        points_m, normals: (m, 3), in the skin's frame.
+        """
+        own = self.pose.inverse
+        return self._spans(own.apply(points_m), own.rotate(normals))
+
     def depth_m(self, points_m: Floats, normals: Floats) -> Floats:
         """How far the object reaches below points of a surface, along the normals there.
 
         points_m, normals: (m, 3), in the skin's frame. Returns (m,), m. 0 where the object is
         beside the normal's line, above the surface, or wholly behind it.
         """
-        own = self.pose.inverse
-        enters_m, leaves_m = self._spans(own.apply(points_m), own.rotate(normals))
+        enters_m, leaves_m = self.spans_m(points_m, normals)
         return np.where(leaves_m > 0, np.maximum(-enters_m, 0.0), 0.0)
 
     def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
@@ -154,36 +161,58 @@ class Box(Indenter):
 
 
 class Foundation:
-    """The elastic cover of t taxels: squares of the taxels' areas, tangential to the skin."""
+    """The elastic cover of t taxels: rectangles of the taxels' areas, tangential to the skin.
+
+    areas_m2: (t,), m².
+    """
 
     def __init__(
         self,
         positions_m: Floats | Floats32,
         normals: Floats | Floats32,
         areas_m2: Floats | Floats32,
+        aspect: float = 1.0,
     ) -> None:
-        """positions_m, normals: (t, 3), m, in the skin's frame. areas_m2: (t,), m²."""
+        """positions_m, normals: (t, 3), m, in the skin's frame. aspect: width over height."""
         self._positions_m = positions_m.astype(np.float64)
         self._normals = normals.astype(np.float64)
-        edges_m = np.sqrt(areas_m2.astype(np.float64))
-        self._corners_m = edges_m * math.sqrt(0.5)  # how far they are from the centres
+        self.areas_m2 = areas_m2.astype(np.float64)
+        edge_m = np.sqrt(self.areas_m2)[:, None, None]
+        wide_m, tall_m = edge_m * math.sqrt(aspect), edge_m / math.sqrt(aspect)
+        self._corners_m = np.hypot(wide_m, tall_m).ravel() / 2  # how far they are from the centres
         right, up = tangents(self._normals)
         steps = (np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS - 0.5
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
-        offsets_m = edges_m[:, None, None] * (x * right[:, None] + y * up[:, None])
+        offsets_m = wide_m * x * right[:, None] + tall_m * y * up[:, None]
         self._points_m = self._positions_m[:, None] + offsets_m
+
+    def near(self, indenter: Indenter, moves_m: float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """The points that an object may reach, their normals (both (m, 3)) and areas (m,), m².
+
+        moves_m: as far as it moves sideways of the normals, m.
+        """
+        near, points_m = self._near(indenter, moves_m)
+        per_taxel = points_m.shape[1]
+        normals = self._normals[near].repeat(per_taxel, axis=0)
+        areas_m2 = (self.areas_m2[near] / per_taxel).repeat(per_taxel)
+        return points_m.reshape(-1, 3), normals, areas_m2
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
         pressure_pa = np.zeros(self._points_m.shape[:2])
         for indenter in indenters:
-            near = indenter.may_touch(self._positions_m, self._normals, self._corners_m)
-            points_m = self._points_m[near]
+            near, points_m = self._near(indenter)
             normals = self._normals[near].repeat(points_m.shape[1], axis=0)
             depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals).reshape(points_m.shape[:2])
             pressed_pa = indenter.stiffness_pa_per_m * depth_m
             pressure_pa[near] = np.maximum(pressure_pa[near], pressed_pa)
         return np.asarray(pressure_pa.mean(axis=1))
+
+    def _near(self, indenter: Indenter, moves_m: float = 0.0) -> tuple[Bools, Floats]:
+        """Which taxels it may touch, (t,), and their points (k, EDGE_POINTS², 3)."""
+        around_m = self._corners_m + moves_m
+        near = indenter.may_touch(self._positions_m, self._normals, around_m)
+        return near, self._points_m[near]
 
 
 def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:

@@ -25,6 +25,8 @@ TURN_MOST_LOG2 = 4
 NODE_MAGIC = 1314145108
 NODE_VERSION = 3
 NODE_LEARN_REST = 65535
+NODE_FLASH = 12288
+NODE_FLASH_END = 30720
 DEMO_WIRED = 56833
 DEMO_WIRELESS = 56834
 FLAG_SYNC = 0x01
@@ -135,6 +137,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
         Field("guard_chips", "B", U8), Field("scramble", "I", U32),
         Field("discipline", "B", bool), Field("rest", "H", U16), Field("threshold", "H", U16),
         Field("heartbeat", "H", U16), Field("turn", "H", U16),),
+    "NodeTable": (Field("count", "H", range(1, 1024)), Field("crystal_mhz", "B", range(8, 17)),),
     "Info": (Field("version", "B", U8), Field("firmware_major", "B", U8),
         Field("firmware_minor", "B", U8), Field("digitizer_id", "8s"),
         Field("sample_rate_uhz", "Q", range(1, 18446744073709551616)),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from tactile_cdma.messages.types import message_types
 
@@ -198,9 +198,11 @@ class BagMaker:
                 contacts=[],
             )
 
-    def write(self, path: Path, sqlite: bool = False) -> Path:
+    def write(self, path: Path, sqlite: bool = False, compressed: str = "none") -> Path:
         plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
-        with Writer(path, version=9, storage_plugin=plugin) as writer:
+        writer = Writer(path, version=9, storage_plugin=plugin)
+        writer.set_compression(CompressionMode[compressed.upper()], CompressionFormat.ZSTD)
+        with writer:
             connections: dict[str, Any] = {}
             for time_ns, topic, kind, message in sorted(self.messages, key=lambda m: m[0]):
                 if topic not in connections:

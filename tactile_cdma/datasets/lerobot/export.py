@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +30,9 @@ from .writer import DatasetWriter
 PAUSE_S = 10.0
 """Rows end so long after the last sample of any stream, s, until there is another: the recorder was
 paused, or a time of recording is wrong. Chosen: far above the intervals of what is recorded."""
+LONGEST_S = 1024
+"""An episode has no rows beyond, s: from there on, float32 seconds are 122 µs apart, and LeRobot
+tolerates 100 µs between the steps of its timestamps and 1 / fps."""
 RATE_S = 5.0
 """How much of a file is read to learn the rate of a clock's topic, s; chosen."""
 
@@ -165,17 +168,14 @@ class _Layout:
 
     def check(self, source: SampleSource) -> None:
         """Raises CaptureError for a file whose streams differ."""
-        mine, its = (
-            {column(stream): stream.shape for stream in streams.values()}
-            for streams in (self.streams, _streams(source, self.lacking))
-        )
+        mine, its = (_shapes(streams) for streams in (self.streams, _streams(source, self.lacking)))
         for name in sorted(mine.keys() | its.keys()):
             if name not in its:
                 problem = f"does not have {name}, which the first file has"
             elif name not in mine:
                 problem = f"has {name}, which the first file does not have"
             elif mine[name] != its[name]:
-                problem = f"{name} has shape {its[name]}, in the first file {mine[name]}"
+                problem = f"{name} has {its[name]}, in the first file {mine[name]}"
             else:
                 continue
             raise CaptureError(
@@ -188,6 +188,16 @@ class _Layout:
         )
         for feature, patch in mine_by.items():
             check_taxels(patch, its_by[feature], source.path)
+
+
+def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
+    """What a file's columns hold, for people: shapes, or the names of vectors' elements."""
+    elements: defaultdict[str, set[str]] = defaultdict(set)
+    for stream in streams.values():
+        if stream.kind in (Kind.STATE, Kind.ACTION):
+            elements[column(stream)].update(stream.names)
+    shapes = {column(stream): f"shape {stream.shape}" for stream in streams.values()}
+    return shapes | {name: ", ".join(sorted(its)) for name, its in elements.items()}
 
 
 def _export(
@@ -210,10 +220,10 @@ def _export(
     clock = _clock(source, taken, plan)
     aligner = Aligner(taken, touch, episodes, layout.fps, clock)
     streams = list(taken.values())
-    actions = [stream for stream in streams if stream.kind == Kind.ACTION]
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
-    repeated: Counter[str] = Counter()  # commands that are older than others of their topics
+    parts = 0  # episodes that were begun because the one before was too long
+    stopped: Counter[str] = Counter()  # rows with an old command, or nothing valid, by stream
     for row, is_in_pause in _rows(source, taken, aligner, episodes, progress):
         reason = obstacle(row, streams, plan.policy, source.begin_ns, source.path)
         if is_in_pause and reason is None:
@@ -226,12 +236,14 @@ def _export(
             outcome.left_out[reason] += 1
             going = None
             continue
-        if row.tick.episode != going or row.tick.since_ns > last_ns:  # the clock had stopped
-            going = row.tick.episode
+        is_long = row.tick.episode == going and writer.length >= LONGEST_S * layout.fps
+        if row.tick.episode != going or row.tick.since_ns > last_ns or is_long:
+            going = row.tick.episode  # it begins, or goes on after the clock had stopped
             writer.begin(episodes[going].task)
+            parts += is_long
         last_ns = row.tick.time_ns
-        repeated.update(one.topic for one in actions if one.key in row.stopped)
-        writer.add(cells(row, streams))
+        stopped.update(one.key for one in streams if one.key in row.stopped)
+        writer.add(cells(row, streams, layout.features))
     for key, one in touch.items():
         name = source.streams[key].feature
         if plan.from_first_complete:
@@ -239,10 +251,12 @@ def _export(
         elif one.completeness.missing:
             taxels = one.completeness.unread
             outcome.notes.append(f"{source.path}: {name}: no valid reading of {taxels} at any time")
-    for topic, rows in repeated.items():
+    for key, rows in stopped.items():
+        outcome.notes.append(f"{source.path}: {_said_of_stopped(taken[key], rows)}")
+    if parts:
         outcome.notes.append(
-            f"{source.path}: action: the last command of {topic} is repeated in {rows} rows: it "
-            "stopped, or is sent only when it changes"
+            f"{source.path}: {parts} episodes begin only because the one before is {LONGEST_S} s "
+            "long: LeRobot's float32 timestamps would be off by more than it tolerates"
         )
     outcome.late.update(aligner.late)
     outcome.notes += [f"{source.path}: {note}" for note in source.notes]
@@ -251,6 +265,16 @@ def _export(
         for stream in patches_of(source)
         if stream.patch
     ]
+
+
+def _said_of_stopped(stream: SampleStream, rows: int) -> str:
+    """Of a stream that had stopped in rows that were written."""
+    if stream.kind == Kind.ACTION:
+        return (
+            f"action: the last command of {stream.topic} is repeated in {rows} rows: it stopped, "
+            "or is sent only when it changes"
+        )
+    return f"{column(stream)}: {stream.topic} had stopped in {rows} rows, where nothing is valid"
 
 
 def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, SampleStream]:

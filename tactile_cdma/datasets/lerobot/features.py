@@ -12,7 +12,7 @@ from ...base.arrays import Bools, Floats32
 from ..alignment import Row
 from ..arrow import PNG_OR_JPEG
 from ..samples import NANO, Kind, RawImage, SampleStream
-from ..sources.images import check_size, encoded
+from ..sources.images import check_size, depth, encoded
 from ..touch import DROP, WINDOW, Touch
 
 TIME = "unix_time_ns"
@@ -47,6 +47,7 @@ def features_of(
 ) -> list[Feature]:
     """The columns for some streams. slots: samples of a tick, by the patches' features."""
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
+    vectors: dict[str, tuple[str, ...]] = {}  # of several publishers
     for stream in streams:
         name, size = column(stream), stream.shape
         if stream.kind == Kind.TACTILE:
@@ -63,9 +64,13 @@ def features_of(
             features.append(Feature(name, "float32", size, stream.names))
             features.append(Feature(f"{name}.valid", "float32", size, stream.names, mask=True))
         elif stream.kind in (Kind.STATE, Kind.ACTION):
-            features.append(Feature(name, "float32", size, stream.names))
+            vectors[name] = (*vectors.get(name, ()), *stream.names)
+        elif stream.kind == Kind.DEPTH:
+            axes = ("height", "width")
+            features.append(Feature(name, stream.dtype, size, axes, stream.unit, pooled=True))
         else:
             features.append(Feature(name, PNG_OR_JPEG, size, ("height", "width", "channels")))
+    features += [Feature(name, "float32", (len(its),), its) for name, its in vectors.items()]
     return features
 
 
@@ -100,9 +105,10 @@ def obstacle(
     return None
 
 
-def cells(row: Row, streams: Iterable[SampleStream]) -> dict[str, Any]:
+def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]) -> dict[str, Any]:
     """What a row without an obstacle puts into the columns."""
     found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
+    elements: dict[str, dict[str, Any]] = {}  # of vectors, by their names
     for stream in streams:
         name, value = column(stream), row.values.get(stream.key)
         if isinstance(value, Touch):
@@ -115,9 +121,14 @@ def cells(row: Row, streams: Iterable[SampleStream]) -> dict[str, Any]:
             found[name], found[f"{name}.valid"] = _filled(value, stream.shape)
         elif isinstance(value, RawImage):
             check_size(value.message, stream.key, stream.shape)
-            found[name] = encoded(value.message, stream.key)
+            take = depth if stream.kind == Kind.DEPTH else encoded
+            found[name] = take(value.message, stream.key)
         else:
-            found[name] = value
+            assert isinstance(value, np.ndarray)
+            elements.setdefault(name, {}).update(zip(stream.names, value, strict=True))
+    for feature in features:  # in the order of the dataset, whoever published first
+        if its := elements.get(feature.name):
+            found[feature.name] = np.array([its[name] for name in feature.names], np.float32)
     return found
 
 

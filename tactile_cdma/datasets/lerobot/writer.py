@@ -71,6 +71,11 @@ class DatasetWriter:
         return len(self._episodes)
 
     @property
+    def length(self) -> int:
+        """Rows of the last episode so far."""
+        return int(self._episodes[-1]["length"]) if self._episodes else 0
+
+    @property
     def not_finite(self) -> dict[str, int]:
         """How many elements of a feature were NaN or infinite, where there were some."""
         return {

@@ -2,6 +2,8 @@
 
 """Messages of a bag as samples' values. Fields are read as rosbags gives them."""
 
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...driver.digitizer import Origin
-from ..samples import NANO, PatchInfo, SkinFrame, feature_name, in_order
+from ..samples import NANO, PatchInfo, SkinFrame, feature_name
 
 ARRAY, INFO = "tactile_cdma/msg/TactileArray", "tactile_cdma/msg/TactileSkinInfo"
 CONTACTS_TYPE, WRENCH_TYPE = "tactile_cdma/msg/TactileContacts", "geometry_msgs/msg/WrenchStamped"
@@ -127,18 +129,47 @@ def wrench(message: Any) -> Floats32:
     return np.array(values, dtype=np.float32)
 
 
-def vector(message: Any, topic: str, names: tuple[str, ...]) -> Floats32:
+def vector_choice(text: str) -> tuple[str, tuple[str, ...]]:
+    """Topic and names of TOPIC or TOPIC:NAME,…; no names: all."""
+    topic, _, names = text.partition(":")
+    return topic, tuple(name for name in names.split(",") if name)
+
+
+def publishers(
+    topic: str, said: Iterable[tuple[str, ...]], chosen: tuple[str, ...]
+) -> list[tuple[str, ...]]:
+    """Names of a vector's elements, by the programs that publish them on one topic.
+
+    said: names in each message. chosen: those that are wanted; none: all. Raises CaptureError for
+    a name that nobody publishes, or several programs do.
+    """
+    found: dict[frozenset[str], tuple[str, ...]] = {}  # in the order of the first message
+    for names in filter(None, said):
+        found.setdefault(frozenset(names), names)
+    owners = Counter(name for names in found.values() for name in names)
+    wanted = chosen or tuple(owners)
+    for name in wanted:
+        if name not in owners:
+            raise CaptureError(f"{topic}: no {name} (there are {', '.join(owners) or 'none'})")
+        if owners[name] > 1:
+            some, others = [", ".join(names) for names in found.values() if name in names][:2]
+            raise CaptureError(
+                f"{topic}: some messages have {some}, others {others}: if two programs publish "
+                f"{name}, choose other elements, {topic}:NAME,…, or record two topics"
+            )
+    each = [tuple(name for name in wanted if name in names) for names in found.values()]
+    return [names for names in each if names]
+
+
+def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
     """Positions of a JointState, or the data of an array, in the order of the names.
 
-    Raises CaptureError for other names or another number of values.
+    None for a message without them: another program's.
     """
-    its = vector_names(message)
-    if (values := in_order(_values(message), its, names)) is None:
-        raise CaptureError(
-            f"{topic}: a message has {', '.join(its) or 'no value'}, the first one "
-            f"{', '.join(names)}: do two programs publish there?"
-        )
-    return values
+    its, values = vector_names(message), _values(message)
+    if its == names:
+        return values
+    return values[[its.index(name) for name in names]] if set(names) <= set(its) else None
 
 
 def vector_names(message: Any) -> tuple[str, ...]:

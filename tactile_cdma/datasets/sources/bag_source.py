@@ -2,24 +2,21 @@
 
 """Bags (rosbag2, MCAP or sqlite3) as a source, read without ROS and piece by piece."""
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 from ...base.errors import CaptureError
-from ...messages.types import message_types
-from ..lerobot import INFO
 from ..samples import (
     CONTACT_NAMES,
     NANO,
+    PUBLISHER,
     WRENCH_NAMES,
     Kind,
     RawImage,
@@ -30,17 +27,24 @@ from ..samples import (
 )
 from . import bag_messages as fields
 from . import images
+from .bag_file import CDR, BagFile, encoding
 from .bag_times import FAR_NS, believed_span
 from .opening import Wanted
 
-GENERIC = ("image", "image_raw", "image_color", "image_rect", "image_rect_color", "compressed")
+GENERIC = (
+    *("image", "image_raw", "image_color", "image_rect", "image_rect_color", "image_rect_raw"),
+    *("compressed", "compressedDepth"),
+)
 """Ends of cameras' topics that say nothing; features are called after what is before."""
 STAMP_OFF_S = 10.0
 """The most that a believed stamp is from the time of recording, s; chosen: far above what messages
 wait, and below any error of a clock that was never set."""
 
-_Take: TypeAlias = Callable[[Any, int], Value]
-"""Makes a sample's value of a message and its stamp, ns."""
+_SPLIT = re.compile(r"_\d+(\.(?:mcap|db3))$")
+"""Ends of the names of a split bag's files: NAME_0.mcap, NAME_1.mcap, …"""
+
+_Take: TypeAlias = Callable[[Any, int], Value | None]
+"""Makes a sample's value of a message and its stamp, ns; None where it is not of the stream."""
 
 
 class BagSource:
@@ -56,18 +60,16 @@ class BagSource:
         self._notes: list[str] = []
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
         self._astray: Counter[str] = Counter()  # messages whose time of recording is not believed
+        self._unread: Counter[str] = Counter()  # messages that do not fit their definition
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
-        self.streams: Mapping[str, SampleStream] = {}
-        with self._opened() as bag:
-            self.counts = {c.topic: (c.msgtype, c.msgcount) for c in bag.connections}
-            if not bag.message_count:
+        with BagFile(path) as bag:
+            self.counts = {one.topic: (one.msgtype, one.msgcount) for one in bag.channels}
+            if not sum(number for _, number in self.counts.values()):
                 raise CaptureError(f"{path}: the bag is empty")
             self.begin_ns, self.end_ns = self._span(bag)
-            found = {stream.key: stream for stream in self._find(bag, wanted)}
-            for kind, topic in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
-                if topic is not None:
-                    found[f"{kind}:{topic}"] = self._vector(bag, kind, topic)
-            self.streams = found
+            self.streams: Mapping[str, SampleStream] = {
+                stream.key: stream for stream in self._find(bag, wanted)
+            }
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -84,13 +86,18 @@ class BagSource:
             "the clock set meanwhile?); they are left out"
             for topic, number in sorted(self._astray.items())
         )
-        return (*self._notes, *off, *astray)
+        unread = (
+            f"{topic}: {number} of {self.counts[topic][1]} messages do not fit their definition "
+            "(damaged?); they are left out"
+            for topic, number in sorted(self._unread.items())
+        )
+        return (*self._notes, *off, *astray, *unread)
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
         stop_ns = None if end_ns is None else end_ns + 1
         self._off = {}
-        with self._opened() as bag:
-            wanted = [c for c in bag.connections if c.topic in self._takes]
+        with BagFile(self.path) as bag:
+            wanted = [one for one in bag.channels if one.topic in self._takes]
             for topic, seen_ns, message in self._messages(bag, wanted, begin_ns, stop_ns):
                 time_ns = fields.stamp_ns(message) or seen_ns
                 if abs(off_ns := time_ns - seen_ns) > STAMP_OFF_S * NANO:
@@ -98,24 +105,27 @@ class BagSource:
                     number, first_ns = self._off.get(topic, (0, off_ns))
                     self._off[topic] = number + 1, first_ns
                 for key, take in self._takes[topic]:
-                    yield Sample(key, time_ns, seen_ns, take(message, time_ns))
+                    if (value := take(message, time_ns)) is not None:
+                        yield Sample(key, time_ns, seen_ns, value)
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
-        with self._opened() as bag:
-            found = self._messages(bag, self._connections(bag, topic))
+        with BagFile(self.path) as bag:
+            self._first(bag, topic, asked=True)
+            found = self._messages(bag, bag.of(topic))
             return [(seen_ns, message) for _, seen_ns, message in found]
 
-    def _span(self, bag: AnyReader) -> tuple[int, int]:
+    def _span(self, bag: BagFile) -> tuple[int, int]:
         """When the first and the last message were recorded, by what most of them say."""
-        begin_ns, end_ns = bag.start_time, bag.end_time
+        begin_ns, end_ns = bag.span_ns
         if 0 <= end_ns - begin_ns <= FAR_NS:
             return begin_ns, end_ns
-        with self._intact():  # reads all of the bag, as seldom as that is needed
-            return believed_span(seen_ns for _, seen_ns, _ in bag.messages())
+        return believed_span(bag.times_ns())  # reads all of the bag, as seldom as that is needed
 
-    def _find(self, bag: AnyReader, wanted: Wanted) -> Iterator[SampleStream]:
-        """The streams of skins and cameras."""
-        kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
+    def _find(self, bag: BagFile, wanted: Wanted) -> Iterator[SampleStream]:
+        """The streams of skins, cameras and vectors."""
+        kinds = {c.topic: c.msgtype for c in bag.channels if c.msgcount and encoding(c) == CDR}
+        foreign = {c.topic: encoding(c) for c in bag.channels if encoding(c) != CDR}
+        self._notes += [f"{topic} is left out: encoded as {its}" for topic, its in foreign.items()]
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
         for topic in wanted.topics:
             if topic not in arrays:
@@ -124,12 +134,11 @@ class BagSource:
         names: set[str] = set()
         for topic in wanted.topics or arrays:
             stem = topic.rpartition("/")[0]
-            has_info = kinds.get(f"{stem}/info") == fields.INFO
-            infos = self._all(bag, f"{stem}/info") if has_info else iter(())
-            if (info := next(infos, None)) is None:
-                self._notes.append(f"{topic}: no info, so places and calibration are unknown")
-            patch = fields.patch(topic, self.path.name, self._first(bag, topic), info)
-            for later in infos:
+            if (first := self._first(bag, topic, asked=bool(wanted.topics))) is None:
+                continue
+            info, *later_ones = self._infos(bag, stem, wanted.info) or [None]
+            patch = fields.patch(topic, self.path.name, first, info)
+            for later in later_ones:
                 patch, notes = fields.with_later(patch, info, later)
                 self._notes += notes
             if patch.name in names:
@@ -142,7 +151,7 @@ class BagSource:
                 ("wrench", Kind.WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
             ):
                 beside = f"{stem}/{name}"
-                if wanted.derived and kinds.get(beside) == type_:
+                if wanted.derived and kinds.get(beside) == type_ and self._first(bag, beside):
                     self._takes[beside].append((beside, _without_time(take)))
                     yield SampleStream(beside, kind, patch.name, (len(elements),), elements)
         pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
@@ -153,110 +162,121 @@ class BagSource:
             stream = self._camera(bag, topic, asked=wanted.cameras is not None)
             if stream is not None:
                 yield stream
+        for kind, choices in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
+            taken: set[str] = set()
+            for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
+                if twice := taken.intersection(stream.names):
+                    raise CaptureError(
+                        f"{self.path}: {kind}: {stream.topic} has {', '.join(sorted(twice))}, as "
+                        f"another topic does: choose by --{kind} {stream.topic}:NAME,…"
+                    )
+                taken.update(stream.names)
+                yield stream
 
-    def _camera(self, bag: AnyReader, topic: str, asked: bool) -> SampleStream | None:
+    def _infos(self, bag: BagFile, stem: str, elsewhere: Path | None) -> list[Any]:
+        """Infos of a patch: this bag's; else another's, or those of the first file of a split bag.
+
+        An info is recorded when it changes, so that later files of a split bag have none.
+        """
+        topic = f"{stem}/info"
+        if found := self._infos_in(bag, topic):
+            return found
+        other = elsewhere or self.path.with_name(_SPLIT.sub(r"_0\1", self.path.name))
+        if other != self.path and (elsewhere or other.exists()):
+            with BagFile(other) as first:
+                found = self._infos_in(first, topic)
+            if found:
+                self._notes.append(f"{topic} is that of {other}")
+                return found
+        self._notes.append(
+            f"{stem}/tactile: no info, so places and calibration are unknown; --info BAG takes "
+            "another bag's"
+        )
+        return []
+
+    def _infos_in(self, bag: BagFile, topic: str) -> list[Any]:
+        channels = [c for c in bag.channels if c.topic == topic and c.msgtype == fields.INFO]
+        return [info for _, _, info in bag.messages(channels) if info is not None]
+
+    def _camera(self, bag: BagFile, topic: str, asked: bool) -> SampleStream | None:
         """The stream of an image topic; None, with a note, for images that are not taken."""
-        if (kind := self._connections(bag, topic)[0].msgtype) not in fields.IMAGES:
+        if (kind := bag.of(topic)[0].msgtype) not in fields.IMAGES:
             raise CaptureError(f"{self.path}: {topic} is {kind}, not an image")
-        first = self._first(bag, topic)
-        if (reason := images.problem(first)) is not None:
-            if asked:
-                raise CaptureError(f"{self.path}: {topic}: {reason}")
-            self._notes.append(f"{topic} is left out: {reason}")
+        if (first := self._first(bag, topic, asked)) is None:
             return None
-        shape = images.decoded(images.encoded(first, topic), topic).shape
+        if (reason := images.problem(first)) is not None:
+            self._leave_out(topic, reason, asked)
+            return None
         self._takes[topic].append((topic, _without_time(RawImage)))
         words = topic.strip("/").split("/")
         while len(words) > 1 and words[-1] in GENERIC:
             words.pop()
-        return SampleStream(topic, Kind.IMAGE, feature_name("_".join(words)), shape)
+        name = feature_name("_".join(words))
+        if images.is_depth(first):
+            depth = images.depth(first, topic)
+            dtype, unit = depth.dtype.name, images.depth_unit(first)
+            return SampleStream(topic, Kind.DEPTH, name, depth.shape, dtype=dtype, unit=unit)
+        shape = images.decoded(images.encoded(first, topic), topic).shape
+        return SampleStream(topic, Kind.IMAGE, name, shape)
 
-    def _vector(self, bag: AnyReader, kind: Kind, topic: str) -> SampleStream:
-        if (said := self._connections(bag, topic)[0].msgtype) not in fields.VECTORS:
+    def _vectors(self, bag: BagFile, kind: Kind, text: str) -> Iterator[SampleStream]:
+        """A stream for every program that publishes on a topic, by the names of its elements."""
+        topic, chosen = fields.vector_choice(text)
+        if (said := bag.of(topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
                 f"{self.path}: {topic} is {said}; {kind} takes {', '.join(fields.VECTORS)}"
             )
-        names = fields.vector_names(self._first(bag, topic))
-        take = partial(fields.vector, topic=topic, names=names)
-        self._takes[topic].append((f"{kind}:{topic}", _without_time(take)))
-        return SampleStream(f"{kind}:{topic}", kind, kind, (len(names),), names)
+        self._first(bag, topic, asked=True)
+        messages = self._messages(bag, bag.of(topic))
+        each = (fields.vector_names(message) for _, _, message in messages)
+        for number, names in enumerate(fields.publishers(topic, each, chosen)):
+            key = f"{kind}:{topic}{PUBLISHER}{number}"
+            self._takes[topic].append((key, _without_time(partial(fields.vector, names=names))))
+            yield SampleStream(key, kind, kind, (len(names),), names)
 
-    def _first(self, bag: AnyReader, topic: str) -> Any:
-        for message in self._all(bag, topic):
-            return message
-        raise CaptureError(f"{self.path}: nothing was recorded of {topic}")
+    def _first(self, bag: BagFile, topic: str, asked: bool = False) -> Any:
+        """The first message of a topic; None, with a note, where none can be read.
 
-    def _all(self, bag: AnyReader, topic: str) -> Iterator[Any]:
-        for _, _, message in self._messages(bag, self._connections(bag, topic)):
-            yield message
+        asked: by name; then that raises CaptureError.
+        """
+        channels = bag.of(topic)
+        reason = bag.obstacle(channels[0])
+        if reason is None:
+            for _, _, message in self._messages(bag, channels):
+                return message
+            number = self.counts[topic][1]
+            reason = f"none of its {number} messages can be read" if number else "nothing recorded"
+        self._leave_out(topic, reason, asked)
+        return None
 
-    def _connections(self, bag: AnyReader, topic: str) -> list[Connection]:
-        found = [c for c in bag.connections if c.topic == topic]
-        if not found:
-            there = ", ".join(sorted({c.topic for c in bag.connections}))
-            raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
-        return found
+    def _leave_out(self, topic: str, reason: str, asked: bool) -> None:
+        if asked:
+            raise CaptureError(f"{self.path}: {topic}: {reason}")
+        self._notes.append(f"{topic} is left out: {reason}")
 
     def _messages(
         self,
-        bag: AnyReader,
-        connections: Sequence[Connection],
+        bag: BagFile,
+        channels: Sequence[Connection],
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
         """Messages with their topic and when they were recorded, ns.
 
-        Without those that were not recorded when the bag says: these are counted.
+        Without those that cannot be read, or that were not recorded when the bag says: these are
+        counted.
         """
-        if not connections:  # to rosbags, none means all
-            return
-        for connection in connections:
-            self._astray.pop(connection.topic, None)
-        with self._intact():
-            for connection, seen_ns, raw in bag.messages(connections, begin_ns, stop_ns):
-                if self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
-                    yield connection.topic, seen_ns, bag.deserialize(raw, connection.msgtype)
-                else:
-                    self._astray[connection.topic] += 1
-
-    @contextmanager
-    def _opened(self) -> Iterator[AnyReader]:
-        """The bag, open; raises CaptureError for whatever is wrong with it."""
-        with self._intact():
-            bag = AnyReader([self.path], default_typestore=_known_types())
-            bag.open()
-        with closing(bag):
-            yield bag
-
-    @contextmanager
-    def _intact(self) -> Iterator[None]:
-        """Turns what rosbags raises for a bag into CaptureError: for a damaged one, anything."""
-        try:
-            yield
-        except FileNotFoundError:
-            missing = f"neither a bag (metadata.yaml) nor a dataset ({INFO})"
-            reason = missing if self.path.is_dir() else "no such file"
-            raise CaptureError(f"{self.path}: {reason}") from None
-        except KeyError as error:
-            raise CaptureError(f"{self.path}: the definition of {error} is not known") from None
-        except PermissionError as error:
-            raise CaptureError(f"{self.path}: {error.strerror}") from None
-        except Exception as error:
-            reason = str(error) or type(error).__name__
-            is_mcap = any(self.path.glob("*.mcap")) or self.path.suffix == ".mcap"
-            remedy = "; `mcap recover` saves what is whole" if is_mcap else ""
-            raise CaptureError(
-                f"{self.path}: no bag, or damaged or cut short: {reason}{remedy}"
-            ) from None
+        for channel in channels:
+            self._astray.pop(channel.topic, None)
+            self._unread.pop(channel.topic, None)
+        for topic, seen_ns, message in bag.messages(channels, begin_ns, stop_ns):
+            if not self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
+                self._astray[topic] += 1
+            elif message is None:
+                self._unread[topic] += 1
+            else:
+                yield topic, seen_ns, message
 
 
-def _without_time(take: Callable[[Any], Value]) -> _Take:
+def _without_time(take: Callable[[Any], Value | None]) -> _Take:
     return lambda message, time_ns: take(message)
-
-
-def _known_types() -> Typestore:
-    """For bags without definitions, as rosbag2 wrote them before Iron."""
-    try:
-        return message_types()
-    except CaptureError:  # ours are not installed
-        return get_typestore(Stores.ROS2_JAZZY)

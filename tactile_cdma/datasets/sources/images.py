@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Camera messages as the bytes of image files: PNG of plain images, compressed ones as they are."""
+"""Camera messages: colours as PNG, compressed ones as they are, depths as exact arrays."""
 
 import io
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import CaptureError
+from ...base.optional import needed_for
 
 ENCODINGS = {
     "rgb8": (3, (0, 1, 2)),
@@ -22,6 +23,23 @@ ENCODINGS = {
     "8UC1": (1, (0, 0, 0)),
 }
 """Encodings of sensor_msgs/Image that are taken: bytes of a pixel; its red, green and blue."""
+CONVERTED = {
+    "yuv422": (2, "YUV2RGB_UYVY"),
+    "uyvy": (2, "YUV2RGB_UYVY"),
+    "yuv422_yuy2": (2, "YUV2RGB_YUYV"),
+    "yuyv": (2, "YUV2RGB_YUYV"),
+    "nv12": (1, "YUV2RGB_NV12"),
+    "nv21": (1, "YUV2RGB_NV21"),
+    "bayer_rggb8": (1, "BayerRGGB2RGB"),
+    "bayer_bggr8": (1, "BayerBGGR2RGB"),
+    "bayer_gbrg8": (1, "BayerGBRG2RGB"),
+    "bayer_grbg8": (1, "BayerGRBG2RGB"),
+}
+"""Encodings that OpenCV converts: bytes of a pixel in a row, name of the conversion."""
+DEPTHS = {"16UC1": ("uint16", "mm"), "mono16": ("uint16", ""), "32FC1": ("float32", "m")}
+"""Encodings that are kept as they are: numpy's type, unit (REP 118)."""
+COMPRESSED_DEPTH, HEADER_BYTES = "compressedDepth", 12
+"""In the format of compressed depths; what image_transport has before their PNG."""
 PNG_LEVEL = 1
 """Effort of compression; chosen: 6 takes three times as long for some 5 % less."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -30,12 +48,41 @@ _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 def problem(message: Any) -> str | None:
     """Why an Image or CompressedImage cannot ride along; None if it can."""
     if hasattr(message, "encoding"):
-        if message.encoding in ENCODINGS:
+        taken = (*ENCODINGS, *CONVERTED, *DEPTHS)
+        if message.encoding in taken:
             return None
-        return f"encoding {message.encoding}; {', '.join(ENCODINGS)} are taken"
-    if bytes(message.data[:8]).startswith((_PNG, _JPEG)):
+        return f"encoding {message.encoding}; {', '.join(taken)} are taken"
+    if is_depth(message):
+        if message.format.startswith("16UC1") and _file(message).startswith(_PNG):
+            return None
+        return f"format {message.format!r}: compressed depths are taken as PNG of 16UC1"
+    if _file(message).startswith((_PNG, _JPEG)):
         return None
     return f"format {message.format!r} is neither PNG nor JPEG"
+
+
+def is_depth(message: Any) -> bool:
+    """Whether an image holds numbers, which are kept exactly, in place of colours."""
+    if hasattr(message, "encoding"):
+        return message.encoding in DEPTHS
+    return COMPRESSED_DEPTH in message.format
+
+
+def depth_unit(message: Any) -> str:
+    """The unit of an image that is_depth(), empty if it has none."""
+    return DEPTHS[getattr(message, "encoding", "16UC1")][1]
+
+
+def depth(message: Any, topic: str) -> NDArray[Any]:
+    """(height, width) the numbers of an image that is_depth(). Raises CaptureError."""
+    if (reason := problem(message)) is not None:
+        raise CaptureError(f"{topic}: {reason}")
+    if not hasattr(message, "encoding"):
+        with _opened(_file(message), topic) as image:
+            return np.asarray(image).astype(np.uint16)
+    kind = np.dtype(DEPTHS[message.encoding][0])
+    rows = _rows(message, topic, int(message.height), int(message.width) * kind.itemsize)
+    return rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).astype(kind)
 
 
 def encoded(message: Any, topic: str) -> bytes:
@@ -43,7 +90,7 @@ def encoded(message: Any, topic: str) -> bytes:
     if (reason := problem(message)) is not None:
         raise CaptureError(f"{topic}: {reason}")
     if not hasattr(message, "encoding"):
-        return bytes(message.data)
+        return _file(message)
     from PIL import Image  # slow to load, and needed here only
 
     file = io.BytesIO()
@@ -52,11 +99,13 @@ def encoded(message: Any, topic: str) -> bytes:
 
 
 def check_size(message: Any, topic: str, shape: tuple[int, ...]) -> None:
-    """Raises CaptureError for an image of another size than its first: (height, width, 3)."""
+    """Raises CaptureError for an image that is not as its first: (height, width, …), or a depth."""
+    if is_depth(message) != (len(shape) == 2):
+        raise CaptureError(f"{topic}: depths and colours by turns: choose by --start and --end")
     if hasattr(message, "encoding"):
         width, height = message.width, message.height
     else:
-        with _opened(bytes(message.data), topic) as image:  # reads the header, no pixels
+        with _opened(_file(message), topic) as image:  # reads the header, no pixels
             width, height = image.size
     if (height, width) != shape[:2]:
         raise CaptureError(
@@ -83,13 +132,36 @@ def _opened(file: bytes, topic: str) -> Iterator[Any]:
         raise CaptureError(f"{topic}: an image that cannot be read: {error}") from None
 
 
+def _file(message: Any) -> bytes:
+    """The image file in a CompressedImage."""
+    return bytes(message.data)[HEADER_BYTES if is_depth(message) else 0 :]
+
+
 def _pixels(message: Any, topic: str) -> NDArray[np.uint8]:
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    depth, channels = ENCODINGS[message.encoding]
-    if step < width * depth or len(message.data) < step * height or not height * width:
+    """(height, width, 3) red, green and blue of an Image."""
+    height, width = int(message.height), int(message.width)
+    if message.encoding in ENCODINGS:
+        size, channels = ENCODINGS[message.encoding]
+        rows = _rows(message, topic, height, width * size)
+        return np.ascontiguousarray(rows.reshape(height, width, size)[:, :, channels])
+    with needed_for(f"{topic}, encoded as {message.encoding},", "cv2", "opencv-python-headless"):
+        import cv2
+    size, name = CONVERTED[message.encoding]
+    lines = height * 3 // 2 if "NV" in name else height  # below the brightness half as many colours
+    rows = _rows(message, topic, lines, width * size)
+    try:
+        return cv2.cvtColor(rows.reshape(lines, width, size), getattr(cv2, f"COLOR_{name}"))  # type: ignore[return-value]
+    except cv2.error as error:  # a size that such images cannot have
+        raise CaptureError(f"{topic}: {width} × {height} pixels: {error.err}") from None
+
+
+def _rows(message: Any, topic: str, lines: int, size: int) -> NDArray[np.uint8]:
+    """(lines, size) the bytes of an Image without what fills up its rows. Raises CaptureError."""
+    step = int(message.step)
+    if step < size or len(message.data) < step * lines or not lines * size:
         raise CaptureError(
-            f"{topic}: an image of {width} × {height} with {len(message.data)} bytes"
+            f"{topic}: an image of {message.width} × {message.height} with {len(message.data)} "
+            "bytes"
         )
-    rows = np.asarray(message.data[: step * height], dtype=np.uint8).reshape(height, step)
-    pixels = rows[:, : width * depth].reshape(height, width, depth)
-    return np.ascontiguousarray(pixels[:, :, channels])
+    rows = np.asarray(message.data[: step * lines], dtype=np.uint8).reshape(lines, step)
+    return np.ascontiguousarray(rows[:, :size])

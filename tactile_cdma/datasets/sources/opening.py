@@ -23,15 +23,16 @@ class Wanted:
 
     asked: parameters of the skin that override a recording's. topics: of a bag's arrays, all if
     empty. derived: contacts and wrench, too. cameras: image topics; None: all. state, action:
-    topics of vectors.
+    vectors, TOPIC or TOPIC:NAME,…. info: a bag to take a patch's info from, where there is none.
     """
 
     asked: dict[str, Value] = field(default_factory=dict)
     topics: Sequence[str] = ()
     derived: bool = False
     cameras: Sequence[str] | None = ()
-    state: str | None = None
-    action: str | None = None
+    state: Sequence[str] = ()
+    action: Sequence[str] = ()
+    info: Path | None = None
 
 
 def open_source(path: Path, wanted: Wanted) -> SampleSource:
@@ -45,8 +46,8 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
         _log.debug("%s is a bag with %s", path, ", ".join(bag.streams) or "nothing wanted")
         return bag
     source = RecordingSource(path, wanted.asked, wanted.derived)
-    of_bags = {"--topic": wanted.topics, "--image": wanted.cameras}
-    of_bags |= {"--state": wanted.state, "--action": wanted.action}
+    of_bags: dict[str, object] = {"--topic": wanted.topics, "--image": wanted.cameras}
+    of_bags |= {"--state": wanted.state, "--action": wanted.action, "--info": wanted.info}
     for option, value in of_bags.items():
         if value:
             raise CaptureError(f"{path}: {option} is for bags: recordings have no topics")
@@ -75,5 +76,10 @@ def has_times(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: a folder, or named as one of its files."""
+    """Whether a path is a bag: a folder, or named as one of its files.
+
+    Raises CaptureError for one of its files that is compressed as a whole.
+    """
+    if path.suffix == ".zstd" and path.is_file():
+        raise CaptureError(f"{path}: a compressed file of a bag: give its folder, or decompress it")
     return path.is_dir() or path.suffix in (".mcap", ".db3")

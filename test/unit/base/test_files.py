@@ -4,13 +4,11 @@
 
 import os
 import shutil
-import signal
 from pathlib import Path
 
 import pytest
 
 from tactile_cdma.base.errors import ParameterError
-from tactile_cdma.base.interrupt import terminable
 from tactile_cdma.base.named_file import existing, expanded, open_named, read_named
 from tactile_cdma.base.whole_file import replace_file, replacing, whole_folder
 from test.support.programs import run_python
@@ -229,10 +227,3 @@ def test_a_link_keeps_pointing_to_the_replaced_folder(tmp_path: Path) -> None:
         (unfinished / "new").touch()
     assert link.is_symlink() and sorted(tmp_path.iterdir()) == [link, real.parent]
     assert list(real.parent.iterdir()) == [real] and list(real.iterdir()) == [real / "new"]
-
-
-def test_sigterm_interrupts_as_ctrl_c_does() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), terminable():
-        signal.raise_signal(signal.SIGTERM)
-    assert signal.getsignal(signal.SIGTERM) == before

@@ -2,10 +2,13 @@
 
 """Signals that come while another one's handler runs."""
 
+import signal
 import subprocess
 import sys
 
-from tactile_cdma.base.interrupt import stop_event
+import pytest
+
+from tactile_cdma.base.interrupt import SIGNALS, stop_event, terminable
 
 PATIENCE_S = 60.0
 """Far more than a child takes on a busy machine; a stuck one stays for ever."""
@@ -39,3 +42,25 @@ def test_the_time_that_was_given_stops_it() -> None:
     with stop_event(1e-3) as stop:
         while not stop.is_set():
             pass
+
+
+@pytest.mark.parametrize("number", SIGNALS[1:])
+def test_a_closed_terminal_and_sigterm_end_as_ctrl_c_does(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), terminable():
+        signal.raise_signal(number)
+    with stop_event(None) as stop:
+        signal.raise_signal(number)
+        assert stop.is_set()
+    assert signal.getsignal(number) == before
+
+
+def test_nohup_is_obeyed() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_event(None) as stop, terminable():
+            signal.raise_signal(signal.SIGHUP)
+            assert not stop.is_set()
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -11,7 +11,14 @@ import pytest
 from PIL import Image
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.datasets.sources.images import check_size, decoded, encoded, problem
+from tactile_cdma.datasets.sources.images import (
+    check_size,
+    decoded,
+    depth,
+    encoded,
+    is_depth,
+    problem,
+)
 
 RNG = np.random.default_rng(1)
 PIXELS = RNG.integers(0, 256, (5, 7, 3), dtype=np.uint8)
@@ -45,6 +52,61 @@ def test_pixels_are_those_of_the_message(encoding: str, padding: int) -> None:
     assert (decoded(file, "/camera") == expected).all()
 
 
+def test_bayer_patterns_are_those_of_their_names() -> None:
+    """One colour everywhere: each pixel of the mosaic holds the part that the name says."""
+    pytest.importorskip("cv2")
+    colour = dict(zip("rgb", (200, 90, 30), strict=True))
+    for pattern in ("rggb", "bggr", "gbrg", "grbg"):
+        mosaic = np.tile(np.reshape([colour[c] for c in pattern], (2, 2, 1)), (4, 4, 1))
+        message = image(f"bayer_{pattern}8", mosaic.astype(np.uint8), padding=3)
+        pixels = decoded(encoded(message, "/camera"), "/camera")
+        assert (pixels == list(colour.values())).all()
+
+
+@pytest.mark.parametrize("encoding", ["yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"])
+def test_brightness_and_colour_are_separated(encoding: str) -> None:
+    """By the equations of ITU-R BT.601 in 8 bits, for an image of one colour."""
+    pytest.importorskip("cv2")
+    y, u, v = 120, 90, 180
+    c, d, e = y - 16, u - 128, v - 128
+    expected = [1.164 * c + 1.596 * e, 1.164 * c - 0.392 * d - 0.813 * e, 1.164 * c + 2.017 * d]
+    if encoding.startswith("nv"):
+        pair = [u, v] if encoding == "nv12" else [v, u]
+        rows = np.full((6, 8, 1), y, np.uint8)
+        rows[4:] = np.tile(pair, 4)[:, None]
+        message = image(encoding, rows, padding=2)
+        message.height = 4
+    else:
+        four = [u, y, v, y] if encoding in ("yuv422", "uyvy") else [y, u, y, v]
+        message = image(encoding, np.tile(four, (4, 4)).reshape(4, 8, 2).astype(np.uint8), 2)
+    pixels = decoded(encoded(message, "/camera"), "/camera")
+    assert pixels.shape == (4, 8, 3) and np.abs(pixels - np.array(expected)).max() < 2
+    message.data = message.data[:-3]
+    with pytest.raises(CaptureError, match="/camera: an image of 8 × 4 with"):
+        encoded(message, "/camera")
+
+
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_depths_are_exact(big_endian: bool) -> None:
+    millimetres = RNG.integers(0, 65536, (5, 7)).astype(np.uint16)
+    metres = np.where(millimetres < 9000, np.nan, millimetres * 1e-3).astype(np.float32)
+    for encoding, numbers in (("16UC1", millimetres), ("mono16", millimetres), ("32FC1", metres)):
+        raw = numbers.astype(numbers.dtype.newbyteorder(">" if big_endian else "<"))
+        message = image(encoding, raw[:, :, None].view(np.uint8), padding=4)
+        message.is_bigendian = big_endian
+        assert is_depth(message) and problem(message) is None
+        found = depth(message, "/depth")
+        assert found.dtype == numbers.dtype and np.array_equal(found, numbers, equal_nan=True)
+    file = io.BytesIO()
+    Image.fromarray(millimetres).save(file, "PNG")
+    data = np.frombuffer(bytes(12) + file.getvalue(), dtype=np.uint8)
+    message = SimpleNamespace(format="16UC1; compressedDepth png", data=data)
+    assert problem(message) is None and (depth(message, "/depth") == millimetres).all()
+    message.format = "32FC1; compressedDepth png"  # of which 16 bits are left
+    with pytest.raises(CaptureError, match="/depth: format '32FC1; compressedDepth png'"):
+        depth(message, "/depth")
+
+
 @pytest.mark.parametrize("kind", ["PNG", "JPEG"])
 def test_compressed_images_stay_as_they_are(kind: str) -> None:
     file = io.BytesIO()
@@ -54,13 +116,13 @@ def test_compressed_images_stay_as_they_are(kind: str) -> None:
 
 
 def test_what_is_no_image_is_named() -> None:
-    depth = image("16UC1", PIXELS[:, :, :2])
-    assert "encoding 16UC1" in str(problem(depth))
+    other = image("8SC2", PIXELS[:, :, :2])
+    assert "encoding 8SC2" in str(problem(other))
     short = image("rgb8", PIXELS)
     short.data = short.data[:-1]
     nothing = image("rgb8", PIXELS[:0])
     video = SimpleNamespace(format="h264", data=np.zeros(20, dtype=np.uint8))
-    for message in (depth, short, nothing, video):
+    for message in (other, short, nothing, video):
         with pytest.raises(CaptureError, match="/camera"):
             encoded(message, "/camera")
     with pytest.raises(CaptureError, match="/camera"):

@@ -317,12 +317,17 @@ def test_an_old_command_is_still_in_force(
     assert f"the last command of /joints is repeated in {old} rows" in capsys.readouterr().err
 
 
-def test_touch_of_a_patch_that_stopped_is_marked(tmp_path: Path) -> None:
+def test_touch_of_a_patch_that_stopped_is_marked_and_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag = stopping(("/skin/tactile", 2.5, 7.0)).write(tmp_path / "bag")
     table = exported(bag, tmp_path / "out")
     t_s, valid = seconds(table), array(table, f"{SKIN}.valid")
     assert t_s[-1] > 5.9 and (valid[2:].all(axis=(1, 2)) == (t_s[2:] < 2.5 + 0.5 - 0.005)).all()
     assert not valid[t_s > 3].any()
+    rows = np.count_nonzero(t_s > 2.5 + 0.5 - 0.005)
+    told = re.search(rf"{SKIN}: /skin/tactile had stopped in (\d+) rows", capsys.readouterr().err)
+    assert told and int(told[1]) == pytest.approx(rows, abs=1)
 
 
 def test_a_clock_that_paused_ends_an_episode(tmp_path: Path) -> None:
@@ -629,7 +634,11 @@ def test_joints_are_taken_by_their_names(tmp_path: Path, refused: Refused) -> No
     joints[80].name = ["finger", "thumb"]
     words = ["export", maker.write(tmp_path / "other"), "--lerobot", tmp_path / "none"]
     said = refused(*words, "--fps", FPS, *state)
-    assert "/joints: a message has finger, thumb, the first one finger, wrist" in said
+    assert "/joints: some messages have finger, wrist, others finger, thumb" in said
+    assert "/joints: no thumb (there are finger, wrist)" in refused(
+        *("export", tmp_path / "bag", "--lerobot", tmp_path / "none", "--fps", FPS),
+        *("--state", "/joints:thumb"),
+    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

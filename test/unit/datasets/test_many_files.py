@@ -143,7 +143,8 @@ def test_no_rows_are_made_for_a_pause(
     said = capsys.readouterr().err
     info = meta(tmp_path / "out", "info.json")
     if stray_s == 9:  # which is no pause
-        assert 270 <= info["total_frames"] <= 290 and not said
+        assert 270 <= info["total_frames"] <= 290 and len(said.splitlines()) == 1
+        assert "/skin/tactile had stopped in 2" in said  # of its rows, which are not valid
         return
     # 10 s after the last sample a pause begins, but for the ticks that waited for that.
     left_out = 30 * (3600 - 12)
@@ -167,7 +168,8 @@ def test_an_image_ends_a_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str
     words = ["export", bag, "--lerobot", tmp_path / "out", "--clock", "/front"]
     assert main(list(map(str, words))) == 0
     said = capsys.readouterr()
-    assert "episodes=2 frames=90 fps=30 left_out=0 " in said.out and not said.err
+    assert "episodes=2 frames=90 fps=30 left_out=0 " in said.out
+    assert said.err.endswith("/skin/tactile had stopped in 5 rows, where nothing is valid\n")
 
 
 def test_a_file_that_contributes_nothing_is_told(

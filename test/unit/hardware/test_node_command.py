@@ -15,7 +15,7 @@ import pytest
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
-from tactile_cdma.hardware.intel_hex import from_hex
+from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
 from test.support.command_line import Refused
 from test.support.waiting import PATIENCE_S
@@ -87,6 +87,25 @@ def test_a_file_tells_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture
         assert words in out
 
 
+def test_program_and_record_are_one_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = tmp_path / "program.hex"
+    program.write_text(to_hex(bytes(range(200))))
+    options = [*PARAMS, "--image", str(program), "--crystal-mhz", "16"]
+    assert main(["node", "--all", "--hex", str(tmp_path / "skin"), *options]) == 0
+    out = capsys.readouterr().out
+    assert f"flash:w:{tmp_path}/skin/node01.hex:i" in out and "-c arduino -P" in out
+    for number in (1, 16):
+        path = tmp_path / "skin" / f"node{number:02}.hex"
+        flash = from_hex(path.read_text())
+        assert flash[:200] == bytes(range(200)) and set(flash[200:0x3000]) == {0xFF}
+        assert flash[0x3000:0x3003] == bytes([1, 0, 16])
+        assert flash[0x3003:] == node_memory(FrameSpec(), number)
+        assert main(["node", "--read", str(path)]) == 0
+        assert f"{number} of 16" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("heartbeat", ["0", "300"])
 def test_nodes_too_silent_for_the_driver_are_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], heartbeat: str
@@ -114,6 +133,14 @@ def test_larger_skins_are_not_stale_by_default(
         (["--node", "1", "-o", "no/where.hex"], "no/where.hex: No such file"),
         (["--node", "all", "-o", "file"], "file: File exists"),
         (["--node", "1"], "-o is missing"),
+        (["--node", "1", "-o", "a.hex", "--hex", "b.hex"], "EEPROM or flash, not both"),
+        (["--node", "1", "-o", "a.hex", "--crystal-mhz", "16"], "give --hex instead of -o"),
+        (["--node", "1", "--hex", "a.hex", "--mcu", "attiny85"], "no room for a memory there"),
+        (
+            ["--node", "1", "--hex", "a.hex", "--image", "file"],
+            "file: the Intel HEX text has no end record",
+        ),
+        (["--node", "1", "--hex", "a.hex", "--image", "no"], "no: No such file"),
         (["--node", "all", "-o", "d", "--programmer", "usbasp"], "--node is all"),
         (["--node", "1", "-o", "a.hex", "--bits", "12"], "bits is 12"),
         (["--node", "1", "-o", "a.hex", "--frame-period-ms", "10.5"], "takes 1 ms to measure"),

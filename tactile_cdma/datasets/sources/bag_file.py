@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A bag as a file: its channels, and their messages as far as they can be read."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast
+
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+)
+from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from ...base.errors import CaptureError
+from ...messages.types import message_types
+from ..lerobot import INFO
+
+CDR = "cdr"
+"""The encoding of ROS 2's messages."""
+_IDL_RULE = "=" * 80 + "\nIDL: "
+"""Before each file of a definition in IDL."""
+
+_defined = storage_mcap.get_msgdef
+
+
+def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition:
+    """For a schema of another system (protobuf, JSON) none, in place of rosbags' KeyError.
+
+    One such channel would make all of the bag unreadable.
+    """
+    try:
+        return _defined(schema)
+    except KeyError:
+        return MessageDefinition(MessageDefinitionFormat.NONE, "")
+
+
+storage_mcap.get_msgdef = _defined_or_foreign
+
+
+class BagFile:
+    """A folder with metadata.yaml, or one MCAP or sqlite3 file; a context manager.
+
+    Types are made for the channels that are read, and for no other: what nobody asks for need not
+    be readable. Raises CaptureError for whatever is wrong with the bag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._types: dict[tuple[object, ...], Typestore | str] = {}
+        with self._intact():
+            self._reader = Reader(path)
+
+    def __enter__(self) -> Self:
+        with self._intact():
+            self._reader.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._reader.close()
+
+    @property
+    def channels(self) -> Sequence[Connection]:
+        """What was recorded: topic, type, number of messages."""
+        return self._reader.connections
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """When the first and the last message were recorded, by the bag's own word, ns."""
+        return self._reader.start_time, self._reader.end_time
+
+    def of(self, topic: str) -> list[Connection]:
+        """The channels of a topic. Raises CaptureError for one that is not there."""
+        if found := [channel for channel in self.channels if channel.topic == topic]:
+            return found
+        there = ", ".join(sorted({channel.topic for channel in self.channels}))
+        raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
+
+    def obstacle(self, channel: Connection) -> str | None:
+        """Why the messages of a channel cannot be read; None if they can."""
+        found = self._types_of(channel)
+        return found if isinstance(found, str) else None
+
+    def times_ns(self) -> Iterator[int]:
+        """When each message was recorded, ns; reads all of the bag."""
+        with self._intact():
+            for _, seen_ns, _ in self._reader.messages():
+                yield seen_ns
+
+    def messages(
+        self,
+        channels: Sequence[Connection],
+        begin_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time of recording, ns, and message; None for one that does not fit its definition.
+
+        stop_ns: messages are earlier than this.
+        """
+        if not channels:  # to rosbags, none means all
+            return
+        with self._intact():
+            for channel, seen_ns, raw in self._reader.messages(channels, begin_ns, stop_ns):
+                yield channel.topic, seen_ns, self._message(channel, raw)
+
+    def _message(self, channel: Connection, raw: bytes) -> Any:
+        types = self._types_of(channel)
+        if isinstance(types, str):
+            return None
+        try:
+            return types.deserialize_cdr(raw, channel.msgtype)
+        except Exception:  # whatever damaged bytes make of the code that rosbags generates
+            return None
+
+    def _types_of(self, channel: Connection) -> Typestore | str:
+        key = channel.msgtype, channel.msgdef, encoding(channel)
+        if key not in self._types:
+            try:
+                self._types[key] = _types(channel)
+            except Exception as error:  # of grammars, hashes, code that is generated
+                reason = str(error) or type(error).__name__
+                self._types[key] = f"the definition of {channel.msgtype}: {reason}"
+        return self._types[key]
+
+    @contextmanager
+    def _intact(self) -> Iterator[None]:
+        """Turns what rosbags raises for a bag into CaptureError: for a damaged one, anything."""
+        try:
+            yield
+        except CaptureError:
+            raise
+        except FileNotFoundError:
+            missing = f"neither a bag (metadata.yaml) nor a dataset ({INFO})"
+            reason = missing if self.path.is_dir() else "no such file"
+            raise CaptureError(f"{self.path}: {reason}") from None
+        except PermissionError as error:
+            raise CaptureError(f"{self.path}: {error.strerror}") from None
+        except Exception as error:
+            reason = str(error) or type(error).__name__
+            is_mcap = any(self.path.glob("*.mcap")) or self.path.suffix == ".mcap"
+            remedy = "; `mcap recover` saves what is whole" if is_mcap else ""
+            raise CaptureError(
+                f"{self.path}: no bag, or damaged or cut short: {reason}{remedy}"
+            ) from None
+
+
+def encoding(channel: Connection) -> str:
+    """How the messages of a channel are encoded: as ROS 2's if that is CDR."""
+    return cast(ConnectionExtRosbag2, channel.ext).serialization_format
+
+
+def _types(channel: Connection) -> Typestore | str:
+    """The types that the messages of a channel are made of, or why there are none."""
+    if (its := encoding(channel)) != CDR:
+        return f"its messages are encoded as {its or 'nothing known'}, not as ROS 2's ({CDR})"
+    definition = channel.msgdef
+    if definition.format == MessageDefinitionFormat.NONE:  # as rosbag2 wrote before Iron
+        known = _known_types()
+        unknown = f"the definition of {channel.msgtype} is not known"
+        return known if channel.msgtype in known.fielddefs else unknown
+    types = get_typestore(Stores.EMPTY)
+    if definition.format == MessageDefinitionFormat.MSG:
+        types.register(get_types_from_msg(definition.data, channel.msgtype))
+    else:
+        for part in definition.data.split(_IDL_RULE):
+            text = part.partition("\n")[2] if _IDL_RULE in definition.data else part
+            if text:
+                types.register(get_types_from_idl(text))
+    if channel.digest and (found := types.hash_rihs01(channel.msgtype)) != channel.digest:
+        return f"the definition of {channel.msgtype} has hash {found}, not {channel.digest}"
+    return types
+
+
+def _known_types() -> Typestore:
+    try:
+        return message_types()
+    except CaptureError:  # ours are not installed
+        return get_typestore(Stores.ROS2_JAZZY)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node's whole flash: the program, and memories for where nothing can write the EEPROM.
+
+Boot loaders of Arduinos write flash only. A node looks into this table (NodeTable, protocol.yaml)
+if its EEPROM has no valid record.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..base.errors import NodeMemoryError, SpecError
+from ..base.named_file import naming, read_named
+from ..wire._protocol import NODE_FLASH, NODE_FLASH_END
+from ..wire.messages import WIRE, Message
+from .intel_hex import from_hex, joined_hex
+from .node_memory import MCUS
+
+PROGRAMS = Path(__file__).resolve().parents[2] / "firmware" / "build" / "node"
+"""Where `make firmware` puts the nodes' programs."""
+MOST_BYTES = 1 << 18
+"""Largest program file read; chosen: Intel HEX of 32 kB takes 90 kB."""
+CRYSTALS_MHZ = (8, 16)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeTable(Message):
+    """Before the memories in a node's flash. count: of them. crystal_mhz: 16 is divided by 2."""
+
+    count: int
+    crystal_mhz: int
+
+
+def first_memory(flash: bytes) -> bytes:
+    """Where the first memory in a node's flash begins, and all behind it; b"" if there is none."""
+    return flash[NODE_FLASH + WIRE["NodeTable"].size :]
+
+
+def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: Path | None) -> str:
+    """Intel HEX of a microcontroller's program, and of memories: the node's, or of nodes 1, 2, ….
+
+    program: its Intel HEX; None: that of `make firmware`. Raises SpecError for a microcontroller
+    without room, or for too many memories; NodeMemoryError, naming the file, for another program.
+    """
+    if not MCUS[mcu].flash_table:
+        raise SpecError(
+            f"the {mcu}, with 8 kB of flash, has no room for a memory there: write its EEPROM (-o "
+            "FILE --programmer NAME)"
+        )
+    table = NodeTable(len(memories), crystal_mhz).pack() + b"".join(memories)
+    if (end := NODE_FLASH + len(table)) > NODE_FLASH_END:
+        room = (NODE_FLASH_END - NODE_FLASH) // len(memories[0])
+        raise SpecError(
+            f"{len(memories)} memories of {len(memories[0])} bytes end at 0x{end:X} of the flash, "
+            f"which is free up to 0x{NODE_FLASH_END:X}: one image takes up to {room} such nodes"
+        )
+    path = program or PROGRAMS / f"node-{mcu}.hex"
+    if program is None and not path.exists():
+        raise NodeMemoryError(
+            f"{path}: there is none; `make firmware` builds it, or name the program with --image"
+        )
+    with naming(path, NodeMemoryError):
+        text = read_named(path, MOST_BYTES).decode("latin-1")
+    try:
+        size = len(from_hex(text))
+    except NodeMemoryError as error:
+        raise NodeMemoryError(f"{path}: {error}") from None
+    if not 0 < size <= NODE_FLASH:
+        raise NodeMemoryError(
+            f"{path}: {size} bytes; a node's program ends before 0x{NODE_FLASH:X}: is this one?"
+        )
+    return joined_hex(text, table, NODE_FLASH)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""A line without an amplifier: nodes' pins through a resistor each into two that halve the supply.
+
+    pin ──Rin──┬── … all nodes: the line ── converter
+               ├──Rb── supply
+               └──Rb── ground
+
+A pin is high, low or released. The line is the mean of what is connected, weighted by conductance:
+m pins that drive it, g = 1/Rin each, and the two resistors, G = 2/Rb. So it is off its rest by
+
+    Σ g·(pin − S/2) / (G + m·g)
+
+with one divisor for all pins: the more nodes speak, the less each adds, equally for all; and a node
+drives its pin through the whole frame in which it speaks, so m does not change within a frame.
+Codes are read by their sign, so nothing is lost but resolution of the converter.
+
+Pins of a higher supply swing about their own half: they add a constant while they speak, which is
+on the code row of ones that no node has.
+"""
+
+import math
+from dataclasses import dataclass
+
+from ..base.errors import SpecError, check_limits
+from ..code.frame import BIPOLAR, FrameSpec
+
+BIAS_OHM = 2200.0
+"""Chosen: 0.75 mA, and far below a converter's input with its wire."""
+LOAD = 0.2
+"""Largest m·g/G of a network that is chosen here: A falls by a sixth at most. Chosen."""
+E6 = (10, 15, 22, 33, 47, 68, 100)
+"""Values of resistors that are in any drawer."""
+LEAST_COUNTS = 10.0
+"""A in counts of the converter, below which an amplifier is asked for. Chosen: as noisy as one."""
+PIN_F, WIRE_F = 10e-12, 200e-12
+"""Of a pin and its breadboard row, and of 2 m of wire; as firmware/analog has it."""
+SETTLED = 0.01
+"""Share of a step that may be left at a chip's first sample; as firmware/analog has it."""
+FIRST_SAMPLE = 1 / 8
+"""Where in a chip that is: the first of four."""
+
+
+@dataclass(frozen=True, slots=True)
+class PassiveLine:
+    """The parts: Ω, V. supply_v: of Rb and the digitizer. node_supply_v: of the nodes' pins."""
+
+    nodes: int
+    input_ohm: float
+    bias_ohm: float = BIAS_OHM
+    supply_v: float = 3.3
+    node_supply_v: float = 3.3
+    adc_volts: float = 3.3
+    adc_bits: int = 12
+
+    @property
+    def load(self) -> float:
+        """G/g: the two resistors, in pins."""
+        return 2 * self.input_ohm / self.bias_ohm
+
+    def amplitude_v(self, talking: int) -> float:
+        """A, one node on the line, while so many drive it."""
+        return self.node_supply_v / 2 / (self.load + talking)
+
+    @property
+    def mean_amplitude_v(self) -> float:
+        """Midway between A of one node alone and of all."""
+        return (self.amplitude_v(1) + self.amplitude_v(self.nodes)) / 2
+
+    @property
+    def shift_v(self) -> float:
+        """Largest constant that speaking nodes add: of all of them."""
+        high_v = (self.node_supply_v - self.supply_v) / 2
+        return high_v * self.nodes / (self.load + self.nodes)
+
+    @property
+    def range_v(self) -> tuple[float, float]:
+        """The line with all pins low, and with all high."""
+        middle_v, swing_v = (
+            self.supply_v / 2 + self.shift_v,
+            self.nodes * self.amplitude_v(self.nodes),
+        )
+        return middle_v - swing_v, middle_v + swing_v
+
+    @property
+    def count_v(self) -> float:
+        """One count of the converter."""
+        return self.adc_volts / (1 << self.adc_bits)
+
+    def unsettled(self, chip_s: float) -> float:
+        """Share of a step that is left at the first sample, with all pins and 2 m of wire."""
+        line_s = self.bias_ohm / 2 * (WIRE_F + self.nodes * PIN_F)
+        return math.exp(-FIRST_SAMPLE * chip_s / line_s)
+
+
+def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
+    """The line for a skin. values: fields of PassiveLine that are given; None: chosen.
+
+    Raises SpecError, naming value, limit and cause, where it takes an amplifier.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    for name in ("input_ohm", "bias_ohm"):
+        check_limits(name, given.get(name, BIAS_OHM), 100.0, 1e7, "resistors for a pin")
+    for name in ("supply_v", "node_supply_v", "adc_volts"):
+        check_limits(
+            name, given.get(name, 3.3), 1.8, 5.5, "what nodes and digitizers of this kind stand"
+        )
+    if spec.drive != BIPOLAR:
+        raise SpecError(f"drive is {spec.drive!r}, but nodes that release their pins are {BIPOLAR}")
+    if "input_ohm" not in given:
+        given["input_ohm"] = _e6(spec.nodes * given.get("bias_ohm", BIAS_OHM) / 2 / LOAD)
+    line = PassiveLine(spec.nodes, **given)  # type: ignore[arg-type]
+    needs = "take an amplifier (make amplifier)"
+    if (counts := line.amplitude_v(spec.nodes) / line.count_v) < LEAST_COUNTS:
+        raise SpecError(
+            f"{spec.nodes} nodes of {line.input_ohm:g} Ω add {counts:.2g} counts of the converter "
+            f"each; {LEAST_COUNTS:g} or more are needed: {needs}"
+        )
+    low_v, high_v = line.range_v
+    if low_v < 0 or high_v > line.adc_volts:
+        raise SpecError(
+            f"the line would reach {low_v:.2f} to {high_v:.2f} V, the converter reads 0 to "
+            f"{line.adc_volts:g} V: use a larger input_ohm"
+        )
+    if line.unsettled(spec.chip_s) > SETTLED:
+        raise SpecError(
+            f"the line does not settle in an eighth of a chip of {spec.chip_s * 1e6:.3g} µs: use a "
+            f"smaller bias_ohm or longer chips, or {needs}"
+        )
+    return line
+
+
+def _e6(least: float) -> float:
+    """The smallest value of E6 from this one on."""
+    decade = 10.0 ** (math.floor(math.log10(least)) - 1)
+    return min(value * decade for value in E6 if value * decade >= least * (1 - 1e-9))
