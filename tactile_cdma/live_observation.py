@@ -26,15 +26,18 @@ from .datasets.samples import (
     SkinFrame,
     check_taxels,
     differences,
+    feature_name,
     in_order,
 )
 from .datasets.skin_samples import patch_info, samples_of
-from .datasets.touch import TouchStream
+from .datasets.touch import HOLD, LAST, TouchStream
 from .skin import Frame, Skin
 
 LAG_S = 0.1
 """An observation is as of the moment that every stream has passed, but at most this old, s, or two
 frame periods of the slowest skin. Chosen: above what a frame takes from its middle on the wire."""
+ROWS_HZ = 30
+"""Of LiveObservation.of, rows per s: with more than 2, nothing depends on it."""
 _READING = (
     *(
         *FRAME_PARAMETERS,
@@ -61,19 +64,24 @@ class LiveObservation:
                 observation.state(joints)
                 action = policy(observation.read())
 
-    dataset: a folder that `tactile-cdma export --lerobot` wrote.
+    dataset: a folder that `tactile-cdma export --lerobot` wrote, or what is to be known of one.
     skins: open skins by the name that their patch has in the dataset; one skin where it has one
         patch. Their frames go here: nobody else must read them. contacts=True is needed where the
         dataset has contacts or wrench.
-    features: shape and dtype of what read() gives, by name. others: the dataset's observations that
+    features: shape and dtype of what read() gives, by name. elements: names of its elements, or of
+        its axes. others: the dataset's observations that
         the program has to add itself, such as images.
 
     CaptureError: raised for a folder that is no such dataset, and for other taxels than its.
     ParameterError: raised where a skin is missing, is too many, or does not find contacts.
     """
 
-    def __init__(self, dataset: str | PathLike[str], skins: Skin | Mapping[str, Skin]) -> None:
-        self._meta = meta = DatasetMeta.read(Path(dataset))
+    def __init__(
+        self, dataset: str | PathLike[str] | DatasetMeta, skins: Skin | Mapping[str, Skin]
+    ) -> None:
+        if not isinstance(dataset, DatasetMeta):
+            dataset = DatasetMeta.read(Path(dataset))
+        self._meta = meta = dataset
         self._skins = {next(iter(meta.slots)): skins} if isinstance(skins, Skin) else dict(skins)
         if self._skins.keys() != meta.slots.keys():
             names = ", ".join(meta.slots)
@@ -91,10 +99,23 @@ class LiveObservation:
         slowest_s = max(skin.config.spec.frame_period_s for skin in self._skins.values())
         self._lag_ns = round(max(LAG_S, 2 * slowest_s) * NANO)
         self.features = {one.name: (one.shape, np.dtype(one.dtype)) for one in meta.features}
+        self.elements = {one.name: one.names for one in meta.features}
         self.others = tuple(meta.others)
 
     def __repr__(self) -> str:
         return f"LiveObservation({str(self._meta.path)!r}, {len(self.features)} features)"
+
+    @classmethod
+    def of(cls, skins: Skin | Mapping[str, Skin]) -> LiveObservation:
+        """Without a dataset: what `tactile-cdma export --samples last` would write of these skins.
+
+        With contacts and wrench where all find contacts. Names become those of the export.
+        """
+        by_name = {skins.config.skin: skins} if isinstance(skins, Skin) else skins
+        named = {feature_name(name): skin for name, skin in by_name.items()}
+        patches = [patch_info(one.config, one.source, name, {}) for name, one in named.items()]
+        contacts = all(one.contacts for one in named.values())
+        return cls(DatasetMeta.of(patches, contacts, ROWS_HZ, LAST, HOLD), named)
 
     @staticmethod
     def parameters(dataset: str | PathLike[str], patch: str = "") -> dict[str, Any]:
