@@ -166,11 +166,11 @@ class LiveObservation:
         now_ns = self._now_ns()
         self._present.add(Sample(key, now_ns if stamp_ns is None else stamp_ns, now_ns, found))
 
-    def read(self) -> dict[str, NDArray[Any]]:
+    def read(self, now: bool = False) -> dict[str, NDArray[Any]]:
         """The observation of the present, at once: arrays as the dataset has them, by feature.
 
         Of the newest moment that all streams have passed, so that nothing of it can still be on its
-        way, but none older than LAG_S. Raises ObservationError, with the reason, where the dataset
+        way, but none older than LAG_S; now: of this very moment, as a recorder's rows are. Raises ObservationError, with the reason, where the dataset
         would have no row: a stream has not begun, the state is too old, or, with --nan drop, a
         taxel has no valid reading. PortError if a skin is closed.
         """
@@ -179,7 +179,8 @@ class LiveObservation:
                 self.take(frame, name)
         now_ns = self._now_ns()
         passed_ns = min((stamp for stamp, _ in self._present.newest.values()), default=now_ns)
-        return self.at(max(min(now_ns, passed_ns), now_ns - self._lag_ns, self._present.done_ns))
+        oldest_ns = now_ns if now else now_ns - self._lag_ns
+        return self.at(max(min(now_ns, passed_ns), oldest_ns, self._present.done_ns))
 
     def take(
         self,

@@ -2,8 +2,10 @@
 
 """The options of lerobot-record for a robot with skins."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
+import draccus
 from lerobot.robots import RobotConfig
 
 
@@ -12,11 +14,12 @@ from lerobot.robots import RobotConfig
 class TactileRobotConfig(RobotConfig):
     """A robot with skins.
 
-    robot: the robot itself, as it would be without. skin: parameter file of the driver of one skin,
-    with its port; or body: body file of many. contacts: contacts and wrenches, too.
+    robot: options of the robot itself, with its type, as a mapping: as a RobotConfig its own
+    options would be asked for without end. skin: parameter file of the driver of one skin, with its
+    port; or body: body file of many. contacts: contacts and wrenches, too.
     """
 
-    robot: RobotConfig
+    robot: dict[str, Any] = field(default_factory=dict)
     skin: str = ""
     body: str = ""
     contacts: bool = False
@@ -25,3 +28,11 @@ class TactileRobotConfig(RobotConfig):
         super().__post_init__()
         if bool(self.skin) == bool(self.body):
             raise ValueError("give --robot.skin=FILE.yaml, or --robot.body=FILE.yaml")
+        if "type" not in self.robot:
+            raise ValueError("give the robot itself: --robot.robot='{type: so101_follower, …}'")
+
+    @property
+    def itself(self) -> RobotConfig:
+        """The configuration of the robot without skins."""
+        config: RobotConfig = draccus.decode(RobotConfig, self.robot)
+        return config

@@ -19,7 +19,7 @@ class TactileRobot(Robot):
 
     def __init__(self, config: TactileRobotConfig) -> None:
         super().__init__(config)
-        self.robot = make_robot_from_config(config.robot)
+        self.robot = make_robot_from_config(config.itself)
         self.cameras = getattr(self.robot, "cameras", {})
         self.touch = Touch(config.skin, config.body, config.contacts)
 

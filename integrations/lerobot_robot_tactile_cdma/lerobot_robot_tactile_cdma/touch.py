@@ -66,7 +66,7 @@ class Touch:
 
     def read(self) -> dict[str, float]:
         """The present readings, at once; of a skin that stopped none is valid."""
-        return flat(self._observation, self._observation.read())
+        return flat(self._observation, self._observation.read(now=True))
 
 
 def names_of(observation: LiveObservation) -> list[str]:
