@@ -85,7 +85,9 @@ class LiveObservation:
         self._skins = {next(iter(meta.slots)): skins} if isinstance(skins, Skin) else dict(skins)
         if self._skins.keys() != meta.slots.keys():
             names = ", ".join(meta.slots)
-            raise ParameterError(f"skins {', '.join(self._skins) or 'none'}; {dataset} has {names}")
+            raise ParameterError(
+                f"skins {', '.join(self._skins) or 'none'}; {meta.path} has {names}"
+            )
         for name, skin in self._skins.items():
             self._check(name, skin)
         touch = {
@@ -170,9 +172,10 @@ class LiveObservation:
         """The observation of the present, at once: arrays as the dataset has them, by feature.
 
         Of the newest moment that all streams have passed, so that nothing of it can still be on its
-        way, but none older than LAG_S; now: of this very moment, as a recorder's rows are. Raises ObservationError, with the reason, where the dataset
-        would have no row: a stream has not begun, the state is too old, or, with --nan drop, a
-        taxel has no valid reading. PortError if a skin is closed.
+        way, but none older than LAG_S; now: of this very moment, as a recorder's rows are. Raises
+        ObservationError, with the reason, where the dataset would have no row: a stream has not
+        begun, the state is too old, or, with --nan drop, a taxel has no valid reading. PortError
+        if a skin is closed.
         """
         for name, skin in self._skins.items():
             for frame in skin.waiting():
