@@ -13,9 +13,31 @@ at once, without the line; docs/simulation.md.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .indenters import Box, Cylinder, Foundation, Indenter, Sphere
+from .depth import at_force
+from .indenters import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Foundation,
+    HeightMap,
+    Indenter,
+    Sphere,
+)
 
-__all__ = ["BatchCover", "Box", "Cylinder", "Foundation", "Indenter", "SkinBatch", "Sphere"]
+__all__ = [
+    "BatchCover",
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "Ellipsoid",
+    "Foundation",
+    "HeightMap",
+    "Indenter",
+    "SkinBatch",
+    "Sphere",
+    "at_force",
+]
 
 if TYPE_CHECKING:
     from .batch import BatchCover, SkinBatch

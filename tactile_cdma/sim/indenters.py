@@ -27,6 +27,9 @@ MOST_PA_PER_M, MOST_M = 1e12, 1e3
 EDGE_POINTS = 6
 """Points per edge of a taxel over which its pressure is averaged. Chosen: the edge of a box is
 placed to a twelfth of a taxel's edge, or better."""
+_STEEP, _MAP_STEPS = 0.2, 3
+"""Least slope of a line to a height map's plane, and how often the place where it meets the map is
+looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""
 Spans = tuple[Floats, Floats]
 """Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
 
@@ -160,6 +163,86 @@ class Box(Indenter):
         return within_all(*map(slab_spans, points_m.T, directions.T, np.array(self.size_m) / 2))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Capsule(Indenter):
+    """A cylinder about its own z axis with half a ball on either end, its origin in the middle.
+
+    length_m: between the balls' middles, m.
+    """
+
+    LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
+
+    radius_m: float
+    length_m: float
+
+    @property
+    def _reach_m(self) -> float:
+        return self.radius_m + self.length_m / 2
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        half_m, radius_m = self.length_m / 2, self.radius_m
+        middle = within_all(
+            _round_spans(points_m[:, :2], directions[:, :2], radius_m),
+            slab_spans(points_m[:, 2], directions[:, 2], half_m),
+        )
+        ends = (
+            _round_spans(points_m - [0, 0, z_m], directions, radius_m) for z_m in (-half_m, half_m)
+        )
+        all_enter_m, all_leave_m = zip(middle, *ends, strict=True)
+        return np.min(all_enter_m, axis=0), np.max(all_leave_m, axis=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipsoid(Indenter):
+    """An ellipsoid about its origin. size_m: its diameters along its own x, y and z, m."""
+
+    LENGTHS: ClassVar = {"size_m": 3}
+
+    size_m: Sequence[float]
+
+    @property
+    def _reach_m(self) -> float:
+        return max(self.size_m) / 2
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        axes_m = np.array(self.size_m) / 2
+        return _round_spans(points_m / axes_m, directions / axes_m, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeightMap(Indenter):
+    """The lower face of any object, as heights above its own plane z = 0; solid above it.
+
+    heights_m: (r, c), m, of the points of a grid about the origin, whose columns are along x and
+    rows along y, cell_m apart; NaN where there is no object. Lines are taken to be steep to that
+    plane: turn it to where the object is pressed.
+    """
+
+    LENGTHS: ClassVar = {"cell_m": 1}
+
+    heights_m: Floats
+    cell_m: float
+
+    @property
+    def _reach_m(self) -> float:
+        rows, columns = self.heights_m.shape
+        farthest_m = max(np.nanmax(np.abs(self.heights_m), initial=0.0), 0.0)
+        return math.hypot(rows * self.cell_m / 2, columns * self.cell_m / 2, farthest_m)
+
+    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+        rows, columns = self.heights_m.shape
+        rise = np.maximum(directions[:, 2], _STEEP)
+        enters_m = np.zeros(len(points_m))
+        for _ in range(_MAP_STEPS):
+            at_m = points_m + enters_m[:, None] * directions
+            column = at_m[:, 0] / self.cell_m + (columns - 1) / 2
+            row = at_m[:, 1] / self.cell_m + (rows - 1) / 2
+            height_m = _between(self.heights_m, row, column)
+            enters_m = np.where(np.isfinite(height_m), (height_m - points_m[:, 2]) / rise, 0.0)
+        hits = np.isfinite(height_m) & (directions[:, 2] > 0)
+        return np.where(hits, enters_m, np.inf), np.where(hits, np.inf, -np.inf)
+
+
 class Foundation:
     """The elastic cover of t taxels: rectangles of the taxels' areas, tangential to the skin.
 
@@ -258,6 +341,17 @@ def within_all(*spans: Spans, xp: Any = np) -> Spans:
     enters_m, leaves_m = reduce(xp.maximum, all_enter_m), reduce(xp.minimum, all_leave_m)
     hits = enters_m <= leaves_m
     return xp.where(hits, enters_m, np.inf), xp.where(hits, leaves_m, -np.inf)
+
+
+def _between(grid: Floats, row: Floats, column: Floats) -> Floats:
+    """Values of a grid between its points, linear both ways; NaN outside, and beside a NaN."""
+    top = np.clip(np.floor(row), 0, len(grid) - 2).astype(np.intp)
+    left = np.clip(np.floor(column), 0, grid.shape[1] - 2).astype(np.intp)
+    down, right = row - top, column - left
+    above = grid[top, left] * (1 - right) + grid[top, left + 1] * right
+    below = grid[top + 1, left] * (1 - right) + grid[top + 1, left + 1] * right
+    inside = (abs(down - 0.5) <= 0.5) & (abs(right - 0.5) <= 0.5)
+    return np.where(inside, above * (1 - down) + below * down, np.nan)
 
 
 def _positive(name: str, value: float, most: float) -> None:
