@@ -19,7 +19,7 @@
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -pressure, -contact, -pictures,
-#              -body, -pareto, -sparse
+#              -body, -pareto, -sparse, -batch
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make paper   the paper's figures and claims beside this project's: docs/paper.md, docs/img/paper.png

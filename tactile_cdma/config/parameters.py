@@ -323,11 +323,26 @@ def _typed(value: Marked) -> object:
         return [_typed(item) for item in value.content]
     if isinstance(value.content, dict):
         raise value.refuse("keys with values where a single value is expected")
-    text = value.content
     if value.quoted:
-        return text
-    if value.is_null:
-        return None
+        return value.content
+    return None if value.is_null else _scalar(value.content)
+
+
+def of_text(name: str, text: str) -> Value:
+    """A parameter's value as it is typed in a command; a list in brackets or without.
+
+    Raises ParameterError.
+    """
+    parameter = BY_NAME[name]
+    if isinstance(parameter.default, str):
+        return parameter.check(text)
+    if isinstance(parameter.default, tuple):
+        return parameter.check([_scalar(part.strip()) for part in text.strip(" []").split(",")])
+    return parameter.check(_scalar(text.strip()))
+
+
+def _scalar(text: str) -> object:
+    """A text without quotes in the type that YAML gives it."""
     if _INTEGER.fullmatch(text):
         return int(text, 16 if "x" in text else 10)
     if _NUMBER.fullmatch(text):
