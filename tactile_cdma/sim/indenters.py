@@ -97,8 +97,8 @@ class Indenter(ABC):
     def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
         """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
         from_it_m = points_m - self.pose.translation_m
-        along_m = (from_it_m * normals).sum(axis=1)
-        beside_m2 = np.square(from_it_m).sum(axis=1) - np.square(along_m)
+        along_m = _dot(from_it_m, normals)
+        beside_m2 = _dot(from_it_m, from_it_m) - np.square(along_m)
         return np.asarray(beside_m2 <= np.square(self._reach_m + around_m))
 
     @property
@@ -301,10 +301,15 @@ class Foundation:
 def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:
     """Of a ball (3 coordinates) or an endless cylinder (2) about the origin."""
     return round_spans(
-        np.square(directions).sum(axis=1),
-        (points_m * directions).sum(axis=1),
-        np.square(points_m).sum(axis=1) - radius_m**2,
+        _dot(directions, directions),
+        _dot(points_m, directions),
+        _dot(points_m, points_m) - radius_m**2,
     )
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    """(m,) of (m, d); einsum takes a fifth of the time of a sum along a short axis."""
+    return np.asarray(np.einsum("md,md->m", one, other))
 
 
 def round_spans(a: Any, b: Any, c: Any, xp: Any = np) -> Spans:
