@@ -13,13 +13,13 @@
 # make demo    the image that makes a Pico a skin; copied to a demonstrator, or to the board at PORT
 # make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
 # make spice            the analog circuit for 16, 64, 900 and 4,000 nodes, simulated, against what was computed
-# make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file
+# make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file; CIRCUIT=paper: the paper's
 # make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
 # make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -pressure, -contact, -pictures,
-#              -body, -pareto, -sparse
+#              -body, -pareto, -sparse, -batch
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make paper   the paper's figures and claims beside this project's: docs/paper.md, docs/img/paper.png
@@ -45,6 +45,7 @@ FIRMWARE ?=
 ONLY ?=
 NODES ?=
 CHIP_US ?=
+CIRCUIT ?=
 SEED ?= 1
 COUNT ?= 1000000
 SINCE ?= HEAD~1
@@ -56,7 +57,7 @@ export LC_ALL ?= C.UTF-8
 export PYTHONDONTWRITEBYTECODE =
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY NODES CHIP_US SEED COUNT SINCE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
@@ -129,7 +130,7 @@ firmware-thousand: firmware
 	@"$(BIN)/python" firmware/sim/thousand.py $(if $(filter-out 0,$(QUICK)),--quick) $(NODES:%=--nodes %)
 
 amplifier: setup
-	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%")
+	@"$(BIN)/python" firmware/analog/design_amplifier.py $(NODES:%=--nodes %) $(CHIP_US:%=--chip-us %) $(PARAMS:%=--params "%") $(CIRCUIT:%=--circuit %)
 
 demo: firmware
 	@"$(BIN)/python" tools/copy_demo.py firmware/build/rp2040/demo.uf2 "$(PORT)"
@@ -138,7 +139,7 @@ demo-test: firmware
 	@"$(BIN)/python" firmware/sim/demo.py
 
 spice: firmware-tools
-	@"$(BIN)/python" firmware/analog/spice.py
+	@"$(BIN)/python" firmware/analog/spice.py $(CIRCUIT:%=--circuit %)
 
 boards: setup
 	@"$(BIN)/python" firmware/boards/generate_boards.py --draw

@@ -231,7 +231,7 @@ class Skin:
         """
         with self._opening:
             if self._driver is None:
-                port = None if patiently else Port(self.port, self._baud)
+                port = None if patiently else Port(self.port, self._baud, self.layout)
                 inbox = self._inbox = self._new_inbox()
                 driver = Driver(self.config, self.port, self._baud, inbox.take, inbox.wake)
                 # Nothing of the driver refers to this object, so that one that is forgotten, and

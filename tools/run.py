@@ -20,8 +20,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from types import FrameType
+from typing import IO
 
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.base.named_file import existing
@@ -184,8 +185,7 @@ def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -
 
     for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(signum, remember)
-    LOG.parent.mkdir(exist_ok=True)
-    with LOG.open("w") as log:
+    with _log_file() as log:
         # In a session of their own, Ctrl-C does not reach nodes before the viewer has ended.
         nodes = [
             subprocess.Popen(
@@ -219,9 +219,18 @@ def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -
         codes = ", ".join(str(node.returncode) for node in nodes)
         print(f"the driver ended by itself, exit code {codes}", file=sys.stderr)
         if quiet:
-            print("\n".join(LOG.read_text().splitlines()[-15:]), file=sys.stderr)
+            print("\n".join(Path(log.name).read_text().splitlines()[-15:]), file=sys.stderr)
         return 1
     return code if code >= 0 else 128 - code
+
+
+def _log_file() -> IO[str]:
+    """Open a file for the driver's log: LOG, or one of its own in another user's checkout."""
+    try:
+        LOG.parent.mkdir(exist_ok=True)
+        return LOG.open("w")
+    except OSError:
+        return NamedTemporaryFile("w", prefix="driver.", suffix=".log", delete=False)
 
 
 def _end(process: subprocess.Popen[bytes], grace_s: float = 0.0) -> int:

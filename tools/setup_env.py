@@ -70,6 +70,12 @@ def main() -> int:
     except SetupError as error:
         print(f"setup: error: {error}", file=sys.stderr)
         return 1
+    except PermissionError as error:
+        print(
+            f"setup: error: {error.filename} is another user's; one of your own: make VENV=FOLDER",
+            file=sys.stderr,
+        )
+        return 1
     except KeyboardInterrupt:
         print("\nsetup: interrupted; the next run starts this step again", file=sys.stderr)
         return 130
@@ -265,6 +271,7 @@ def build_messages(venv: Path, use_installation: bool) -> None:
             str(venv),
             "--merge-install",
             "--symlink-install",
+            *("--event-handlers", "console_direct+"),  # make's percentages, for the terminal
             "--cmake-args",
             "-DBUILD_TESTING=OFF",
             "-DCMAKE_C_FLAGS=-O2",
@@ -453,7 +460,7 @@ def digest(*groups: list[str] | list[Path]) -> str:
 
 
 def run(command: list[str], log: Path, env: dict[str, str] | None = None, explain=None) -> None:
-    """Run a step's command; its output goes to the log, a sign of life to the terminal."""
+    """Run a step's command; its output goes to the log, what it is at to the terminal."""
     with log.open("ab") as sink:
         begin = sink.tell()
         process = subprocess.Popen(
@@ -471,7 +478,8 @@ def run(command: list[str], log: Path, env: dict[str, str] | None = None, explai
                     code = process.wait(timeout=15)
                     break
                 except subprocess.TimeoutExpired:
-                    print(f"      … {time.monotonic() - started:.0f} s", flush=True)
+                    said = last_line(log, begin)
+                    print(f"      … {time.monotonic() - started:.0f} s{said}", flush=True)
         except KeyboardInterrupt:
             process.wait()  # the terminal has interrupted it too; do not pull its log away
             raise
@@ -480,6 +488,13 @@ def run(command: list[str], log: Path, env: dict[str, str] | None = None, explai
         print("\n".join(text.splitlines()[-20:]), file=sys.stderr)
         hint = explain(text) if explain else None
         raise SetupError(hint or f"`{Path(command[0]).name}` failed (above; all of it in {log})")
+
+
+def last_line(log: Path, begin: int) -> str:
+    """What pip or colcon began last, such as ": [ 45%] Building C object …"; may be empty."""
+    text = log.read_bytes()[begin:].decode(errors="replace")
+    begun = re.findall(r"^ *((?:Collecting|Downloading|Installing|\[ *\d+%\]) .*)$", text, re.M)
+    return f": {begun[-1][:70]}" if begun else ""
 
 
 def explain_pip(text: str) -> str | None:

@@ -2,18 +2,25 @@
 
 """The analog front end between the nodes' pins and the digitizer: values of its parts.
 
-    pin ──R1──┬──▶ follower ──Rin──┬── … all nodes: the line
-              ├──Rb── supply       │
-              └──Rb── ground       ├── Rf ∥ Cf ──┐
-                                   └─▶ −         │
-                 half the supply ────▶ + amplifier ┴──R──┬──▶ converter
-                                                         C
+    pin ──Rin──┬── … all nodes: the line
+               ├── Rf ∥ Cf ──┐
+               └─▶ −         │
+      half the supply ──▶ + amplifier ┴──R──┬──▶ converter
+                                            C
 
-A pin that is high, low or released puts the follower at half the supply plus, minus or no node
-level: Liu et al. 2025, Fig. 4, where the reference that a released pin rests at is two resistors at
-every node, so that no wire is needed for it. The amplifier holds the line at half the supply and
-adds up the nodes' currents. Its output is half the supply, minus Rf/Rin times the sum of all node
-levels: the polarity is −1, and A = node level · Rf/Rin.
+The amplifier holds the line at half the supply S, so a pin that is high or low sends ±S/2/Rin into
+it, and a released one nothing. Its output is half the supply, minus Rf/Rin times the sum of all
+node levels: the polarity is −1, and A = node level · Rf/Rin, with a level of S/2. A pin that is
+released keeps its charge, which leaves through Rin: a tail of PIN_F·Rin, after a node's last chip.
+
+The paper's circuit (Liu et al. 2025, Fig. 4) is the other one, PAPER: a follower at every node
+
+    pin ──R1──┬──▶ follower ──Rin── line
+              ├──Rb── supply
+              └──Rb── ground
+
+which rests at half the supply, plus or minus a node level of 0.3 V. It leaves no tail, and wants
+more of the amplifier, since the same A takes a larger Rf/Rin.
 
 The noise gain 1 + n·Rf/Rin divides an amplifier's bandwidth. Where that leaves too little, nodes
 are wired in groups with an amplifier each, and another one adds up these, through Rg each, with
@@ -37,13 +44,25 @@ import numpy as np
 from tactile_cdma.base.errors import SpecError, check_limits
 from tactile_cdma.code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.framing.sparse_timing import capacity
+from tactile_cdma.hardware.passive import PIN_F, WIRE_F
 
+DIRECT, PAPER = "direct", "paper"
+CIRCUITS = (DIRECT, PAPER)
+"""Between a node's pin and the line: a resistor, or the paper's attenuator and follower."""
 CREST = 5.5
 """Peak of the sum in √n·A with random signs: above that of all simulated scenes (5.4)."""
 RAIL_V = 0.05
 """Distance that a rail-to-rail output keeps from its rails, V; chosen."""
 NODE_LEVEL_V = DEFAULT_AMPLITUDE_V
 """Level of a node behind its follower, V: the paper's; small, for the follower's range and slew."""
+SUM_OHMS = (2e3, 1e3, 510.0)
+"""Rf of nodes without followers, Ω: the first, or where the wire's capacitance makes its amplifier
+too fast a lower one. Chosen: an output drives them, and they take a large Cf, to which wire and
+disturbances on the line matter little, and small Rin, through which released pins soon settle."""
+NODE_F = 2e-12
+"""Capacitance of every node's copper on the line, F; of its wire: WIRE_F."""
+GROUP_NODES = 72
+"""Nodes of a group at most. Chosen: nine strips of 8, for a regulator of 1 A and a sync buffer."""
 SETTLED = 0.01
 """Share of a step that may be left when the first sample of a chip is taken; chosen."""
 ADC_HZ = 500e3
@@ -71,6 +90,8 @@ E24 = (  # of the resistors; capacitors have every other value
     *(33, 36, 39, 43, 47, 51, 56, 62, 68, 75, 82, 91),
 )
 E12 = E24[::2]
+E96 = tuple(round(100 * 10 ** (step / 96)) for step in range(96))
+"""Three digits: of Rin without followers, as usual for resistors of 1 %."""
 EXACT = 1 + 1e-9
 """Forgives rounding where values of a series are compared."""
 LEAST_USED = 1 / 4
@@ -84,12 +105,13 @@ times that, for the converter. Chosen."""
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """An amplifier that adds up its inputs: Ω, F."""
+    """An amplifier that adds up its inputs: Ω, F. wire_f: of what its summing point is wired to."""
 
     inputs: int
     input_ohm: float
     feedback_ohm: float
     feedback_f: float
+    wire_f: float
 
     @property
     def gain(self) -> float:
@@ -98,7 +120,7 @@ class Stage:
 
     @property
     def noise_gain(self) -> float:
-        """Factor to the amplifier's own offset and noise, and divisor of its bandwidth."""
+        """Factor to the amplifier's own offset and noise."""
         return 1 + self.inputs * self.gain
 
     @property
@@ -108,8 +130,31 @@ class Stage:
 
     @property
     def gain_bandwidth_hz(self) -> float:
-        """Least gain-bandwidth of the amplifier."""
-        return LOOP_GAIN * self.noise_gain * self.corner_hz
+        """Least gain-bandwidth of the amplifier.
+
+        At the corner, inputs and wire divide it by |1 + (n·Rf/Rin + j·wire/Cf)/(1 + j)|, and that
+        is at most 1 + the larger one of the two.
+        """
+        divisor = max(self.noise_gain, 1 + self.wire_f / self.feedback_f)
+        return LOOP_GAIN * divisor * self.corner_hz
+
+
+@dataclass(frozen=True, slots=True)
+class Attenuator:
+    """What a node of the paper's circuit has before its follower: R1 and Rb, Ω."""
+
+    series_ohm: float
+    bias_ohm: float
+
+    @property
+    def share(self) -> float:
+        """Of the pin's swing, at the follower."""
+        return self.bias_ohm / (2 * self.series_ohm + self.bias_ohm)
+
+    @property
+    def time_s(self) -> float:
+        """Time constant of the follower's input."""
+        return INPUT_F / (1 / self.series_ohm + 2 / self.bias_ohm)
 
 
 @dataclass(frozen=True)
@@ -118,7 +163,7 @@ class FrontEnd:
 
     talking: nodes that may send at once. room_v: largest swing of the output about its rest.
     nodes_stage: adds up nodes, all or those of a group. groups_stage: adds up groups, if there are
-    any. sample_s: from a chip's begin to its first sample.
+    any. sample_s: from a chip's begin to its first sample. attenuator: of the paper's circuit.
     """
 
     nodes: int
@@ -127,13 +172,12 @@ class FrontEnd:
     adc_volts: float
     adc_bits: int
     room_v: float
-    series_ohm: float
-    bias_ohm: float
     nodes_stage: Stage
     groups_stage: Stage | None
     filter_ohm: float
     filter_f: float
     sample_s: float
+    attenuator: Attenuator | None
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -152,13 +196,17 @@ class FrontEnd:
 
     @property
     def node_level_v(self) -> float:
-        """What a high pin adds to the rest of its follower."""
-        bias = self.bias_ohm / 2
-        return self.supply_v / 2 * bias / (self.series_ohm + bias)
+        """What a high pin adds to half the supply before Rin."""
+        return self.supply_v / 2 * (self.attenuator.share if self.attenuator else 1)
+
+    @property
+    def tail_s(self) -> float:
+        """Time constant with which a released pin's level leaves the line; 0 with followers."""
+        return 0.0 if self.attenuator else PIN_F * self.nodes_stage.input_ohm
 
     @property
     def gain(self) -> float:
-        """From a follower to the converter."""
+        """From a node's level to the converter."""
         return math.prod(stage.gain for stage in self.stages)
 
     @property
@@ -187,8 +235,13 @@ class FrontEnd:
         return 2 * self.room_v * 2 * math.pi * self.stages[-1].corner_hz
 
     @property
+    def half_tolerance(self) -> float:
+        """Of the two resistors that make half the supply."""
+        return half_tolerance(self.attenuator)
+
+    @property
     def follower_bandwidth_hz(self) -> float:
-        """Least gain-bandwidth of a follower."""
+        """Least gain-bandwidth of a follower, where there are any."""
         return LOOP_GAIN * self.nodes_stage.corner_hz
 
     @property
@@ -202,8 +255,9 @@ class FrontEnd:
     @cached_property
     def unsettled(self) -> float:
         """Share of a step that is left at a chip's first sample, with parts as slow as allowed."""
-        poles = [attenuator_s(self.series_ohm, self.bias_ohm), self.filter_ohm * self.filter_f]
-        poles.append(1 / (2 * math.pi * self.follower_bandwidth_hz))
+        poles = [self.filter_ohm * self.filter_f]
+        if self.attenuator:
+            poles += [self.attenuator.time_s, 1 / (2 * math.pi * self.follower_bandwidth_hz)]
         for stage in self.stages:
             feedback_s = stage.feedback_ohm * stage.feedback_f
             poles += [feedback_s, feedback_s / LOOP_GAIN]
@@ -224,8 +278,9 @@ def design(
     adc_bits: int = 12,
     adc_hz: float = ADC_HZ,
     active: float | None = None,
+    circuit: str = DIRECT,
 ) -> FrontEnd:
-    """The front end for a skin.
+    """The front end for a skin. circuit: of CIRCUITS.
 
     active: largest share of the nodes that talk at once; None: all, or of sparse codes as many as a
     frame holds.
@@ -252,10 +307,9 @@ def design(
             f"and needs {supply_v / 10:g} V or more on either side: use a lower supply_v"
         )
     talking = math.ceil(active * spec.nodes)
-    series_ohm, bias_ohm = _attenuator(2 * NODE_LEVEL_V / supply_v)
-    level_v = supply_v * bias_ohm / (4 * series_ohm + 2 * bias_ohm)
+    attenuator = _attenuator(2 * NODE_LEVEL_V / supply_v) if circuit == PAPER else None
     sample_s = first_sample_s(spec.chip_s, samples_per_chip, adc_hz)
-    stages, tau = _within(room_v, spec, active, level_v, supply_v, sample_s, (series_ohm, bias_ohm))
+    stages, tau = _within(room_v, spec, active, supply_v, sample_s, attenuator)
     filter_f = 10.0 ** math.floor(math.log10(tau / FILTER_OHM))
     return FrontEnd(
         nodes=spec.nodes,
@@ -263,14 +317,13 @@ def design(
         supply_v=supply_v,
         adc_volts=adc_volts,
         adc_bits=adc_bits,
-        room_v=room_v - _margin_v(stages, supply_v),
-        series_ohm=series_ohm,
-        bias_ohm=bias_ohm,
+        room_v=room_v - _margin_v(stages, supply_v, attenuator),
         nodes_stage=stages[0],
         groups_stage=stages[1] if len(stages) > 1 else None,
         filter_ohm=_below(tau / filter_f),
         filter_f=filter_f,
         sample_s=sample_s,
+        attenuator=attenuator,
     )
 
 
@@ -280,11 +333,6 @@ def first_sample_s(chip_s: float, samples_per_chip: int, adc_hz: float = ADC_HZ)
     if most < LEAST_SAMPLES:
         return LATE_SAMPLE * chip_s
     return chip_s / (2 * min(max(samples_per_chip, LEAST_SAMPLES), most))
-
-
-def attenuator_s(series_ohm: float, bias_ohm: float) -> float:
-    """Time constant of a follower's input, s."""
-    return INPUT_F / (1 / series_ohm + 2 / bias_ohm)
 
 
 def step_left(t_s: float, poles_s: Sequence[float]) -> float:
@@ -300,22 +348,24 @@ def step_left(t_s: float, poles_s: Sequence[float]) -> float:
 
 
 @cache
-def low_pass_s(sample_s: float, stages: int, attenuator: float) -> float:
+def low_pass_s(sample_s: float, stages: int, attenuator: Attenuator | None) -> float:
     """Time constant of each feedback and of the filter with which a step settles in time, s.
 
-    With followers and amplifiers that are LOOP_GAIN times as fast. attenuator: its time constant.
-    Raises SpecError where that leaves no time.
+    With followers, if any, and amplifiers that are LOOP_GAIN times as fast. Raises SpecError where
+    an attenuator leaves no time.
     """
+    amplifiers, others = (stages + 1, [attenuator.time_s]) if attenuator else (stages, [])
 
     def left(tau: float) -> float:
-        low_passes, amplifiers = [tau] * (stages + 1), [tau / LOOP_GAIN] * (stages + 1)
-        return step_left(sample_s, [attenuator, *low_passes, *amplifiers])
+        low_passes = [tau] * (stages + 1) + [tau / LOOP_GAIN] * amplifiers
+        return step_left(sample_s, [*others, *low_passes])
 
     low, high = 1e-3 * sample_s, sample_s
-    if left(low) > SETTLED:
+    if attenuator and left(low) > SETTLED:
         raise SpecError(
             f"the first sample of a chip is taken after {sample_s * 1e6:.3g} µs, in which the "
-            f"followers' inputs, with {attenuator * 1e9:.0f} ns, don't settle: use longer chips"
+            f"followers' inputs, with {attenuator.time_s * 1e9:.0f} ns, don't settle: use longer "
+            "chips"
         )
     for _ in range(60):
         middle = math.sqrt(low * high)
@@ -323,46 +373,55 @@ def low_pass_s(sample_s: float, stages: int, attenuator: float) -> float:
     return low
 
 
-def rest_deviation_v(stages: Sequence[Stage], supply_v: float) -> float:
+def half_tolerance(attenuator: Attenuator | None) -> float:
+    """Of the two resistors that make half the supply: 1 % does where the noise gain is small."""
+    return BIAS_TOLERANCE if attenuator else TOLERANCE
+
+
+def rest_deviation_v(
+    stages: Sequence[Stage], supply_v: float, attenuator: Attenuator | None
+) -> float:
     """Standard deviation of the output's rest, V: dividers whose parts are off within tolerance.
 
-    Two resistors with errors uniform in ±t shift a supply's half by S/4·√2·t/√3.
+    Two resistors with errors uniform in ±t shift a supply's half by S/4·√2·t/√3. Pins have the
+    whole supply, which has no such error.
     """
 
     def divider_v(tolerance: float) -> float:
         return supply_v / 4 * math.sqrt(2 / 3) * tolerance
 
-    deviation = divider_v(TOLERANCE)  # of a follower
+    deviation = divider_v(TOLERANCE) if attenuator else 0.0  # of a node
     for stage in stages:
         inputs = stage.gain * math.sqrt(stage.inputs) * deviation
-        deviation = math.hypot(inputs, stage.noise_gain * divider_v(BIAS_TOLERANCE))
+        half = stage.noise_gain * divider_v(half_tolerance(attenuator))
+        deviation = math.hypot(inputs, half)
     return deviation
 
 
-def _margin_v(stages: Sequence[Stage], supply_v: float) -> float:
-    return SIGMAS * rest_deviation_v(stages, supply_v)
+def _margin_v(stages: Sequence[Stage], supply_v: float, attenuator: Attenuator | None) -> float:
+    return SIGMAS * rest_deviation_v(stages, supply_v, attenuator)
 
 
 def _within(
     room_v: float,
     spec: FrameSpec,
     active: float,
-    level_v: float,
     supply_v: float,
     sample_s: float,
-    attenuator: tuple[float, float],
+    attenuator: Attenuator | None,
 ) -> tuple[list[Stage], float]:
     """The stages of the largest swing that leaves their own margin free, by bisection.
 
     A larger gain takes a larger margin: most of the room, where few of many nodes talk. It needs
     faster amplifiers, too. Raises SpecError where LEAST_USED needs too fast ones.
     """
+    level_v = supply_v / 2 * (attenuator.share if attenuator else 1)
     low_v, high_v = 0.0, room_v
     best: tuple[list[Stage], float] | None = None
     while high_v - low_v > FINE * room_v:
         swing_v = (low_v + high_v) / 2
         found = _stages(spec, active, swing_v / level_v, sample_s, attenuator)
-        if found is not None and swing_v + _margin_v(found[0], supply_v) <= room_v:
+        if found and swing_v + _margin_v(found[0], supply_v, attenuator) <= room_v:
             low_v, best = swing_v, found
         else:
             high_v = swing_v
@@ -377,28 +436,26 @@ def _within(
 
 
 def _stages(
-    spec: FrameSpec,
-    active: float,
-    level: float,
-    sample_s: float,
-    attenuator: tuple[float, float],
+    spec: FrameSpec, active: float, level: float, sample_s: float, attenuator: Attenuator | None
 ) -> tuple[list[Stage], float] | None:
-    """Amplifiers, and the time constant of each. level: the room in units of a follower's level.
+    """Amplifiers, and the time constant of each. level: the room in units of a node's level.
 
-    Nodes are divided into as few groups as an amplifier of MOST_GAIN_BANDWIDTH_HZ allows; None
-    where it allows no number of groups.
+    Nodes are divided into as few groups of up to GROUP_NODES, else larger ones, as an amplifier of
+    MOST_GAIN_BANDWIDTH_HZ allows; None where it allows no number of groups.
     """
-    tau = low_pass_s(sample_s, 1, attenuator_s(*attenuator))
-    whole = _stage(spec.nodes, level / largest_sum(spec, math.ceil(active * spec.nodes)), tau)
+    tau = low_pass_s(sample_s, 1, attenuator)
+    gain = level / largest_sum(spec, math.ceil(active * spec.nodes))
+    whole = _nodes_stage(spec.nodes, gain, tau, attenuator)
     if whole.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ:
         return [whole], tau
-    tau = low_pass_s(sample_s, 2, attenuator_s(*attenuator))
-    for groups in range(2, spec.nodes + 1):
+    tau = low_pass_s(sample_s, 2, attenuator)
+    least = max(2, -(-spec.nodes // GROUP_NODES))
+    for groups in (*range(least, spec.nodes + 1), *range(2, least)):
         size = -(-spec.nodes // groups)
-        group_peak = largest_sum(spec, math.ceil(active * size))
-        first = _stage(size, level / group_peak, tau)
-        total = level / largest_sum(spec, math.ceil(active * spec.nodes))
-        second = _stage(-(-spec.nodes // size), total / first.gain, tau)
+        group_gain = level / largest_sum(spec, math.ceil(active * size))
+        first = _nodes_stage(size, group_gain, tau, attenuator)
+        count = -(-spec.nodes // size)
+        second = _stage(count, _summing(gain / first.gain), tau, count * NODE_F)
         if max(first.gain_bandwidth_hz, second.gain_bandwidth_hz) <= MOST_GAIN_BANDWIDTH_HZ:
             return [first, second], tau
     return None
@@ -411,19 +468,34 @@ def largest_sum(spec: FrameSpec, talking: int) -> float:
     return min(float(talking), CREST * math.sqrt(talking))
 
 
-def _stage(inputs: int, gain: float, tau: float) -> Stage:
-    input_ohm, feedback_ohm = _summing(gain)
-    return Stage(inputs, input_ohm, feedback_ohm, _below(tau / feedback_ohm, E12))
+def _nodes_stage(nodes: int, gain: float, tau: float, attenuator: Attenuator | None) -> Stage:
+    wire_f = WIRE_F + nodes * NODE_F
+    if attenuator:
+        return _stage(nodes, _summing(gain), tau, wire_f)
+    for ohm in SUM_OHMS if nodes <= GROUP_NODES else SUM_OHMS[:1]:
+        stage = _stage(nodes, (_above(ohm / gain, E96), ohm), tau, wire_f)
+        if stage.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ:
+            break
+    return stage
 
 
-def _attenuator(share: float) -> tuple[float, float]:
-    """R1 and Rb, Ω, that leave the share of a pin's swing that is nearest to this one.
+def _stage(inputs: int, ohms: tuple[float, float], tau: float, wire_f: float) -> Stage:
+    return Stage(inputs, *ohms, _below(tau / ohms[1], E12), wire_f)
+
+
+def _attenuator(share: float) -> Attenuator:
+    """R1 and Rb that leave the share of a pin's swing that is nearest to this one.
 
     Rb is 10 to 22 kΩ: little current, and fast with a follower's input capacitance.
     """
     return min(
-        ((1e3 * series, 1e3 * bias) for bias in E24 if bias <= 22 for series in _decades(10, 2)),
-        key=lambda pair: abs(pair[1] / (2 * pair[0] + pair[1]) - share),
+        (
+            Attenuator(1e3 * series, 1e3 * bias)
+            for bias in E24
+            if bias <= 22
+            for series in _decades(10, 2)
+        ),
+        key=lambda parts: abs(parts.share - share),
     )
 
 
@@ -451,10 +523,11 @@ def _below(value: float, series: Sequence[int] = E24) -> float:
     return max(part * decade for part in series if part * decade <= value * EXACT)
 
 
-def _above(value: float) -> float:
-    """The smallest value of E24 from this one on."""
-    decade = _decade(value)
-    return min(part * decade for part in (*E24, 100) if part * decade * EXACT >= value)
+def _above(value: float, series: Sequence[int] = E24) -> float:
+    """The smallest value of a series from this one on."""
+    decade = _decade(value) * 10 / series[0]
+    parts = (*series, 10 * series[0])
+    return min(part * decade for part in parts if part * decade * EXACT >= value)
 
 
 def _decade(value: float) -> float:

@@ -6,10 +6,11 @@ Op-amps have the slowest bandwidth and slew rate that `make amplifier` allows, a
 at SECOND_POLE times their bandwidth, an output resistance, input capacitances and voltage noise;
 wires have capacitance.
 
-Nodes that are alike and linear are lumped exactly: the current of n followers through Rin each is
-that of one through Rin/n with the mean of their voltages, which is what one follower makes of the
-mean of the pins. So are groups. What slews is not linear: a follower at its own node's step. So the
-step of a node, against which settling is judged, is that of a node by itself.
+Nodes that are alike and linear are lumped exactly: the current of n pins, or followers, through Rin
+each is that of one through Rin/n with the mean of their voltages. So are groups. What slews is not
+linear: a follower at its own node's step. So the step of a node, against which settling is judged,
+is that of a node by itself. A pin that was released is a source, too: of the charge that it keeps,
+while that leaves through Rin.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ SECOND_POLE = 3.0
 OPEN_LOOP = 1e5
 NOISE_OHM = 3.9e3
 """A resistor whose noise is that of an op-amp's input: 8 nV/√Hz."""
+TAIL_STEPS = np.arange(0, 7, 0.125)
+"""Where a released pin's tail has points, in its time constants: 0.2 % of it off between them."""
 HALF_OHM, HALF_F = 10e3, 10e-12
 """Of half the supply at an amplifier's + input."""
 FOLLOWER_F = 3e-12
 """Of the op-amp's own at its input."""
-WIRE_F, NODE_F = 200e-12, 2e-12
-"""Capacitance of the line: 2 m of it, and every node's copper, F."""
 
 OPAMP = f"""\
 .subckt opamp plus minus out supply bandwidth=1e6 slew=1e6 half=1.65
@@ -81,8 +82,8 @@ def noise_netlist(front: FrontEnd, depth: int, highest_hz: float) -> str:
     """Noise at the converter, from 10 Hz to a frequency; prints onoise_total, V.
 
     depth: amplifiers, counted from the converter, that are real in one path; one more than there
-    are: a node, too. All other paths end in their resistors. So the difference of two powers is
-    what one amplifier, or one node, adds.
+    are: a follower, too. All other paths end in their resistors. So the difference of two powers is
+    what one amplifier, or one follower, adds.
     """
     lines = [f"* noise of {front.nodes} nodes' line", *_head(front), "vrest rest 0 {supply/2}"]
     last = front.groups_stage
@@ -125,21 +126,22 @@ def _summed(front: FrontEnd) -> list[str]:
     """From the line to the converter; all groups as one, through Rg/groups."""
     nodes, last, groups = front.nodes_stage, front.groups_stage, front.groups
     lines = _filter(front)
-    lines.append(f"cline line 0 {WIRE_F / groups + nodes.inputs * NODE_F:g}")
+    lines.append(f"cline line 0 {nodes.wire_f:g}")
     if last is None:
         return lines + _stage("out", front, nodes, "line")
     return [
         *lines,
         *_stage("nodes", front, nodes, "line"),
         f"rgroups nodes sum {last.input_ohm / groups:g}",
-        f"csum sum 0 {groups * NODE_F:g}",
+        f"csum sum 0 {last.wire_f:g}",
         *_stage("out", front, last, "sum"),
     ]
 
 
 def _amplified(front: FrontEnd) -> list[str]:
     """Nodes at half the supply when nobody talks: where ngspice begins to look."""
-    return ["out", "adc", "line", "pins0", *(["nodes", "sum"] if front.groups_stage else [])]
+    followers = ["pins0"] if front.attenuator else []
+    return ["out", "adc", "line", *followers, *(["nodes", "sum"] if front.groups_stage else [])]
 
 
 def _filter(front: FrontEnd) -> list[str]:
@@ -147,18 +149,21 @@ def _filter(front: FrontEnd) -> list[str]:
 
 
 def _node(front: FrontEnd, number: int, level: str, count: float) -> list[str]:
-    """One node in place of `count` of them: pin, attenuator, follower, Rin/count to the line."""
+    """One node in place of `count` of them: pin, attenuator and follower, if any, Rin/count."""
+    n, rin = number, front.nodes_stage.input_ohm / count
+    pin = f"bpin{n} pin{n} 0 v={{supply}}/2*(1+v({level}))"
+    if front.attenuator is None:
+        return [pin, f"rin{n} pin{n} line {rin + PIN_OHM / count:g}"]
     speed = f"bandwidth={front.follower_bandwidth_hz:g} slew={front.follower_slew_v_per_s:g}"
-    n = number
     return [
-        f"bpin{n} pin{n} 0 v={{supply}}/2*(1+v({level}))",
+        pin,
         f"rpin{n} pin{n} driven{n} {PIN_OHM:g}",
-        f"rseries{n} driven{n} node{n} {front.series_ohm:g}",
-        f"rup{n} supply node{n} {front.bias_ohm:g}",
-        f"rdown{n} node{n} 0 {front.bias_ohm:g}",
+        f"rseries{n} driven{n} node{n} {front.attenuator.series_ohm:g}",
+        f"rup{n} supply node{n} {front.attenuator.bias_ohm:g}",
+        f"rdown{n} node{n} 0 {front.attenuator.bias_ohm:g}",
         f"cnode{n} node{n} 0 {INPUT_F - FOLLOWER_F:g}",
         f"xfollower{n} node{n} pins{n} pins{n} supply opamp {speed} half={front.supply_v / 2:g}",
-        f"rin{n} pins{n} line {front.nodes_stage.input_ohm / count:g}",
+        f"rin{n} pins{n} line {rin:g}",
     ]
 
 
@@ -175,19 +180,39 @@ def _stage(name: str, front: FrontEnd, stage: Stage, summing: str) -> list[str]:
     ]
 
 
-def level_points(levels: NDArray[np.float64], chip_s: float) -> NDArray[np.float64]:
-    """Times and levels (m, 2) of a file: steps at the chips' ends, (span,) levels from 0 on."""
-    changes = np.flatnonzero(np.diff(levels, prepend=0.0, append=0.0))
-    before = np.append(0.0, levels)[changes]
-    after = np.append(levels, 0.0)[changes]
+def level_points(
+    levels: NDArray[np.float64],
+    chip_s: float,
+    tail_s: float = 0.0,
+    released: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Times and levels (m, 2) of a file: steps at the chips' ends, (span,) levels from 0 on.
+
+    tail_s: time constant with which a released pin's level leaves it. released: (span + 1,) levels
+    of the pins that are released when a chip begins; without it those of a pin by itself.
+    """
+    before, after = np.append(0.0, levels), np.append(levels, 0.0)
+    if released is None:
+        released = np.where(after == 0, before, 0.0)
+    changes = np.flatnonzero((before != after) | (released != 0))
     times = changes * chip_s
     points = np.zeros((2 * changes.size + 2, 2))
-    points[1:-1:2] = np.column_stack((times + 1e-12, before))
-    points[2:-1:2] = np.column_stack((times + EDGE_S, after))
+    points[1:-1:2] = np.column_stack((times + 1e-12, before[changes]))
+    points[2:-1:2] = np.column_stack((times + EDGE_S, after[changes]))
     points[-1, 0] = (levels.size + 1) * chip_s
-    return points
+    if not tail_s:
+        return points
+    (begins,) = np.nonzero(released)
+    finer = begins[:, None] * chip_s + EDGE_S + tail_s * TAIL_STEPS
+    grid = np.unique(np.append(points[:, 0], finer[finer < points[-1, 0]]))
+    kept = np.zeros_like(grid)
+    for begin, level in zip(begins, released[begins], strict=True):
+        since_s = grid - begin * chip_s - EDGE_S
+        kept += np.where(since_s >= 0, level * np.exp(-np.maximum(since_s, 0.0) / tail_s), 0.0)
+    return np.column_stack((grid, np.interp(grid, *points.T) + kept))
 
 
-def steps_of(chip_s: float) -> float:
-    """Largest step of a transient analysis, s: 40 in a chip of 2 µs, 200 at most."""
-    return max(50e-9, chip_s / 200)
+def steps_of(chip_s: float, tail_s: float = 0.0) -> float:
+    """Largest step of a transient analysis, s: 40 in a chip of 2 µs, 200 at most; 2 in a tail."""
+    step_s = max(50e-9, chip_s / 200)
+    return min(step_s, tail_s / 2) if tail_s else step_s

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from amplifier import (
     ADC_HZ,
-    BIAS_TOLERANCE,
+    CIRCUITS,
+    DIRECT,
     EXACT,
     TOLERANCE,
     FrontEnd,
@@ -68,6 +69,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         ),
     ):
         parser.add_argument(name, type=kind, default=default, help=text)
+    text = f"{DIRECT}: a resistor from pin to line; paper: attenuator and follower ({DIRECT})"
+    parser.add_argument("--circuit", choices=CIRCUITS, default=DIRECT, help=text)
     add_skin_options(parser, "the driver's; the frame period has no effect")
     arguments = parser.parse_args(argv)
     try:
@@ -90,6 +93,7 @@ def _designed(arguments: argparse.Namespace) -> tuple[FrameSpec, FrontEnd]:
         adc_bits=arguments.adc_bits,
         adc_hz=arguments.adc_rate * 1e3,
         active=arguments.active,
+        circuit=arguments.circuit,
     )
     return config.spec, front
 
@@ -185,11 +189,7 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
     spread = scatter(front)
     used = largest_sum(spec, front.talking) / front.room
     lines = {
-        "node": f"R1 {_si(front.series_ohm)}Ω from the pin; Rb {_si(front.bias_ohm)}Ω to supply "
-        f"and {_si(front.bias_ohm)}Ω to ground",
-        "follower": f"at {front.supply_v / 2:g} V ± {_si(front.node_level_v)}V; gain-bandwidth "
-        f"{_si(front.follower_bandwidth_hz)}Hz or more, {_slew(front.follower_slew_v_per_s)}; "
-        f"then Rin {_si(front.nodes_stage.input_ohm)}Ω to the line",
+        **_node(front),
         **_amplifiers(front),
         "filter": f"R {_si(front.filter_ohm)}Ω, C {_si(front.filter_f)}F "
         f"({_si(front.filter_hz)}Hz)",
@@ -198,7 +198,7 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
         "level": f"A = {_si(front.amplitude_v)}V, one node on the digitized line",
         "range": f"±{_si(front.room_v)}V = ±{front.room:.3g}·A = ±{front.full_scale:.3g}·√n·A, "
         f"n = {front.talking} nodes at once use {used:.0%}",
-        "tolerance": f"resistors {TOLERANCE:.1%}, those of half the supply {BIAS_TOLERANCE:.1%}: "
+        "tolerance": f"resistors {TOLERANCE:.1%}, of half the supply {front.half_tolerance:.1%}: "
         f"rest ±{_si(spread.rest_v)}V rms, levels within {spread.level:.1%}; of {spread.skins} "
         f"skins {_share(spread.left)} leave the range",
         "clipping": f"share of chips, simulated: {', '.join(clipped) or 'none'} (largest peak "
@@ -218,6 +218,22 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
     if spec.frame_s > FrameSpec.frame_period_s:
         parameters += f"\nframe_period_ms: {math.ceil(spec.frame_s * 1e3 + MEASURE_MS)}"
     return f"{head}\n\n{body}\n\nfor the parameter file:\n{parameters}"
+
+
+def _node(front: FrontEnd) -> dict[str, str]:
+    """The lines about what is between a pin and the line."""
+    rin = f"Rin {_si(front.nodes_stage.input_ohm)}Ω"
+    if front.attenuator is None:
+        tail = f"a released pin's level leaves the line with {_si(front.tail_s)}s"
+        return {"node": f"{rin} from the pin to the line; {tail}"}
+    bias = _si(front.attenuator.bias_ohm)
+    return {
+        "node": f"R1 {_si(front.attenuator.series_ohm)}Ω from the pin; Rb {bias}Ω to supply and "
+        f"{bias}Ω to ground",
+        "follower": f"at {front.supply_v / 2:g} V ± {_si(front.node_level_v)}V; gain-bandwidth "
+        f"{_si(front.follower_bandwidth_hz)}Hz or more, {_slew(front.follower_slew_v_per_s)}; "
+        f"then {rin} to the line",
+    }
 
 
 def _amplifiers(front: FrontEnd) -> dict[str, str]:

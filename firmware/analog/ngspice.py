@@ -22,18 +22,23 @@ class SpiceError(RuntimeError):
 
 
 def waveform(
-    front: FrontEnd, levels: NDArray[np.float64], chip_s: float, end_s: float
+    front: FrontEnd,
+    levels: NDArray[np.float64],
+    chip_s: float,
+    end_s: float,
+    released: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Times, s, and voltages at the converter, V, of a front end.
 
     levels: (m, span) levels of nodes in every chip, −1…1, from time 0 on, and 0 after them: see
-    netlist.
+    netlist. released: mean of the levels of pins that are released when a chip begins, (span + 1,),
+    where a mean of levels does not tell it: see level_points.
     """
     with TemporaryDirectory() as folder:
         files = [str(Path(folder) / f"levels{number}.txt") for number in range(len(levels))]
         for file, own in zip(files, levels, strict=True):
-            np.savetxt(file, level_points(own, chip_s), fmt="%.17g")
-        return transient(netlist(front, files, end_s, steps_of(chip_s)))
+            np.savetxt(file, level_points(own, chip_s, front.tail_s, released), fmt="%.17g")
+        return transient(netlist(front, files, end_s, steps_of(chip_s, front.tail_s)))
 
 
 def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -50,10 +55,12 @@ def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def noise_v(front: FrontEnd) -> float:
     """RMS noise at the converter, V, of all amplifiers, followers and resistors."""
-    powers = [_noise_v(front, depth) ** 2 for depth in range(1, len(front.stages) + 2)]
-    one_each = np.diff(powers)  # of an amplifier of a group, if there are any, and of a node
-    paths = [front.groups, front.nodes] if front.groups_stage else [front.nodes]
-    return float(np.sqrt(powers[0] + np.dot(paths, one_each)))
+    paths = [front.groups] if front.groups_stage else []
+    if front.attenuator:
+        paths.append(front.nodes)
+    powers = [_noise_v(front, depth) ** 2 for depth in range(1, len(paths) + 2)]
+    # what an amplifier of a group, if there are any, and a follower add
+    return float(np.sqrt(powers[0] + np.dot(paths, np.diff(powers))))
 
 
 def _noise_v(front: FrontEnd, depth: int) -> float:

@@ -3,23 +3,26 @@
 """The analog chain in SPICE against what `make amplifier` computed: `make spice`.
 
 For each skin a frame in which all nodes send random words goes through the circuit, is sampled and
-quantised as the RP2040 does that, and decoded by the driver's pipeline.
+quantised as the RP2040 does that, and decoded by the driver's pipeline. CIRCUIT=paper: with the
+paper's nodes.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amplifier import RAIL_V, FrontEnd, design
+from amplifier import CIRCUITS, DIRECT, RAIL_V, FrontEnd, design
 from ngspice import SpiceError, noise_v, waveform
 from passive_spice import PassiveRun, passive_runs
 from tactile_cdma.code.encode import frame_levels, line_chips
+from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
@@ -63,11 +66,13 @@ class Figures:
     wrong: int
 
 
-def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
+def simulate(
+    nodes: int, seed: int = 1, circuit: str = DIRECT
+) -> tuple[SkinConfig, FrontEnd, Figures]:
     """Design, simulate and decode a skin."""
     values = {"nodes": nodes, "rows": 0, "columns": 0, **SKINS[nodes]}
     asked = SkinConfig.of({key: value for key, value in values.items() if value})
-    front = design(asked.spec, asked.samples_per_chip)
+    front = design(asked.spec, asked.samples_per_chip, circuit=circuit)
     config = SkinConfig.of(
         {
             **{key: value for key, value in values.items() if value},
@@ -79,10 +84,8 @@ def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
     amplitude_v, unsettled, overshoot = _step(front, chip_s)
     codes = np.random.default_rng(seed).integers(0, 2**spec.bits, nodes)
     talking = np.random.default_rng(seed + 1).permutation(nodes) < front.talking
-    mean_v = spec.polarity / nodes  # of all pins
-    chips = line_chips(spec, codes, talking, amplitude_v=mean_v)
-    levels = frame_levels(chips, spec).astype(np.float64)[None]
-    times, volts = waveform(front, levels, chip_s, spec.frame_period_s)
+    levels, released = _mean_levels(spec, codes, talking)
+    times, volts = waveform(front, levels[None], chip_s, spec.frame_period_s, released)
     wrong = _wrong(config, front, times, volts, np.where(talking, codes, -1))
     top_v = min(front.supply_v - RAIL_V, front.adc_volts)
     headroom_v = min(top_v - volts.max(), volts.min() - RAIL_V)
@@ -96,6 +99,19 @@ def simulate(nodes: int, seed: int = 1) -> tuple[SkinConfig, FrontEnd, Figures]:
         wrong,
     )
     return config, front, figures
+
+
+def _mean_levels(
+    spec: FrameSpec, codes: NDArray[np.int64], talking: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean level of all pins in every chip, and of those that are released when it begins."""
+    mean_v = spec.polarity / spec.nodes
+    chips = line_chips(spec, codes, talking, amplitude_v=mean_v)
+    levels = frame_levels(chips, spec).astype(np.float64)
+    speaking = np.zeros(spec.span_chips + 2, dtype=bool)
+    speaking[spec.places + 1] = True
+    ends = speaking[:-1] & ~speaking[1:]
+    return levels, np.where(ends, np.append(0.0, levels), 0.0)
 
 
 def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
@@ -169,12 +185,15 @@ def _decoded(
     yield from ((frame.words.active, frame.words.codes) for frame in frames[:PERIODS])
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print a line per skin and the wrong words last; exit code 1 if there are any."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--circuit", choices=CIRCUITS, default=DIRECT, help="of a node")
+    circuit = parser.parse_args(argv).circuit
     words = wrong = 0
     for nodes in SKINS:
         try:
-            config, front, found = simulate(nodes)
+            config, front, found = simulate(nodes, circuit=circuit)
         except SpiceError as error:
             print(f"spice: {error}", file=sys.stderr)
             return 1

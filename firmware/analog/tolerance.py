@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amplifier import BIAS_TOLERANCE, CREST, RAIL_V, TOLERANCE, FrontEnd
+from amplifier import CREST, RAIL_V, TOLERANCE, FrontEnd
 from tactile_cdma.base.arrays import Floats
 
 SKINS = 1000
@@ -32,11 +32,12 @@ class Scatter:
     level: float
 
 
-def scatter(front: FrontEnd, bias_tolerance: float = BIAS_TOLERANCE, seed: int = 1) -> Scatter:
-    """Draw skins. bias_tolerance: of the resistors that make half the supply for amplifiers."""
+def scatter(front: FrontEnd, half_tolerance: float | None = None, seed: int = 1) -> Scatter:
+    """Draw skins. half_tolerance: of the resistors that make half the supply for amplifiers."""
+    half = front.half_tolerance if half_tolerance is None else half_tolerance
     rng = np.random.default_rng(seed)
     skins = max(1, min(SKINS, MOST_DRAWN // front.nodes))
-    outputs = [_output(front, bias_tolerance, rng) for _ in range(skins)]
+    outputs = [_output(front, half, rng) for _ in range(skins)]
     rest_v = np.array([rest for rest, _ in outputs])
     levels_v = np.array([levels for _, levels in outputs])
     if front.talking <= CREST**2:
@@ -55,32 +56,32 @@ def scatter(front: FrontEnd, bias_tolerance: float = BIAS_TOLERANCE, seed: int =
 
 
 def _output(
-    front: FrontEnd, bias_tolerance: float, rng: np.random.Generator
+    front: FrontEnd, half_tolerance: float, rng: np.random.Generator
 ) -> tuple[float, Floats]:
-    """The output of one skin with all pins released, V, and what each node adds to it, (n,) V."""
+    """The middle of one skin's output, V, and what each node adds to it, (n,) V."""
 
     def parts(ohm: float, shape: int | tuple[int, ...], tolerance: float = TOLERANCE) -> Floats:
         return ohm * (1 + rng.uniform(-tolerance, tolerance, shape))
 
     n, supply_v = front.nodes, front.supply_v
-    to_supply, to_ground = (1 / parts(front.bias_ohm, n) for _ in range(2))
-    to_pin = 1 / parts(front.series_ohm, n)
-    rests_v = supply_v * to_supply / (to_supply + to_ground)
-    high_v = supply_v * (to_supply + to_pin) / (to_supply + to_ground + to_pin)
-    low_v = supply_v * to_supply / (to_supply + to_ground + to_pin)
-    levels_v = (high_v - low_v) / 2
+    rests_v, levels_v = np.full(n, supply_v / 2), np.full(n, supply_v / 2)
+    if front.attenuator:
+        to_supply, to_ground = (1 / parts(front.attenuator.bias_ohm, n) for _ in range(2))
+        to_pin = 1 / parts(front.attenuator.series_ohm, n)
+        rests_v = supply_v * to_supply / (to_supply + to_ground)
+        levels_v = supply_v / 2 * to_pin / (to_supply + to_ground + to_pin)
     stage, size = front.nodes_stage, front.nodes_stage.inputs
     group = np.arange(n) // size
     groups = int(group[-1]) + 1
     gains = parts(stage.feedback_ohm, groups)[group] / parts(stage.input_ohm, n)
-    half_v = _half(supply_v, parts(1.0, (2, groups), bias_tolerance))
+    half_v = _half(supply_v, parts(1.0, (2, groups), half_tolerance))
     outputs_v = half_v + np.bincount(group, gains * (half_v[group] - rests_v))
     levels_v = -levels_v * gains
     if front.groups_stage is None:
         return float(outputs_v[0]), levels_v
     last = front.groups_stage
     group_gains = parts(last.feedback_ohm, 1) / parts(last.input_ohm, groups)
-    (half_v,) = _half(supply_v, parts(1.0, (2, 1), bias_tolerance))
+    (half_v,) = _half(supply_v, parts(1.0, (2, 1), half_tolerance))
     output_v = half_v + np.sum(group_gains * (half_v - outputs_v))
     return float(output_v), -levels_v * group_gains[group]
 

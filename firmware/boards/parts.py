@@ -41,49 +41,51 @@ class OpAmp(Part):
 _SOT = "Package_TO_SOT_SMD:SOT-23-5"
 _TI = "Texas Instruments"
 TLV9061 = OpAmp(_TI, "TLV9061IDBVR", 0.35, _SOT, "op-amp, 10 MHz, 6.5 V/µs", 10e6, 6.5e6)
-OPA322 = OpAmp(_TI, "OPA322AIDBVR", 1.00, _SOT, "op-amp, 20 MHz, 10 V/µs", 20e6, 10e6)
-OPA365 = OpAmp(_TI, "OPA365AIDBVR", 1.80, _SOT, "op-amp, 50 MHz, 25 V/µs", 50e6, 25e6)
 TLV3541 = OpAmp(_TI, "TLV3541IDBVR", 1.60, _SOT, "op-amp, 100 MHz, 150 V/µs", 100e6, 150e6)
 OPAMPS = {
-    "follower": TLV9061,
-    "fast follower": OPA322,
-    "amplifier": OPA365,
+    "amplifier": TLV9061,
     "group amplifier": TLV3541,
     "sum": TLV3541,
 }
 """By use, as the schematics name it."""
 
-_0603, _0805 = "Resistor_SMD:R_0603_1608Metric", "Capacitor_SMD:C_0805_2012Metric"
-_C0603 = "Capacitor_SMD:C_0603_1608Metric"
+_0402, _C0402 = "Resistor_SMD:R_0402_1005Metric", "Capacitor_SMD:C_0402_1005Metric"
 _LARGE_CAPACITORS = {
-    "10n": ("GRM188R71H103KA01D", 0.02, _C0603, "X7R 50 V"),
-    "100n": ("GRM188R71C104KA01D", 0.02, _C0603, "X7R 16 V"),
-    "1u": ("GRM188R71A105KA61D", 0.05, _C0603, "X7R 10 V"),
-    "4.7u": ("GRM21BR71A475KA73L", 0.10, _0805, "X7R 10 V"),
-    "10u": ("GRM21BR61C106KE15L", 0.12, _0805, "X5R 16 V"),
+    "10n": ("GRM155R71H103KA88D", 0.01, _C0402, "X7R 50 V"),
+    "100n": ("GRM155R71C104KA88D", 0.01, _C0402, "X7R 16 V"),
+    "1u": ("GRM155R61A105KE15D", 0.02, _C0402, "X5R 10 V"),
+    "10u": ("GRM21BR61C106KE15L", 0.12, "Capacitor_SMD:C_0805_2012Metric", "X5R 16 V"),
     "100u": ("GRM32ER60J107ME20L", 0.60, "Capacitor_SMD:C_1210_3225Metric", "X5R 6.3 V"),
 }
-_JST = "Connector_JST:JST_GH_SM{0:02d}B-GHS-TB_1x{0:02d}-1MP_P1.25mm_Horizontal"
+_JST = "Connector_JST:JST_GH_BM{0:02d}B-GHS-TBT_1x{0:02d}-1MP_P1.25mm_Vertical"
 
 
 def _gh(pins: int, cost: float) -> Part:
     return Part(
-        "JST", f"SM{pins:02d}B-GHS-TB", cost, _JST.format(pins), f"connector GH, {pins} pins"
+        "JST", f"BM{pins:02d}B-GHS-TBT", cost, _JST.format(pins), f"connector GH, {pins} pins"
     )
 
 
 _OTHERS = {
-    "ATmega328P-A": Part(
-        "Microchip", "ATMEGA328P-AU", 2.00, "Package_QFP:TQFP-32_7x7mm_P0.8mm", "microcontroller"
+    "ATmega328P-M": Part(
+        "Microchip",
+        "ATMEGA328P-MU",
+        2.00,
+        "Package_DFN_QFN:QFN-32-1EP_5x5mm_P0.5mm_EP3.1x3.1mm",
+        "microcontroller",
     ),
     "Crystal": Part(
         "Abracon",
-        "ABLS-8.000MHZ-B4-T",
-        0.25,
-        "Crystal:Crystal_SMD_HC49-SD",
+        "ABM3-8.000MHZ-D2Y-T",
+        0.35,
+        "Crystal:Crystal_SMD_Abracon_ABM3-2Pin_5.0x3.2mm",
         "crystal 8 MHz, 18 pF, ±30 ppm",
     ),
-    "LED": Part("Würth", "150060GS75000", 0.12, "LED_SMD:LED_0603_1608Metric", "LED, green"),
+    "LED": Part("Würth", "150040GS73220", 0.10, "LED_SMD:LED_0402_1005Metric", "LED, green"),
+    "Clamp": Part("onsemi", "ESD9X5.0ST5G", 0.04, "Diode_SMD:D_SOD-923", "clamp, 5 V, one way"),
+    "SRV05-4": Part(
+        "Littelfuse", "SRV05-4HTG", 0.15, "Package_TO_SOT_SMD:SOT-23-6", "clamps of 4 lines, 5 V"
+    ),
     "Pico": Part("Raspberry Pi", "SC0915", 4.00, "Module:RaspberryPi_Pico_SMD", "RP2040 board"),
     "74LVC1G17": Part(_TI, "SN74LVC1G17DBVR", 0.10, _SOT, "buffer, Schmitt trigger, ±24 mA"),
     "TLV1117LV33": Part(
@@ -123,12 +125,11 @@ def part(symbol: str, value: str = "") -> Part:
 
 def _resistor(value: str) -> Part:
     """Yageo's, whose numbers tell the value: 3.9k is 3K9, 820 is 820R."""
-    ohm, _, tight = value.partition(" ")
-    digits, letter = re.fullmatch(r"([0-9.]+)(k?)", ohm).groups()  # type: ignore[union-attr]
+    digits, letter = re.fullmatch(r"([0-9.]+)(k?)", value).groups()  # type: ignore[union-attr]
     unit = letter.upper() or "R"
     code = digits.replace(".", unit) if "." in digits else digits + unit
-    series, cost, what = ("RT0603BRD07", 0.15, "0.1 %") if tight else ("RC0603FR-07", 0.01, "1 %")
-    return Part("Yageo", f"{series}{code}L", cost, _0603, f"{ohm} Ω, {what}".replace("k Ω", " kΩ"))
+    what = f"{value} Ω, 1 %".replace("k Ω", " kΩ")
+    return Part("Yageo", f"RC0402FR-07{code}L", 0.01, _0402, what)
 
 
 def _capacitor(value: str) -> Part:
@@ -139,7 +140,7 @@ def _capacitor(value: str) -> Part:
     pico = float(value[:-1]) * {"p": 1, "n": 1000}[value[-1]]
     zeros = len(f"{pico:g}") - 2
     code = f"{pico / 10**zeros:g}{zeros}"
-    return Part("Murata", f"GRM1885C1H{code}JA01D", 0.03, _C0603, f"{_farad(value)}, C0G 50 V, 5 %")
+    return Part("Murata", f"GRM1555C1H{code}JA01D", 0.02, _C0402, f"{_farad(value)}, C0G 50 V, 5 %")
 
 
 def _farad(value: str) -> str:

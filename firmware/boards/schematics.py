@@ -37,6 +37,13 @@ SYNC_DOWN_OHM = 100e3
 CABLE_OHM = 51.0
 """Keeps a group's amplifier from ringing with its cable; 0.4 % of Rg."""
 BYPASS_F = 100e-9
+NODE_BULK_F = 1e-6
+"""Of a node. Eight take 0.25 V from the digitizer's 100 µF when a strip is plugged in, which leaves
+3.0 V; 4.7 µF each would take 0.9 V, and every node would be reset (below 2.7 V)."""
+GUARD_OHM = 1e3
+"""Between a sensor and a pin, behind the clamp: what is left of a discharge is some mA."""
+SENSOR_PADS = {"Footprint": "tactile:Comb_8x8mm"}
+ISP_PADS = {"Footprint": "tactile:ISP_Pads_2x03_P1.27mm"}
 CRYSTAL_F = 22e-12
 """For a crystal of 18 pF with some 5 pF of copper and pin: the most that the data sheet allows."""
 
@@ -87,10 +94,9 @@ def _resistor(
     *,
     turn: int = 0,
     more: float | None = None,
-    tight: bool = False,
 ) -> Placed:
-    """more: the value with MORE nodes. tight: of 0.1 %."""
-    value = quantity(ohm) + (" 0.1%" if tight else "")
+    """more: the value with MORE nodes."""
+    value = quantity(ohm)
     fields = _bought("R", value)
     if more is not None and more != ohm:
         fields |= {
@@ -121,10 +127,10 @@ def _bypass(sheet: Sheet, at: Point, supply: Symbol, farads: Sequence[tuple[floa
 
 
 def _half(sheet: Sheet, at: Point, supply: Symbol) -> None:
-    """Half a supply at this point, from its left: two exact resistors and a small capacitor."""
+    """Half a supply at this point, from its left: two resistors and a small capacitor."""
     x, y = at
-    _resistor(sheet, (x - 6, y - 2), HALF_OHM, tight=True)
-    _resistor(sheet, (x - 6, y + 2), HALF_OHM, tight=True)
+    _resistor(sheet, (x - 6, y - 2), HALF_OHM)
+    _resistor(sheet, (x - 6, y + 2), HALF_OHM)
     _capacitor(sheet, (x - 11, y + 2), HALF_F)
     sheet.wire((x - 6, y - 1), (x - 6, y), (x - 6, y + 1))
     sheet.wire((x - 11, y + 1), (x - 11, y), (x - 6, y), (x, y))
@@ -215,6 +221,16 @@ def _skin_connector(sheet: Sheet, at: Point, *, end: bool = False) -> Point:
     return skin.pin("LINE")
 
 
+def _clamps(sheet: Sheet, at: Point, nets: dict[str, bool]) -> None:
+    """Diodes at two lines of a cable: nets, and whether they go beyond the sheet."""
+    clamps = sheet.place(s.CLAMPS, at, "SRV05-4", fields=_bought("SRV05-4"))
+    for pin, (net, everywhere) in zip(("IO1", "IO2"), nets.items(), strict=True):
+        sheet.stub(net, clamps.pin(pin), 180, everywhere=everywhere)
+    sheet.unconnected(clamps.pin("IO3"), clamps.pin("IO4"))
+    sheet.power(s.V3, clamps.pin("VCC"))
+    sheet.power(s.GND, clamps.pin("GND"))
+
+
 def _flags(sheet: Sheet, at: Point, *supplies: Symbol) -> None:
     """Marks, for the check, of nets that a connector supplies."""
     for i, supply in enumerate(supplies):
@@ -226,10 +242,10 @@ def _flags(sheet: Sheet, at: Point, *supplies: Symbol) -> None:
 
 
 def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: bool) -> Sheet:
-    """A sensing node: ATmega328P, sensor, attenuator, follower."""
+    """A sensing node: ATmega328P, sensor, the resistor to the line."""
     front, more = fronts.first, fronts.more
-    sheet = Sheet(name, f"sensing node{', fast' if fast else ''}", (80, 44), users)
-    mcu = sheet.place(s.NODE_MCU, (29, 20), "ATmega328P-AU", fields=_bought("ATmega328P-A"))
+    sheet = Sheet(name, f"sensing node{', fast' if fast else ''}", (86, 44), users)
+    mcu = sheet.place(s.NODE_MCU, (35, 20), "ATmega328P-MU", fields=_bought("ATmega328P-M"))
     x, top = mcu.pin("4")
     for number in ("4", "6", "18"):
         pin = mcu.pin(number)
@@ -242,12 +258,15 @@ def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: b
     sheet.power(s.GND, (x - 16, aref[1] + 2))
 
     first, second = mcu.pin("PB6/XTAL1"), mcu.pin("PB7/XTAL2")
-    sheet.place(s.CRYSTAL, (x - 6, first[1] + 1), "8MHz", fields=_bought("Crystal"))
-    for pin, column in ((first, x - 12), (second, x - 9)):
-        sheet.wire(pin, (x - 6, pin[1]), (column, pin[1]))
-        _capacitor(sheet, (column, second[1] + 1), CRYSTAL_F)
-        sheet.power(s.GND, (column, second[1] + 2))
-    sheet.wire((x - 12, first[1]), (x - 12, second[1]))
+    if fast:
+        sheet.place(s.CRYSTAL, (x - 6, first[1] + 1), "8MHz", fields=_bought("Crystal"))
+        for pin, column in ((first, x - 12), (second, x - 9)):
+            sheet.wire(pin, (x - 6, pin[1]), (column, pin[1]))
+            _capacitor(sheet, (column, second[1] + 1), CRYSTAL_F)
+            sheet.power(s.GND, (column, second[1] + 2))
+        sheet.wire((x - 12, first[1]), (x - 12, second[1]))
+    else:
+        sheet.unconnected(first, second)
 
     reset = mcu.pin("PC6/RESET")
     _resistor(sheet, (x - 3, reset[1] - 1), 10e3)
@@ -256,53 +275,37 @@ def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: b
     sheet.stub("RESET", (x - 3, reset[1]), 180)
 
     sense = mcu.pin("PC0/ADC0")
-    sensor = sheet.place(s.SENSOR, (x - 17.5, sense[1] + 1), "Sensor")
-    sheet.wire(sense, (x - 7, sense[1]), (x - 10, sense[1]), sensor.pin("S"))
-    sheet.label("SENSE", (x - 6, sense[1]))
-    _resistor(sheet, (x - 10, sense[1] - 1), REF_OHM)
-    sheet.power(s.V3, (x - 10, sense[1] - 2))
-    _capacitor(sheet, (x - 7, sense[1] + 1), 10e-9)
-    sheet.power(s.GND, (x - 7, sense[1] + 2))
+    sensor = sheet.place(s.SENSOR, (x - 22.5, sense[1] + 1), "Sensor", fields=SENSOR_PADS)
+    sheet.wire(sense, (x - 6, sense[1]), (x - 8, sense[1]))
+    _capacitor(sheet, (x - 6, sense[1] + 1), 10e-9)
+    sheet.power(s.GND, (x - 6, sense[1] + 2))
+    _resistor(sheet, (x - 9, sense[1]), GUARD_OHM, turn=90)
+    sheet.wire((x - 10, sense[1]), (x - 13, sense[1]), (x - 16, sense[1]), sensor.pin("S"))
+    sheet.label("SENSE", (x - 18, sense[1]))
+    _resistor(sheet, (x - 13, sense[1] - 1), REF_OHM)
+    sheet.power(s.V3, (x - 13, sense[1] - 2))
+    sheet.place(s.CLAMP, (x - 16, sense[1] + 1), "5 V", fields=_bought("Clamp"))
+    sheet.power(s.GND, (x - 16, sense[1] + 2))
     sheet.power(s.GND, sensor.pin("GND"))
 
     sync = mcu.pin("PB0/ICP1")
-    sheet.wire(sync, (x - 3, sync[1]))
-    sheet.label("SYNC", (x - 3, sync[1]), 180, everywhere=True)
-    programmer = sheet.place(s.PROGRAMMER, (x - 14, sync[1] + 4), "ISP pads")
+    sheet.stub("SYNC", sync, 180, everywhere=True)
+    programmer = sheet.place(s.PROGRAMMER, (x - 14, sync[1] + 4), "ISP pads", fields=ISP_PADS)
     for net, name_ in (("MOSI", "PB3/MOSI"), ("MISO", "PB4/MISO"), ("SCK", "PB5/SCK")):
         sheet.stub(net, mcu.pin(name_), 180)
         sheet.stub(net, programmer.pin(net), 0 if net == "MOSI" else 180)
     sheet.stub("RESET", programmer.pin("RESET"), 180)
     sheet.power(s.V3, programmer.pin("VCC"))
     sheet.power(s.GND, programmer.pin("GND"))
-    _grounds(sheet, mcu, ("3", "5", "21", "19", "22"), x - 1)
+    _grounds(sheet, mcu, ("3", "5", "21", "33", "19", "22"), x - 1)
 
     line, other = ("PD1/TXD", "PB1/OC1A") if fast else ("PB1/OC1A", "PD1/TXD")
     begin = mcu.pin(line)
     right, y = begin
-    _resistor(sheet, (right + 3, y), front.series_ohm, turn=90)
-    sheet.wire(begin, (right + 2, y))
-    middle = (right + 8, y)
-    follower = _opamp(sheet, (right + 16, y + 1), "fast follower" if fast else "follower", s.V3)
-    sheet.wire((right + 4, y), middle, follower.pin("+"))
-    for side in (-1, 1):
-        _resistor(sheet, (middle[0], y + 2 * side), front.bias_ohm)
-        sheet.wire(middle, (middle[0], y + side))
-        sheet.power(s.V3 if side < 0 else s.GND, (middle[0], y + 3 * side))
-    out, minus = follower.pin("OUT"), follower.pin("-")
-    corner = (out[0] + 1, out[1])
-    sheet.wire(
-        out, corner, (corner[0], y + 7), (minus[0] - 1, y + 7), (minus[0] - 1, minus[1]), minus
-    )
-    sheet.wire(corner, (corner[0] + 3, out[1]))
-    _resistor(
-        sheet,
-        (corner[0] + 4, out[1]),
-        front.nodes_stage.input_ohm,
-        turn=90,
-        more=more.nodes_stage.input_ohm if more else None,
-    )
-    sheet.stub("LINE", (corner[0] + 5, out[1]), everywhere=True)
+    sheet.wire(begin, (right + 5, y))
+    input_ohm = more.nodes_stage.input_ohm if more else None
+    _resistor(sheet, (right + 6, y), front.nodes_stage.input_ohm, turn=90, more=input_ohm)
+    sheet.stub("LINE", (right + 7, y), everywhere=True)
 
     led = mcu.pin("PD7")
     _resistor(sheet, (right + 3, led[1]), 1e3, turn=90)
@@ -320,17 +323,16 @@ def node(name: str, fronts: Fronts, users: tuple[str, Sequence[str]], *, fast: b
         s.V3,
         [
             (BYPASS_F, "VCC"),
-            (BYPASS_F, "VCC"),
             (BYPASS_F, "AVCC"),
-            (BYPASS_F, "follower"),
-            (4.7e-6, "node"),
+            (NODE_BULK_F, "node"),
         ],
     )
     where = (
         "Line from PD1 (TXD): its pull-up is off, or a released line would sit half a level high.\n"
         "PD4 (XCK) is an output, the chips' clock: leave it unconnected. PB1 is free."
         if fast
-        else "Line from PB1 (OC1A). PD1 and PD4 are free: a fast node has its line at PD1."
+        else "Line from PB1 (OC1A). PD1 and PD4 are free: a fast node has its line at PD1.\n"
+        "No crystal: chips follow the sync edge."
     )
     sheet.note(
         f"{where}\nUnused pins are pulled up by the firmware.\n"
@@ -349,6 +351,7 @@ def strip(name: str, file: str) -> Sheet:
     for at, end in (((4.5, 11.0), False), ((57.5, 11.0), True)):
         line = _skin_connector(sheet, at, end=end)
         sheet.stub("LINE", line, 180 if end else 0, length=2, everywhere=True)
+    _clamps(sheet, (44, 20), {"LINE": True, "SYNC": True})
     _flags(sheet, (4, 22), s.V3, s.GND)
     sheet.note(
         "Every node is on the same line, sync line, supply and ground. Chain strips end to end.\n"
@@ -420,6 +423,7 @@ def digitizer(fronts: Fronts) -> Sheet:
     _filter(sheet, front, output, pico.pin("GPIO26"))
     sheet.unconnected(pico.pin("3V3"))
     _buffer(sheet, (16, 33), s.V3, "SYNC_PICO", SYNC_OHM)
+    _clamps(sheet, (12, 5), {"LINE": False, "SYNC": True})
     _regulator(sheet, (9, 42), s.REGULATOR, s.V3)
     _bypass(sheet, (20, 40), s.V5, [(10e-6, "regulator")])
     _bypass(
@@ -428,7 +432,7 @@ def digitizer(fronts: Fronts) -> Sheet:
     _flags(sheet, (8, 48), s.GND)
     sheet.note(
         "The nodes' supply is the amplifier's and the converter's reference, too:\n"
-        "then its error moves nothing. The two 10k of 0.1 % set the rest of the line.",
+        "then its error moves nothing.",
         (20, 46.5),
     )
     return sheet
@@ -446,6 +450,7 @@ def group(front: FrontEnd) -> Sheet:
     _grounds(sheet, out, ("2", "4"), x - 1)
     sheet.stub("SYNC_IN", out.pin("SYNC"), 180, 2)
     _buffer(sheet, (54, 28), s.V3, "SYNC_IN", FAST_SYNC_OHM)
+    _clamps(sheet, (12, 5), {"LINE": False, "SYNC": True})
     supply = sheet.place(s.SUPPLY, (4.5, 31), "5 V", fields=_bought("Supply5V"))
     sheet.power(s.V5, supply.pin("5V"))
     sheet.power(s.GND, supply.pin("GND"))
@@ -456,7 +461,7 @@ def group(front: FrontEnd) -> Sheet:
     )
     _flags(sheet, (8, 38), s.GND, s.V5)
     sheet.note(
-        "Each group: a regulator, half a supply (two 10k of 0.1 %) and a sync buffer of its own.\n"
+        "Each group: a regulator, half a supply and a sync buffer of its own.\n"
         "Cable to the digitizer: ground beside OUT and SYNC; all of the same length, within 10 m.",
         (22, 35.5),
     )
@@ -504,7 +509,7 @@ def fast_digitizer(front: FrontEnd) -> Sheet:
     _flags(sheet, (39, 53), s.GND)
     sheet.note(
         "Amplifier and converter have an exact reference; groups have regulators of their own.\n"
-        "The two 10k of 0.1 % set the rest of the line. Keep the summing point (SUM) short.",
+        "Keep the summing point (SUM) short.",
         (50, 51.5),
     )
     return sheet

@@ -83,9 +83,15 @@ def pins(config: SkinConfig, mcu: str, step_s: float, span_s: float) -> NDArray[
 
 
 def line(front: FrontEnd, levels: NDArray[np.float64], step_s: float, name: str) -> Trace:
-    """The voltage at the converter; levels of one node, or the mean of all."""
-    times, volts = waveform(front, levels, step_s, levels.shape[1] * step_s)
-    if len(levels) > 1:  # groups are lumped: the node is in each of them
+    """The voltage at the converter; levels of all nodes, or of one that speaks alone."""
+    if len(levels) == 1:
+        apart, released = np.append(levels, np.zeros_like(levels), axis=0), None
+    else:
+        before, after = (np.pad(levels, ((0, 0), side)) for side in ((1, 0), (0, 1)))
+        apart = levels.mean(axis=0)[None]
+        released = np.where(after == 0, before, 0.0).mean(axis=0)
+    times, volts = waveform(front, apart, step_s, levels.shape[1] * step_s, released)
+    if len(levels) == 1:  # groups are lumped: the node is in each of them
         rest_v = front.supply_v / 2
         volts = rest_v + (volts - rest_v) / front.groups
     return Trace(name, times, volts)
@@ -159,20 +165,18 @@ def main() -> int:
 
     step_s = 1e-6
     levels = pins(slow, "atmega328p", step_s, LEAD_S + slow.spec.frame_s + 1e-3)
-    one = np.array([levels[0], np.zeros_like(levels[0])])
-    alone = line(front, one, step_s, "GPIO26")
+    alone = line(front, levels[:1], step_s, "GPIO26")
     title = f"3  one node: ±{front.amplitude_v * 1e3:.0f} mV about half the supply, then released"
     first = "3  its first chips of 50 µs, from 64 µs after the pulse's edge on"
     draw("scope-node.png", [(title, 1e-3, [alone]), (first, 1e-6, [cut(alone, 0.0, 700e-6)])])
-    everyone = line(front, levels.mean(axis=0)[None], step_s, "GPIO26")
+    everyone = line(front, levels, step_s, "GPIO26")
     draw("scope-all.png", [("4  all 16 nodes, sensors at one voltage", 1e-3, [everyone])])
 
     values = read_file(CONFIG / "thousand_skin.yaml")
     fast = SkinConfig.of(values)
     front, step_s = design(fast.spec, fast.samples_per_chip), 0.125e-6
     single = SkinConfig.of(values | {"nodes": 1, "rows": 1, "columns": 1})
-    (own,) = pins(single, FAST, step_s, 110e-6)
-    alone = line(front, np.array([own, np.zeros_like(own)]), step_s, "GPIO26")
+    alone = line(front, pins(single, FAST, step_s, 110e-6), step_s, "GPIO26")
     title = "5  one fast node of 900: 3 µs of chips that nobody uses, from 64 µs on chips of 2 µs"
     draw("scope-fast.png", [(title, 1e-6, [cut(alone, 50e-6, 105e-6)])])
     return 0

@@ -24,10 +24,12 @@ def _rectangle(left: float, top: float, right: float, bottom: float, fill: str =
     return f"(rectangle {corners} (stroke (width 0.2) (type default)) (fill (type {fill})))"
 
 
-def _two(name: str, prefix: str, *shape: str, body: float = 0.7, names: str = "12") -> Symbol:
-    """A part of two pins, the first one above."""
+def _two(
+    name: str, prefix: str, *shape: str, body: float = 0.7, names: str = "12", numbers: str = "12"
+) -> Symbol:
+    """A part of two pins, the first one above. KiCad's diodes have their cathode at pin 1."""
     pins = tuple(
-        Pin(str(i + 1), names[i], "passive", (0, 1 - 2 * i), 270 - 180 * i, 1 - body)
+        Pin(numbers[i], names[i], "passive", (0, 1 - 2 * i), 270 - 180 * i, 1 - body)
         for i in range(2)
     )
     return Symbol(name, prefix, pins, shape)
@@ -67,6 +69,7 @@ LED = _two(
     _line((0.5, 0.1), (0.9, -0.3)),
     body=0.4,
     names="AK",
+    numbers="21",
 )
 OPAMP = Symbol(
     "OpAmp",
@@ -89,7 +92,7 @@ OPAMP = Symbol(
 """SOT-23-5, the order of pins that Texas Instruments calls DBV."""
 
 NODE_MCU = _box(
-    "ATmega328P-A",
+    "ATmega328P-M",
     "U",
     11,
     [
@@ -122,6 +125,7 @@ NODE_MCU = _box(
         ("3", "GND", "power_in"),
         ("5", "GND", "power_in"),
         ("21", "GND", "power_in"),
+        ("33", "GND", "power_in"),
         ("19", "ADC6", "input"),
         ("22", "ADC7", "input"),
     ],
@@ -153,7 +157,7 @@ NODE_MCU = _box(
         ("10", "PD6", "bidirectional"),
     ],
 )
-"""TQFP-32."""
+"""QFN-32; pin 33 is its pad."""
 
 _GPIOS = {2: 4, 3: 5, 4: 6, 5: 7, 6: 9, 7: 10, 8: 11, 9: 12, 10: 14, 11: 15, 12: 16, 13: 17}
 _GPIOS |= {14: 19, 15: 20, 17: 22, 18: 24, 19: 25, 20: 26, 21: 27, 22: 29, 27: 32, 28: 34}
@@ -188,6 +192,22 @@ PICO = _box(
 )
 """The 40 pins of the board's edges, without its three for a debugger."""
 
+CLAMP = _two(
+    "Clamp",
+    "D",
+    _line((-0.4, -0.4), (0.4, -0.4), (0, 0.4), (-0.4, -0.4)),
+    _line((-0.5, 0.3), (-0.4, 0.4), (0.4, 0.4), (0.5, 0.5)),
+    body=0.4,
+    names="KA",
+)
+CLAMPS = _box(
+    "SRV05-4",
+    "D",
+    5,
+    [("1", "IO1", "passive"), ("3", "IO2", "passive"), ("2", "GND", "passive")],
+    [("5", "VCC", "passive"), ("4", "IO3", "passive"), ("6", "IO4", "passive")],
+)
+"""SOT-23-6: of each line a diode to VCC and one to ground, and a Zener diode between these."""
 BUFFER = _box(
     "74LVC1G17",
     "U",
@@ -254,6 +274,20 @@ FLAG = _supply(
     kind="power_out",
 )
 ALL = (
-    *(R, C, CRYSTAL, LED, OPAMP, NODE_MCU, PICO, BUFFER, REGULATOR, REFERENCE, PROGRAMMER),
+    *(
+        R,
+        C,
+        CRYSTAL,
+        LED,
+        CLAMP,
+        CLAMPS,
+        OPAMP,
+        NODE_MCU,
+        PICO,
+        BUFFER,
+        REGULATOR,
+        REFERENCE,
+        PROGRAMMER,
+    ),
     *(SKIN, SKIN_END, SENSOR, GROUP, GROUP_END, SUPPLY, UART, V3, V5, VA, GND, FLAG),
 )

@@ -393,8 +393,8 @@ static inline bool tp_touch_in_range(const struct tp_touch *m)
 
 /* Has a node that is pressed take a number, or nodes forget theirs. */
 struct __attribute__((packed)) tp_number {
-    uint16_t number; /* to take, or to forget; 0: none, or with forget all of them */
-    uint8_t forget; /* 1: nodes of this number forget it */
+    uint16_t number; /* to take, or to forget; 0: none, or all */
+    uint8_t forget; /* 1: they forget it */
 };
 TP_ASSERT_AT(tp_number, number, 0);
 TP_ASSERT_AT(tp_number, forget, 2);

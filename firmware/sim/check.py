@@ -43,7 +43,7 @@ FAST_SKIN = {
     "order": 64,
     "resync_chips": 64,
     "frame_period_ms": 3.2,
-    "amplitude_mv": 35.45,
+    "amplitude_mv": 34.63,
 }
 """Fewer of these nodes, of a shorter code."""
 SIXTEEN_PASSIVE = {"polarity": 1, "amplitude_mv": 15.3}

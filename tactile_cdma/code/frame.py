@@ -129,8 +129,13 @@ class FrameSpec:
                 f"a frame of {self.line_bits} bits × {self.order} chips × {self.chip_s * 1e6:g} µs "
                 f"{guard_text}lasts {self.frame_s * 1e3:g} ms, longer than its period of "
                 f"{self.frame_period_s * 1e3:g} ms: set frame_period_ms to "
-                f"{math.ceil(self.frame_s * 1e4) / 10:g} or more, or use shorter chips"
+                f"{self.roomy_period_ms:g} or more, or use shorter chips"
             )
+
+    @property
+    def roomy_period_ms(self) -> float:
+        """Least period that leaves time to measure, and to see that a frame is over, ms."""
+        return math.ceil((self.frame_s + MEASURING_S) * 1e4 - 1e-6) / 10
 
     def _check_orthogonal(self) -> None:
         if self.codes != ORTHOGONAL:

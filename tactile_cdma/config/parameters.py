@@ -45,6 +45,7 @@ class Parameter:
     """One parameter. limits are inclusive; live parameters may change while the node is active.
 
     If the default is a tuple, values have its length and limits apply to every element.
+    pair: two numbers are taken as well as one.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Parameter:
     limits: tuple[float, float] | None = None
     choices: tuple[Value, ...] = ()
     live: bool = False
+    pair: bool = False
 
     @property
     def description(self) -> str:
@@ -65,6 +67,8 @@ class Parameter:
 
         Raises ParameterError, which names the value, the limit and the unit.
         """
+        if self.pair and isinstance(value, list | tuple | array):
+            return replace(self, default=(0.0, 0.0), pair=False).check(value)
         kind = type(self.default)
         if type(value) is int and value.bit_length() > 63:
             raise ParameterError(f"{self.name} is an integer of {value.bit_length()} bits")
@@ -198,7 +202,9 @@ PARAMETERS: tuple[Parameter, ...] = (
         "taxel positions, for skins other than a flat grid; empty: rows, columns, pitch_mm"),
     Parameter("rows", 0, "taxel rows; 0: as square as possible", "", (0, 4_096)),
     Parameter("columns", 0, "taxel columns; 0: as square as possible", "", (0, 4_096)),
-    Parameter("pitch_mm", 7.0, "distance between neighbouring taxels", "mm", (0.01, 1_000.0)),
+    Parameter("pitch_mm", 7.0,
+        "distance between neighbouring taxels; two numbers: from column to column, and from row to "
+        "row", "mm", (0.01, 1_000.0), pair=True),
     Parameter("taxel_mm", 5.5, "edge length of a taxel's sensing area", "mm", (0.01, 1_000.0)),
     Parameter("frame_id", "skin", "tf frame of the skin"),
     Parameter("parent_frame", "",
@@ -317,11 +323,26 @@ def _typed(value: Marked) -> object:
         return [_typed(item) for item in value.content]
     if isinstance(value.content, dict):
         raise value.refuse("keys with values where a single value is expected")
-    text = value.content
     if value.quoted:
-        return text
-    if value.is_null:
-        return None
+        return value.content
+    return None if value.is_null else _scalar(value.content)
+
+
+def of_text(name: str, text: str) -> Value:
+    """A parameter's value as it is typed in a command; a list in brackets or without.
+
+    Raises ParameterError.
+    """
+    parameter = BY_NAME[name]
+    if isinstance(parameter.default, str):
+        return parameter.check(text)
+    if isinstance(parameter.default, tuple):
+        return parameter.check([_scalar(part.strip()) for part in text.strip(" []").split(",")])
+    return parameter.check(_scalar(text.strip()))
+
+
+def _scalar(text: str) -> object:
+    """A text without quotes in the type that YAML gives it."""
     if _INTEGER.fullmatch(text):
         return int(text, 16 if "x" in text else 10)
     if _NUMBER.fullmatch(text):

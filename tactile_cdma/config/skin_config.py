@@ -16,10 +16,12 @@ from ..code.frame import MAX_STRETCH, MEASURING_S, FrameSpec
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
+from ..places.layout_shapes import is_same, pitch_of, shown_mm
 from ..readings.baseline import RestRules
 from ..readings.calibration import AdcScale, Calibration, PressureCurve
 from ..readings.calibration_file import read_calibration
 from ..readings.contact import ContactThresholds
+from ..wire._protocol import TAIL_CHIPS
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
@@ -72,6 +74,14 @@ class SkinConfig:
             _check_gap(spec, get["samples_per_chip"])
         if get["roll_call"]:
             _check_roll_call(spec, get["timing"], get["samples_per_chip"])
+        if fills_period(spec, get["samples_per_chip"]):
+            _log.warning(
+                "a frame of %g ms fills its period of %g ms, and is decoded one period late, as "
+                "the samples after it show that it is over: set frame_period_ms to %g or more",
+                spec.frame_s * 1e3,
+                spec.frame_period_s * 1e3,
+                spec.roomy_period_ms,
+            )
         curve = _curve(get)
         adc = AdcScale(get["bits"], get["vref_v"])
         return cls(
@@ -130,6 +140,12 @@ def _spec(get: Values) -> FrameSpec:
     return replace(spec, frame_period_s=period_s)
 
 
+def fills_period(spec: FrameSpec, samples_per_chip: int) -> bool:
+    """Whether a period ends before the samples that show that its frame is over."""
+    tail_s = TAIL_CHIPS * spec.chip_s if samples_per_chip > 1 else 0.0
+    return spec.frame_period_s < spec.frame_s + tail_s
+
+
 def contact_thresholds(values: Values) -> ContactThresholds:
     """From the values of all parameters; raises SpecError where they contradict each other."""
     return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
@@ -160,22 +176,17 @@ def _curve(get: Values) -> PressureCurve:
 
 def _layout(get: Values) -> Layout:
     """The layout in layout_file; without one a flat grid."""
-    pitch_m = get["pitch_mm"] * 1e-3
     if not get["layout_file"]:
-        taxel_m = get["taxel_mm"] * 1e-3
-        return Layout.grid(get["nodes"], get["rows"], get["columns"], pitch_m, taxel_m)
+        size = get["rows"], get["columns"], pitch_of(get["pitch_mm"])
+        return Layout.grid(get["nodes"], *size, get["taxel_mm"] * 1e-3)
     path = user_path("layout_file", get["layout_file"])
     layout = read_layout(path, Wiring(get["nodes"], get["first_row"], get["skin"]))
     # ROS gives every parameter a value, so only one that differs from its default was set.
-    for name, theirs in (
-        ("rows", layout.rows),
-        ("columns", layout.columns),
-        ("pitch_mm", layout.pitch_m * 1e3),
-    ):
-        if get[name] != DEFAULTS[name] and not math.isclose(get[name], theirs, rel_tol=1e-3):
+    for name, theirs in layout.said().items():
+        if get[name] != DEFAULTS[name] and not is_same(get[name], theirs):
             raise SpecError(
-                f"{name} is {get[name]:g}, but {theirs:g} in layout_file {path}: leave {name} at "
-                f"its default, {DEFAULTS[name]:g}, and the file decides"
+                f"{name} is {shown_mm(get[name])}, but {shown_mm(theirs)} in layout_file {path}: "
+                f"leave {name} at its default, {DEFAULTS[name]:g}, and the file decides"
             )
     return layout
 

@@ -44,6 +44,8 @@ def _typed(option: Parameter, text: str) -> Value:
         return NATURAL_SIGNS
     kind: Any = type(option.default)
     try:
+        if option.pair and "," in text:
+            return tuple(map(float, text.strip("[]").split(",")))
         value: Value = _TRUTH[text.lower()] if kind is bool else kind(text)
     except (ValueError, KeyError):
         wanted = {bool: "true or false (0 or 1)", int: "an integer", float: "a number"}[kind]

@@ -42,7 +42,7 @@ def installation() -> Iterator[Check]:
     yield from port_access()
     root = Path("/")
     yield from udev_rule(root)
-    yield from modem_manager(root)
+    yield from port_takers(root)
     yield from shared_memory(root / "dev/shm")
     yield from clock()
     yield from ros()
@@ -141,7 +141,12 @@ def port_access() -> Iterator[Check]:
         group = grp.getgrnam(name)
     except (KeyError, OSError):  # OSError: unplugged just now
         return
-    user = pwd.getpwuid(os.getuid()).pw_name
+    try:
+        user = pwd.getpwuid(os.getuid()).pw_name
+        remedy = f"sudo usermod -aG {name} {user}, then log in again"
+    except KeyError:
+        user = f"user {os.getuid()}"
+        remedy = f"a container takes --group-add {group.gr_gid}"
     if group.gr_gid in {*os.getgroups(), os.getegid()}:
         yield ok("serial ports", f"{user} is in the group {name}")
     elif user in group.gr_mem:
@@ -150,8 +155,7 @@ def port_access() -> Iterator[Check]:
         what = problem if closed else warning
         yield what(
             "serial ports",
-            f"{user} is not in the group {name} and may not open them: "
-            f"sudo usermod -aG {name} {user}, then log in again",
+            f"{user} is not in the group {name} and may not open them: {remedy}",
         )
 
 
@@ -178,22 +182,29 @@ def _rule(root: Path) -> Path | None:
     return next(filter(Path.is_file, paths), None)
 
 
-def modem_manager(root: Path) -> Iterator[Check]:
-    """ModemManager probes new ports for modems unless our udev rule forbids it."""
-    if _rule(root):
-        return
+def port_takers(root: Path) -> Iterator[Check]:
+    """Programs that open or take away new ports: of modems, and of Braille displays."""
+    running = set(_programs(root))
+    if "ModemManager" in running and not _rule(root):
+        yield warning(
+            "ModemManager",
+            "it keeps boards busy for seconds after they are plugged in: install the udev "
+            "rule, or remove it (sudo apt remove modemmanager)",
+        )
+    rules = [rule for folder in RULES_FOLDERS for rule in (root / folder).glob("*brltty*.rules")]
+    if "brltty" in running or rules:
+        yield warning(
+            "brltty",
+            "it takes UART adapters (CH340, CP210x, FTDI) for Braille displays, and their "
+            "/dev/ttyUSB… away: remove it (sudo apt remove brltty) where there is no such display",
+        )
+
+
+def _programs(root: Path) -> Iterator[str]:
+    """Names of the programs that run."""
     for comm in (root / "proc").glob("[0-9]*/comm"):
-        try:
-            name = comm.read_text(encoding="utf-8", errors="replace").strip()
-        except OSError:  # ended meanwhile
-            continue
-        if name == "ModemManager":
-            yield warning(
-                "ModemManager",
-                "it keeps boards busy for seconds after they are plugged in: install the udev "
-                "rule, or remove it (sudo apt remove modemmanager)",
-            )
-            return
+        with suppress(OSError):  # ended meanwhile
+            yield comm.read_text(encoding="utf-8", errors="replace").strip()
 
 
 def shared_memory(folder: Path) -> Iterator[Check]:

@@ -48,6 +48,8 @@ def examine(
         leave_alone_if_open(url)
         with Port(url, baud or get["baud"]) as port:
             yield ok("port", f"{url} opened")
+            if port.held_back:
+                yield warning("latency", port.held_back)
             yield from _examine(port, values, seconds)
     except PortError as error:
         yield problem("port", str(error))

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from ..base.errors import PortError, RecordingEndError
 from ..config.parameters import REPLAY
-from ..config.skin_config import SkinConfig
+from ..config.skin_config import SkinConfig, fills_period
 from ..readings.stuck import LOOK_S as STUCK_LOOK_S
 from ..readings.stuck import StuckNodes
 from ..wire.discovery import is_away
@@ -84,6 +84,8 @@ class Driver:
         self._stop = threading.Event()
         self._opening = False
         self._rejected = 0  # before expect_frames()
+        self._fills = fills_period(config.spec, config.samples_per_chip)
+        self._may_end = False  # a stepped frame, of whose end no samples will come
         self._busy = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"skin {url}", daemon=True)
 
@@ -180,7 +182,7 @@ class Driver:
         if not self.problem and is_remote(self.url):
             self._report(CONNECTING)
         try:
-            return Port(self.url, self._baud)
+            return Port(self.url, self._baud, self.pipeline.config.layout)
         finally:
             self._opening = False
 
@@ -238,7 +240,13 @@ class Driver:
         if not event.needs_bytes:
             return frame, event.t_host
         if file == NO_FILE:
+            if self._may_end and not port.waiting:
+                # Nothing follows the frame of a step before the next step.
+                self._may_end = False
+                pipeline.stream.end()
+                return None, time.monotonic()
             data, t_host = port.read()
+            self._may_end = bool(data) and port.stepped and self._fills
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
 

@@ -43,8 +43,8 @@ class Limits:
     stricter: factor by which the other words must then be cleaner than they would have to be with
         these. Chosen: frames of wrong timing do not get there.
     lone_chip: median deviations beyond which a chip is none of noise. Chosen: 5 deviations.
-    faint_power: power of the chips, relative to the gap's noise, below which no stretch is searched
-        for: words would be hidden in noise. Chosen.
+    faint_scatter: deviations by which the power of a frame's chips must exceed the gap's noise for
+        a stretch to be searched for. Chosen: noise does not get there.
     hiding: power of a chip that few words leave over, in squares of the weakest one's amplitude,
         beyond which it hides the chips that tell a frame that is beside its mark. Chosen: those of
         five bits that change, twice in each, are then 11 deviations.
@@ -115,7 +115,7 @@ class Limits:
     odd_share: float = 0.25
     stricter: float = 3.0
     lone_chip: float = 7.4
-    faint_power: float = 1.6
+    faint_scatter: float = 6.0
     hiding: float = 0.3
     rest: float = 0.4
     tail_noise: float = 2.0

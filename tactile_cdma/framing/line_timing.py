@@ -11,7 +11,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
 from ..code.separate import node_levels
-from ..code.transform import rows_of
+from ..code.transform import correlate, rows_of
 from ..wire._protocol import TAIL_CHIPS
 from .fit import (
     CHIPS_AT_ONCE,
@@ -39,12 +39,13 @@ the refinement, which costs about as much as 10 frames, adds a sixth to a frame.
 RESTART_STEP = 1 / 16
 """Step of the search for the common delay of nodes that restart within a frame, chips. Chosen: at
 most 1/32 chip off, 0.3 dB of amplitude where every chip changes level."""
-SEARCH_PER_S = 2e6
-"""Chips that the search of all stretches may integrate per second of stream. At 0.15 µs each
-(measured when it was introduced) that is 0.3 s: a disturbed line must not hold up the stream."""
-LARGEST_SEARCH = 1 << 21
-"""Most chips that one search may integrate: one second's worth. For frames too long for that only
-stretches that end where the line falls silent are tried."""
+SEARCH_PER_S = 8e6
+"""Chips that the search of all stretches may integrate per second of stream. At 0.04 µs each
+(measured) that is 0.3 s: a disturbed line must not hold up the stream."""
+LARGEST_SEARCH = 1 << 23
+"""Most chips that one search may integrate: one second's worth."""
+SURVIVORS = 8
+"""Stretches that are searched near by all bits, of those that suit the first bits best. Chosen."""
 
 
 class LineTiming(MarkedTiming):
@@ -202,18 +203,18 @@ class LineRecogniser:
         verdict = self._chosen(frame, line, fits)
         if verdict.over or verdict.due:
             return verdict
-        if power <= LIMITS.faint_power * self._line.noise:
+        if power <= self._line.noise * (1 + LIMITS.faint_scatter * math.sqrt(2 / spec.chips)):
             if verdict.rejected:
                 return Verdict(over=frame.start + size, rejected=NOISY)
             return self._faint(frame, line, power)
         rejected, longest = verdict.rejected, size
         if not spec.resync_chips:
-            # The tail shows the level, or that it did not change: row 0 would take that for a word.
-            tail = 0 if self._line.level_known and spec.first_row > 0 else TAIL_CHIPS
-            longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + tail) * self._line.chip)
+            longest = math.ceil((1 + MAX_STRETCH) * (spec.chips + TAIL_CHIPS) * self._line.chip)
             if size < longest and not frame.final:
                 return Verdict(due=frame.start + longest)
             for proposer in (self._by_loud_end, self._all_stretches):
+                if verdict.rejected is None:
+                    fits.clear()  # faint words explain noise better than those of a few nodes
                 chips = proposer(line)
                 if chips.size:
                     fits.append(self._refined(line, self._strongest(line, chips)))
@@ -328,24 +329,43 @@ class LineRecogniser:
         return np.clip(chip, nominal, (1 + MAX_STRETCH) * nominal)
 
     def _all_stretches(self, line: Line) -> Floats:
-        """All chip durations of frames that end within the samples; none beyond the budget."""
-        chips, step = self._spec.chips, 0.5 / self._spec.chips
-        chip: Floats = self._line.chip * np.arange(1, 1 + MAX_STRETCH + step, step)
-        chip = chip[chip * chips <= line.volts.size + self._line.chip]
-        if chip.size * chips > self._budget:
+        """All chip durations of frames that end within the samples.
+
+        If these are more than the budget has: those near the best by so many bits as it has for
+        all. None if these are fewer than two, of which any chips make words.
+        """
+        spec, budget = self._spec, max(0.0, self._budget)
+        bits = min(int(math.sqrt(budget / (2 * MAX_STRETCH)) / spec.order), spec.line_bits)
+        if bits < 2:
             return np.empty(0)
-        self._budget -= chip.size * chips
+        step = 0.5 / (bits * spec.order)
+        chip: Floats = self._line.chip * np.arange(1, 1 + MAX_STRETCH + step, step)
+        chip = chip[chip * spec.chips <= line.volts.size + self._line.chip]
+        self._budget -= chip.size * bits * spec.order
+        if bits < spec.line_bits:
+            best = chip[np.argsort(-self._gains(line, chip, bits))[:SURVIVORS]]
+            fine, reach = 0.5 * self._line.chip / spec.chips, math.ceil(spec.line_bits / bits)
+            chip = fine * np.unique(np.rint(best[:, None] / fine + np.arange(-reach, reach + 1)))
+            self._budget -= chip.size * spec.chips
         return chip
 
     def _strongest(self, line: Line, chip: Floats) -> float:
         """The chip duration that explains the most energy."""
-        spec = self._spec
-        batches = np.array_split(chip, 1 + chip.size * spec.chips // CHIPS_AT_ONCE)
-        gains = [
-            read_words(integrate(line, np.full(some.size, -0.5), some, spec), spec).power * some
-            for some in batches
-        ]
-        return float(chip[np.argmax(np.concatenate(gains))])
+        return float(chip[np.argmax(self._gains(line, chip, self._spec.line_bits))])
+
+    def _gains(self, line: Line, chip: Floats, bits: int) -> Floats:
+        """The energy that words of constant amplitude explain of the first bits, (c,).
+
+        Of all nodes, even if faint: what noise has there is the same for all chip durations.
+        """
+        spec, gains = self._spec, []
+        edges = np.arange(bits * spec.order + 1.0)
+        for some in np.array_split(chip, 1 + chip.size * edges.size // CHIPS_AT_ONCE):
+            chips = line.means(some[:, None] * edges - 0.5).reshape(-1, bits, spec.order)
+            flipped = chips if spec.flips is None else chips * spec.flips[:bits]
+            level = np.abs(correlate(flipped, spec.book)[..., spec.node_slice]).sum(axis=1)
+            gains.append(np.einsum("cn,cn->c", level, level) * some)
+        return np.concatenate(gains)
 
     def _chip_power(self, line: Line) -> float:
         """Mean power of the chips at nominal timing, V², without an unknown offset."""

@@ -3,11 +3,12 @@
 """Connected components of the pressed taxels."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base.arrays import Indices
 
 
-def connected(taxels: Indices, beside: Indices) -> Indices:
+def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
     """Label the connected components of some taxels: (k,), 0…c − 1 in the order of first taxels.
 
     taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, one column per

@@ -11,14 +11,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Indices
+from ..base.arrays import Floats, Indices
 from ..base.errors import SpecError
-from .layout_shapes import Surface, plane
-from .proximity import beside
+from .adjacency import around, cells, on_grid, polygon_areas_m2, table
+from .components import connected
+from .layout_shapes import Pitch, Surface, across_and_down, plane
 
-NEIGHBOUR_PITCHES = 1.5
-"""Largest distance between neighbours' centres, in pitches: between √2 (the diagonal) and 2, so
-that a taxel of a grid has its eight neighbours."""
 COVER_PITCHES = 0.75
 """Radius that an irregular skin's taxel covers in pictures, in pitches: above √½ ≈ 0.71, so that a
 square arrangement leaves no gaps."""
@@ -33,7 +31,8 @@ class Layout(Surface):
     name: shown to people. rows, columns: t = rows · columns, row-major; an irregular skin is one
         row.
     nodes: (t,) int32, 1-based number of the node behind each taxel; 0: none.
-    pitch_m: typical distance between neighbouring taxels, m.
+    pitch_m: typical distance between neighbouring taxels, m: where there are two, their geometric
+        mean. aspect: distance from column to column over that from row to row.
     masked: nodes that are out of service. unplaced: nodes on the wire that are behind no taxel.
     irregular: rows and columns do not describe positions.
     """
@@ -46,9 +45,10 @@ class Layout(Surface):
     masked: tuple[int, ...] = ()
     unplaced: tuple[int, ...] = ()
     irregular: bool = False
+    aspect: float = 1.0
 
     @classmethod
-    def grid(cls, nodes: int, rows: int, columns: int, pitch_m: float, taxel_m: float) -> Layout:
+    def grid(cls, nodes: int, rows: int, columns: int, pitch_m: Pitch, taxel_m: float) -> Layout:
         """A flat grid of nodes 1…n, row-major, about the centre of the skin.
 
         Node 1 is row 0, column 0; x grows with columns, y falls with rows. Where rows or columns
@@ -65,9 +65,11 @@ class Layout(Surface):
                 f"a grid of {rows} rows × {columns} columns has {rows * columns} places for "
                 f"{nodes} nodes; set rows and columns so that they multiply to nodes"
             )
-        if taxel_m > pitch_m:
+        across_m, down_m = across_and_down(pitch_m)
+        if taxel_m > min(across_m, down_m):
             raise SpecError(
-                f"taxels of {taxel_m * 1e3:g} mm overlap at a pitch of {pitch_m * 1e3:g} mm"
+                f"taxels of {taxel_m * 1e3:g} mm overlap at a pitch of "
+                f"{min(across_m, down_m) * 1e3:g} mm"
             )
         return cls(
             **vars(plane(rows, columns, pitch_m)),
@@ -75,7 +77,8 @@ class Layout(Surface):
             rows=rows,
             columns=columns,
             nodes=np.arange(1, nodes + 1, dtype=np.int32),
-            pitch_m=pitch_m,
+            pitch_m=math.sqrt(across_m * down_m),
+            aspect=across_m / down_m,
         )
 
     def __len__(self) -> int:
@@ -83,6 +86,30 @@ class Layout(Surface):
 
     def __repr__(self) -> str:
         return f"Layout({self.name!r}, {len(self)} taxels)"
+
+    @property
+    def pitches_m(self) -> tuple[float, float]:
+        """Distance from column to column, and from row to row, m; equal on most skins."""
+        return self.pitch_m * math.sqrt(self.aspect), self.pitch_m / math.sqrt(self.aspect)
+
+    def said(self) -> dict[str, Pitch]:
+        """What the parameters of these names would be: rows, columns, pitch_mm."""
+        across_mm, down_mm = (1e3 * pitch_m for pitch_m in self.pitches_m)
+        pitch_mm = across_mm if self.aspect == 1 else (across_mm, down_mm)
+        return {"rows": self.rows, "columns": self.columns, "pitch_mm": pitch_mm}
+
+    def is_alike(self, other: Layout) -> bool:
+        """Whether the same taxels with the same nodes are at the same places."""
+        return len(self) == len(other) and all(
+            np.allclose(getattr(self, name), getattr(other, name), rtol=1e-3, atol=1e-9)
+            for name in ("positions_m", "normals", "areas_m2", "nodes")
+        )
+
+    @property
+    def edges_m(self) -> Floats:
+        """(t, 2) width and height of each taxel, m: of a rectangle of its area, shaped as cells."""
+        shape = [math.sqrt(self.aspect), 1 / math.sqrt(self.aspect)]
+        return np.sqrt(self.areas_m2.astype(np.float64))[:, None] * shape
 
     @property
     def wired(self) -> int:
@@ -109,17 +136,41 @@ class Layout(Surface):
     def neighbours(self) -> NDArray[np.int32]:
         """(t, m) int32, the neighbours of each taxel, padded with its own index.
 
-        Two taxels are neighbours if their centres are within NEIGHBOUR_PITCHES and they do not face
-        away from each other. Taxels without a node neither have nor are neighbours.
+        On a grid they are within NEIGHBOUR_PITCHES, the shorter pitch stretched to the longer one;
+        on an irregular skin see adjacency.around. None face away from each other. Taxels without
+        a node neither have nor are neighbours.
         """
         placed = np.flatnonzero(self.nodes)
-        reach_m = NEIGHBOUR_PITCHES * self.pitch_m
-        first, second, _ = beside(self.positions_m[placed], self.normals[placed], reach_m)
-        counts = np.bincount(first, minlength=len(placed))
-        column = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
-        table = np.arange(len(self), dtype=np.int32)[:, None].repeat(counts.max(initial=1), axis=1)
-        table[placed[first], column] = placed[second]
-        return table
+        surface = self.positions_m[placed], self.normals[placed]
+        if self.irregular:
+            first, second = around(*surface, self.pitch_m)
+        else:
+            first, second = on_grid(*surface, self.pitches_m)
+        return table(placed[first], placed[second], len(self))
+
+    @cached_property
+    def pieces(self) -> Indices:
+        """(t,) which piece of the skin each taxel with a node belongs to, from 0; −1: no node.
+
+        Neighbours, and their neighbours, are one piece.
+        """
+        placed = np.flatnonzero(self.nodes)
+        pieces = np.full(len(self), -1, dtype=np.intp)
+        pieces[placed] = connected(placed, self.neighbours.T)
+        return pieces
+
+    @cached_property
+    def outlines_m(self) -> list[Floats]:
+        """What each taxel covers: corners (c, 2), m from its centre, right and up, turning left.
+
+        A rectangle on a grid, a Voronoi cell on an irregular skin; of the taxel's area.
+        """
+        if not self.irregular:
+            square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+            return list(square * self.edges_m[:, None])
+        outlines = cells(self.positions_m, self.normals, self.neighbours, self.pitch_m)
+        scale = np.sqrt(self.areas_m2 / polygon_areas_m2(outlines))
+        return [outline * share for outline, share in zip(outlines, scale, strict=True)]
 
     @cached_property
     def raster(self) -> NDArray[np.int32]:

@@ -5,6 +5,7 @@
 docs/patches.md describes the format.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,19 @@ import numpy as np
 from ..base.arrays import Floats
 from ..base.errors import LayoutError, SpecError
 from ..base.marked_yaml import Keys, Marked, read_marked
+from .adjacency import around, cells, polygon_areas_m2, table
 from .layout import Layout
 from .layout_nodes import MOST_TAXELS, TaxelNode, Wiring, check_nodes, node_of_entry, nodes_of_grid
-from .layout_shapes import OVERLAP, Surface, cylinder, plane, seen_from_outside, sphere
+from .layout_shapes import (
+    OVERLAP,
+    Pitch,
+    Surface,
+    across_and_down,
+    cylinder,
+    plane,
+    seen_from_outside,
+    sphere,
+)
 from .proximity import beside, usual_distance_m
 
 SCHEMA = "tactile_cdma/layout"
@@ -57,21 +68,23 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
         raise content["shape"].refuse(f"shape is {shape!r}; it must be one of {', '.join(_KEYS)}")
     content.check_keys(_KEYS[shape])
     if shape == _LIST:
-        surface, pitch_m, places = _listed(content, wiring.first_row)
+        surface, pitch, places = _listed(content, wiring.first_row)
         rows, columns = 1, len(places)
     else:
         rows, columns = _size(content)
-        surface, pitch_m = _regular(content, shape, rows, columns)
+        surface, pitch = _regular(content, shape, rows, columns)
         places = nodes_of_grid(content, rows, columns, wiring.first_row)
     nodes, masked, unplaced = check_nodes(content, places, wiring)
-    _check_apart(content, surface, pitch_m, places)
+    across_m, down_m = across_and_down(pitch)
+    _check_apart(content, surface, min(across_m, down_m), places)
     return Layout(
         **vars(surface),
         name=content.text("name", path.stem),
         rows=rows,
         columns=columns,
         nodes=nodes,
-        pitch_m=pitch_m,
+        pitch_m=math.sqrt(across_m * down_m),
+        aspect=across_m / down_m,
         masked=masked,
         unplaced=unplaced,
         irregular=shape == _LIST,
@@ -89,13 +102,13 @@ def _size(content: Keys) -> tuple[int, int]:
     return rows, columns
 
 
-def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surface, float]:
+def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surface, Pitch]:
     """Rows and columns on a plane, a cylinder or a sphere; and the pitch, m."""
-    dimensions_m = [_pitch_m(content)]
+    pitch, radius_m = _pitch_m(content), []
     if "radius_mm" in _KEYS[shape]:
-        dimensions_m.append(content.number("radius_mm", _LEAST_MM, _MOST_MM, "mm") * 1e-3)
+        radius_m.append(content.number("radius_mm", _LEAST_MM, _MOST_MM, "mm") * 1e-3)
     try:
-        surface = _SHAPES[shape](rows, columns, *dimensions_m)
+        surface = _SHAPES[shape](rows, columns, pitch, *radius_m)
     except SpecError as error:
         raise content["radius_mm"].refuse(str(error)) from None
     if content.get("area_mm2"):
@@ -103,10 +116,10 @@ def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surfac
         most_mm2 = float(f"{cell_mm2 * 1.001:.4g}")  # admits a rounded cell area
         area_m2 = content.number("area_mm2", _LEAST_MM2, most_mm2, "mm²") * 1e-6
         surface = replace(surface, areas_m2=np.full_like(surface.areas_m2, area_m2))
-    return surface, dimensions_m[0]
+    return surface, pitch
 
 
-def _listed(content: Keys, first_row: int) -> tuple[Surface, float, list[TaxelNode]]:
+def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNode]]:
     """Taxels given one by one; the pitch, m; and the taxels' places in the file."""
     entries = content["taxels"].items("taxels", 1, MOST_TAXELS)
     taxels = [_taxel(value, index, first_row) for index, value in enumerate(entries)]
@@ -115,16 +128,28 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, float, list[TaxelNo
     normals = np.array([normal for *_, normal, _ in taxels])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     _check_same_place(positions_m, places)
-    pitch_m = _pitch_of_list_m(content, positions_m, normals)
-    areas_mm2 = np.array([area_mm2 or pitch_m**2 * 1e6 for *_, area_mm2 in taxels])
+    pitch = _pitch_of_list_m(content, positions_m, normals)
+    areas_m2 = np.array([area_mm2 or math.nan for *_, area_mm2 in taxels]) * 1e-6
+    if (left_out := np.isnan(areas_m2)).any():
+        areas_m2[left_out] = _cell_areas_m2(content, positions_m, normals, pitch)[left_out]
     flat_m = seen_from_outside(positions_m, normals)
-    return Surface.of(flat_m, positions_m, normals, areas_mm2 * 1e-6), pitch_m, places
+    return Surface.of(flat_m, positions_m, normals, areas_m2), pitch, places
+
+
+def _cell_areas_m2(content: Keys, positions_m: Floats, normals: Floats, pitch: Pitch) -> Floats:
+    """The area of each taxel's Voronoi cell, m²."""
+    pitch_m = math.sqrt(math.prod(across_and_down(pitch)))
+    try:
+        neighbours = table(*around(positions_m, normals, pitch_m), len(positions_m))
+        return polygon_areas_m2(cells(positions_m, normals, neighbours, pitch_m))
+    except SpecError as error:
+        raise content["taxels"].refuse(str(error)) from None
 
 
 def _taxel(
     value: Marked, index: int, first_row: int
 ) -> tuple[TaxelNode, list[float], list[float], float | None]:
-    """An entry of a list: its place, position (mm), normal and area (mm²; None: pitch squared)."""
+    """An entry of a list: its place, position (mm), normal and area (mm²; None: of its cell)."""
     what = f"taxel {index}"
     entry = value.mapping(what)
     entry.check_keys(_TAXEL_KEYS)
@@ -145,11 +170,16 @@ def _vector(value: Marked, what: str, most: float, unit: str = "") -> list[float
     return value.numbers(what, -most, most, unit, 3, 3)
 
 
-def _pitch_m(content: Keys) -> float:
-    return content.number("pitch_mm", _LEAST_MM, _MOST_PITCH_MM, "mm") * 1e-3
+def _pitch_m(content: Keys) -> Pitch:
+    """One number, or that from column to column and that from row to row."""
+    limits = "pitch_mm", _LEAST_MM, _MOST_PITCH_MM, "mm"
+    if isinstance(content["pitch_mm"].content, list):
+        across_mm, down_mm = content["pitch_mm"].numbers(*limits, 2, 2)
+        return across_mm * 1e-3, down_mm * 1e-3
+    return content.number(*limits) * 1e-3
 
 
-def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> float:
+def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> Pitch:
     """The pitch as given, or else the median distance from a taxel to its nearest neighbour."""
     if content.get("pitch_mm"):
         return _pitch_m(content)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats32, Indices
 from ..places.layout import Layout
-from ..places.mesh import tangents
+from ..places.layout_shapes import tangents
 from .status import Status
 from .taxels import Readings
 

@@ -79,13 +79,13 @@ def rest_path(folder: str, node: str, simulated: bool = False) -> Path:
     Simulated skins have files of their own: trying one must not cost a board its tare.
 
     folder: may begin with ~; empty: $ROS_HOME/tactile_cdma, or ~/.ros/tactile_cdma.
-    Raises RestError for the home of a user who does not exist.
+    Raises RestError for the home of a user who does not exist, or has none.
     """
     text = folder or f"{os.environ.get('ROS_HOME') or '~/.ros'}/tactile_cdma"
     try:
         parent = expanded(text)
     except ValueError as error:
-        raise RestError(f"no folder for tare and drift: {text}: {error}") from None
+        raise RestError(f"{text}: tare and drift are not kept: {error}") from None
     kind = "-simulated" if simulated else ""  # no name has a hyphen
     return parent / f"{node.strip('/').replace('/', '.')}{kind}{_SUFFIX}"
 

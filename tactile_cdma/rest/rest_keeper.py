@@ -36,17 +36,19 @@ class TareResult:
     """What a tare did; as a string, a sentence about it.
 
     tare_pa: (n,) float32, Pa, subtracted from the readings of every node from now on. unheard:
-    numbers of the nodes without a valid reading, which keep the tare they had.
+    numbers of the nodes without a valid reading, which keep the tare they had. unkept: why it is
+    not on file; empty if it is.
     """
 
     tare_pa: NDArray[np.float32]
     unheard: list[int]
+    unkept: str
 
     def __str__(self) -> str:
         text = f"tared: {_taken_off(self.tare_pa)}"
         if self.unheard:
             text += f"; without a valid reading and as before: {listed(self.unheard, 'node')}"
-        return text
+        return text + _in_memory(self.unkept)
 
 
 class RestKeeper:
@@ -64,19 +66,26 @@ class RestKeeper:
         path: Path | None,
         log: Log,
         on_change: Callable[[], None],
+        no_path: str = "",
     ) -> None:
         """Read the file of this skin, if there is one.
 
         url: of the port. A recording's tare and drift are neither read nor kept: every replay of
-        it is the same, and says nothing about the skin of today. path: see rest_path; None: as
-        for a recording. on_change: called between frames when other tare, drift or curves apply.
+        it is the same, and says nothing about the skin of today. path: see rest_path; None: they
+        are not kept either, and no_path says why. on_change: called between frames when other
+        tare, drift or curves apply.
         """
         self.config, self.tared = config, ""
         self._log, self._on_change = log, on_change
         # Other ports, too, may lead to a simulator or an emulator: the digitizer says it.
         self._simulated = True if url.lower().startswith(SIMULATION) else None
         self._scene = url if self._simulated else ""
-        self._store = RestStore(None if url.lower().startswith(REPLAY) else path, log)
+        self._is_recording = url.lower().startswith(REPLAY)
+        if self._is_recording:
+            path, no_path = None, "tare and drift of a recording that is replayed are not kept"
+        elif no_path:
+            log.warning(no_path)
+        self._store = RestStore(path, log, no_path)
         self._driver: Driver | None = None
         self._kept: RestState | None = None  # as last read or written; in force while inactive
         self._lock, self._drops = Lock(), 0  # of _kept; how often hear() dropped it
@@ -98,8 +107,8 @@ class RestKeeper:
             taxels.restore(kept.rest_v, kept.drift_v, kept.tared_drift_v)
             if kept.rest_v is not None or kept.drift_v is not None:
                 text = (
-                    f"tare and drift are those of {kept.written} in {self._store.path}: "
-                    + _taken_off(taxels.baseline.tare_pa)
+                    f"tare and drift are those of {kept.written} in "
+                    f"{self._store.path or 'memory'}: {_taken_off(taxels.baseline.tare_pa)}"
                 )
                 if kept.simulated:
                     self._log.warning(
@@ -132,7 +141,7 @@ class RestKeeper:
         if self._driver is None:
             return
         self._save_changes()
-        if self._store.path is None:
+        if self._is_recording:
             self.tared = ""
         else:
             self._kept = self._present()  # even where it could not be written
@@ -177,19 +186,23 @@ class RestKeeper:
             unheard = pipeline.taxels.tare(self.config.rest.contact_pa, force)
             self.tared = _now()
             self._tell()
-            result = TareResult(pipeline.taxels.baseline.tare_pa, unheard)
+            tare_pa = pipeline.taxels.baseline.tare_pa
+        result = TareResult(tare_pa, unheard, self._save())
         self._log.info(str(result))
-        self._save()
         return result
 
-    def clear(self) -> None:
-        """Forget tare and drift, on file too; raises RestError where no frames arrive."""
+    def clear(self) -> str:
+        """Forget tare and drift, on file too; returns words for it.
+
+        Raises RestError where no frames arrive.
+        """
         with self._streaming().between_frames() as pipeline:
             pipeline.taxels.restore()
             self.tared = ""
             self._tell()
-        self._log.info("tare and drift are forgotten")
-        self._save()
+        text = "tare and drift are forgotten" + _in_memory(self._save())
+        self._log.info(text)
+        return text
 
     def save(self) -> tuple[Path, Path]:
         """Write tare and drift to one file and the curves to another; returns their paths.
@@ -238,14 +251,16 @@ class RestKeeper:
         if retared or moved_v > _SAVED_LSB * self.config.adc.lsb_v:
             self._save()
 
-    def _save(self) -> None:
-        """Write what is in force; a failure is logged once."""
+    def _save(self) -> str:
+        """Write what is in force; returns why that has failed, which is logged once, or nothing."""
         try:
             self._write()
         except RestError as error:
             if self._is_writable:
                 self._log.warning(str(error))
             self._is_writable = False
+            return str(error)
+        return ""
 
     def _write(self) -> Path:
         with self._lock:
@@ -294,6 +309,10 @@ class RestKeeper:
 def _taken_off(tare_pa: NDArray[np.float32]) -> str:
     low, high = float(tare_pa.min()) / 1e3, float(tare_pa.max()) / 1e3
     return f"{low:.2f} to {high:.2f} kPa are taken off"
+
+
+def _in_memory(unkept: str) -> str:
+    return f"; in memory only: {unkept}" if unkept else ""
 
 
 def _now() -> str:

@@ -28,9 +28,9 @@ class RestStore:
     Files that do not fit the skin are never lost, but get another name before the next write.
     """
 
-    def __init__(self, path: Path | None, log: Log) -> None:
-        """path: see rest_path; None: nothing is read or kept."""
-        self.path = path
+    def __init__(self, path: Path | None, log: Log, unkept: str = "") -> None:
+        """path: see rest_path; None: nothing is read or kept. unkept: why that would be."""
+        self.path, self._unkept = path, unkept
         self._log = log
         self._is_others = False
 
@@ -64,7 +64,7 @@ class RestStore:
     def write(self, state: RestState) -> Path:
         """Write the state to the file, whose path is returned. Raises RestError."""
         if self.path is None:
-            raise RestError("tare and drift of a recording that is replayed are not kept")
+            raise RestError(self._unkept)
         if self._is_others:
             self._set_aside(self.path)
         self._is_others = False

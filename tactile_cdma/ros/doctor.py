@@ -36,6 +36,8 @@ MOST_DOMAIN = 101
 HIGHEST_DOMAIN = 232
 RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 MEETING_S = 15.0
+NO_LOG_FILE = ["--ros-args", "--disable-external-lib-logs"]
+"""Without a home folder ROS cannot write one, and the driver does without."""
 SPEAK = "--speak"
 
 
@@ -137,7 +139,7 @@ def meeting() -> Iterator[Check]:
     topic = f"/tactile_cdma_doctor_{os.getpid()}"
     heard: list[str] = []
     try:
-        rclpy.init(args=[])
+        rclpy.init(args=NO_LOG_FILE)
         node = rclpy.create_node("tactile_cdma_doctor", enable_rosout=False)
         node.create_subscription(String, topic, lambda message: heard.append(message.data), 10)
     except Exception as error:  # a middleware that is not installed, a domain without free ports
@@ -170,7 +172,7 @@ def speak(topic: str) -> None:
     import rclpy
     from std_msgs.msg import String
 
-    rclpy.init(args=[])
+    rclpy.init(args=NO_LOG_FILE)
     node = rclpy.create_node("tactile_cdma_doctor_speaker", enable_rosout=False)
     publisher = node.create_publisher(String, topic, 10)
     end = time.monotonic() + MEETING_S

@@ -13,13 +13,14 @@ from ..base.errors import SpecError
 from ..clocks.roll_call import LARGEST_DELAY, LARGEST_RATE_ERROR
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, SPARSE, FrameSpec
-from ..config.parameters import BY_NAME, GAP, NATURAL_SIGNS, Parameter, Value
+from ..config.parameters import BY_NAME, DEFAULTS, GAP, NATURAL_SIGNS, Parameter, Value
 from ..config.skin_config import FRAME_PARAMETERS, user_path
 from ..config.url_options import check_option, parse_options
 from ..hardware.node_memory import usual_heartbeat
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
+from ..places.layout_shapes import Pitch, across_and_down, is_same, pitch_of, shown_mm
 from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
 from .nodes import ClockModel, NodeRules
@@ -77,7 +78,8 @@ def _option(default: Value, *about: Any) -> Any:
 class SimOptions:
     """Options of the simulator, named as in its URL; see OPTIONS for meanings and limits.
 
-    Those of the frame layout (nodes … integrated) follow the host's CONFIGURE where they are None.
+    Those of the frame layout (nodes … integrated) follow the host's CONFIGURE where they are None,
+    and where the taxels are follows `worn`, no option: the layout of the driver that opens it.
     Raises SpecError, naming option, value and limits, for a bad value or combination.
     """
 
@@ -137,11 +139,12 @@ class SimOptions:
         "share of the first frame's period that has passed at START", "", (0, 0.99))
     seed: int = _option(0, "of everything random", "", (0, 2**31 - 1))
     speed: float = _option(1.0, "pace; 1: real time, 0: as fast as it is read", "", (0.0, 1000.0))
-    rows: int = _option(0, "taxel rows; 0: as square as fits", "", (0, 4_096))
-    columns: int = _option(0, "taxel columns; 0: as square as fits", "", (0, 4_096))
-    pitch_mm: float = _option(7.0, "distance of neighbouring taxels", "mm", (0.01, 1_000.0))
+    rows: int | None = None
+    columns: int | None = None
+    pitch_mm: Pitch | None = None
     layout: str = _option("", "layout file of the skin; empty: rows, columns, pitch_mm")
     # fmt: on
+    worn: Layout | None = None
 
     def __post_init__(self) -> None:
         for option in OPTIONS:
@@ -151,15 +154,17 @@ class SimOptions:
         for name, numbers in (("dead", self.sensors.dead), ("stuck", self.sensors.stuck)):
             for number in numbers:
                 check_option(Parameter(name, 1, "", "", (1, self.nodes or 65_535)), number)
+        if self.worn is not None:
+            self._check_worn(self.worn)
         self.setup()
 
     @classmethod
-    def from_url(cls, url: str) -> SimOptions:
-        """From sim://?option=value&…; raises SpecError."""
+    def from_url(cls, url: str, worn: Layout | None = None) -> SimOptions:
+        """From sim://?option=value&…; raises SpecError, also for what contradicts `worn`."""
         parts = urlsplit(url)
         if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:
             raise SpecError(f"{url!r} is not of the form sim://?option=value&option=value")
-        return cls(**parse_options(parts.query, OPTIONS, "the simulator"))
+        return cls(**parse_options(parts.query, OPTIONS, "the simulator"), worn=worn)
 
     @property
     def stepped(self) -> bool:
@@ -204,12 +209,34 @@ class SimOptions:
 
     def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> SkinGeometry:
         """The taxels; raises SpecError where layout, or rows and columns, do not fit the nodes."""
-        pitch_m = self.pitch_mm * 1e-3
-        if self.layout:
+        if self.worn is not None and self.worn.wired == nodes:
+            layout = self.worn
+        elif self.layout:
             layout = self._read_layout(nodes, first_row)
         else:
-            layout = Layout.grid(nodes, self.rows, self.columns, pitch_m, pitch_m)
+            pitch = pitch_of(self.pitch_mm or DEFAULTS["pitch_mm"])
+            size = self.rows or 0, self.columns or 0, pitch
+            layout = Layout.grid(nodes, *size, min(across_and_down(pitch)))
         return SkinGeometry.of(layout, nodes, self.seed)
+
+    def _check_worn(self, worn: Layout) -> None:
+        """Raises SpecError where the options describe another skin than the driver's."""
+        if self.nodes not in (None, worn.wired):
+            return  # the driver will see that, and tell of it
+        if self.layout:
+            first_row = self._pinned_fields().get("first_row", FrameSpec.first_row)
+            if not self._read_layout(worn.wired, first_row).is_alike(worn):
+                raise SpecError(
+                    f"layout {self.layout} is another skin than the driver's, {worn.name}: leave "
+                    "it out, and the driver's is pressed"
+                )
+        for name, theirs in worn.said().items():
+            ours = getattr(self, name)
+            if ours not in (None, 0) and not is_same(ours, theirs):
+                raise SpecError(
+                    f"option {name} is {shown_mm(ours)}, but {shown_mm(theirs)} of the driver's "
+                    f"skin, {worn.name}: leave it out, and the driver's is pressed"
+                )
 
     def _read_layout(self, nodes: int | None, first_row: int) -> Layout:
         if self.rows or self.columns:
@@ -314,7 +341,11 @@ def _parameter(name: str, default: Any, about: tuple[Any, ...] | None) -> Parame
     return BY_NAME[name]  # pins one of the driver's parameters; None leaves it to the host
 
 
-OPTIONS = tuple(_parameter(i.name, i.default, i.metadata.get("about")) for i in fields(SimOptions))
+OPTIONS = tuple(
+    _parameter(option.name, option.default, option.metadata.get("about"))
+    for option in fields(SimOptions)
+    if option.name != "worn"
+)
 """Every option of a sim:// URL: name, meaning, unit, limits."""
 
 

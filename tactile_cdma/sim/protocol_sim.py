@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 
+from ..places.layout import Layout
 from ..wire.virtual_port import VirtualPort
 from .digitizer import VirtualDigitizer
 from .indenters import Indenter
@@ -15,8 +16,11 @@ class Serial(VirtualPort[VirtualDigitizer]):
     """A virtual digitizer, powered up by open() and down by close().
 
     Speed is set by the URL's option. open() raises SpecError for a bad one.
+
+    layout: of the skin, if who opens it knows; None: as the options say.
     """
 
+    layout: Layout | None = None
     READ_AHEAD = 4096  # to make more takes long
 
     @property
@@ -45,7 +49,7 @@ class Serial(VirtualPort[VirtualDigitizer]):
             digitizer.take(digitizer.pending)
 
     def _made(self, url: str) -> VirtualDigitizer:
-        return VirtualDigitizer(SimOptions.from_url(url))
+        return VirtualDigitizer(SimOptions.from_url(url, self.layout))
 
     def _receive(self, device: VirtualDigitizer, data: bytes) -> None:
         device.receive(data)

@@ -73,7 +73,9 @@ class SkinGeometry:
     def cover(self) -> Foundation:
         """The elastic cover over all nodes, for objects in the skin's own frame."""
         layout, at = self.layout, self.taxels
-        return Foundation(layout.positions_m[at], layout.normals[at], layout.areas_m2[at])
+        return Foundation(
+            layout.positions_m[at], layout.normals[at], layout.areas_m2[at], layout.aspect
+        )
 
     @cached_property
     def contacts(self) -> list[_Contact]:

@@ -78,20 +78,24 @@ def heatmap(
 
     Cells of LEAST_LINED_PX and more have lines between taxels, in the colour of no taxel.
 
-    pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch, reduced if the
-    picture would exceed MAX_PIXELS. unsure, gamma: see scale_steps.
+    pressure_pa: (t,) float32, Pa. pixels: edge length of a square of one pitch (with two
+    pitches: of that area), reduced if the picture would exceed MAX_PIXELS. unsure, gamma: see
+    scale_steps.
     """
     raster = layout.raster
-    pixels_per_cell = round(pixels * layout.cell_m / layout.pitch_m)
-    edge = max(1, min(pixels_per_cell, math.isqrt(MAX_PIXELS // raster.size)))
+    per_cell = round(pixels * layout.cell_m / layout.pitch_m)
+    per_cell = min(per_cell, math.isqrt(MAX_PIXELS // raster.size))
+    stretched = 1.0 if layout.irregular else math.sqrt(layout.aspect)
+    wide, tall = (max(1, int(per_cell * share)) for share in (stretched, 1 / stretched))
     cells = np.vstack([colours(pressure_pa, max_pa, unsure, gamma), _NO_TAXEL])[raster]
-    beside, beneath = (_ends(raster, axis)[..., None] & (edge >= LEAST_LINED_PX) for axis in (1, 0))
+    lined = wide >= LEAST_LINED_PX and tall >= LEAST_LINED_PX
+    beside, beneath = (_ends(raster, axis)[..., None] & lined for axis in (1, 0))
     # Rows last: they are copied whole, six times as fast as pixels.
-    rows = [part.repeat(edge, axis=1) for part in (cells, np.where(beneath, _NO_TAXEL, cells))]
+    rows = [part.repeat(wide, axis=1) for part in (cells, np.where(beneath, _NO_TAXEL, cells))]
     for row, lines in zip(rows, (beside, beside | beneath), strict=True):
-        row.reshape(len(raster), -1, edge, 3)[:, :, -1] = np.where(lines, _NO_TAXEL, cells)
-    picture = rows[0].repeat(edge, axis=0)
-    picture[edge - 1 :: edge] = rows[1]
+        row.reshape(len(raster), -1, wide, 3)[:, :, -1] = np.where(lines, _NO_TAXEL, cells)
+    picture = rows[0].repeat(tall, axis=0)
+    picture[tall - 1 :: tall] = rows[1]
     return picture
 
 

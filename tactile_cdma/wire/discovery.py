@@ -124,9 +124,13 @@ def holders(device: str) -> list[str]:
         for descriptor in _entries(f"/proc/{process}/fd"):
             with suppress(OSError):  # the process has ended, or has closed it
                 if os.readlink(f"/proc/{process}/fd/{descriptor}") == real:
-                    name = Path(f"/proc/{process}/comm").read_text().strip()
-                    found[f"{name} (pid {process})"] = None
+                    found[f"{program_of(process)} (pid {process})"] = None
     return list(found)
+
+
+def program_of(process: str) -> str:
+    """The name of a program that runs, by its number; raises OSError where it has ended."""
+    return Path(f"/proc/{process}/comm").read_text("utf-8", errors="replace").strip()
 
 
 def leave_alone_if_open(url: str) -> None:

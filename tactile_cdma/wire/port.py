@@ -15,7 +15,9 @@ from contextlib import suppress
 import serial
 
 from ..base.errors import CaptureError, PortError
+from ..places.layout import Layout
 from .discovery import device_of
+from .latency import held_back
 from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
 
@@ -55,10 +57,12 @@ class Port:
 
     had_waited: the bytes of the last read() were there already, so may have come long before.
     over_network: the other end is another machine, where any number of bytes may be held back.
+    held_back: that its USB adapter does not hand on bytes as they come, in words; else empty.
     stepped: of a simulated skin whose frames pass as a program asks for them: silence is no fault.
     """
 
-    def __init__(self, url: str, baud: int) -> None:
+    def __init__(self, url: str, baud: int, layout: Layout | None = None) -> None:
+        """layout: where the taxels of the skin are, for a simulated one; None: as its URL says."""
         self.url = url
         # Looked up at every opening: a board that is plugged in again may be another device.
         pyserial_url = device_of(url)
@@ -74,8 +78,12 @@ class Port:
             self._serial.write_timeout = WRITE_TIMEOUT_S
             if "://" not in pyserial_url:
                 self._serial.exclusive = True
+            if hasattr(self._serial, "layout"):
+                self._serial.layout = layout
             self._serial.open()
-            _reduce_latency(self._serial)
+            with suppress(AttributeError, NotImplementedError, OSError, ValueError):  # no adapter
+                self._serial.set_low_latency_mode(True)
+            self.held_back = held_back(pyserial_url)
             _limit_wait_for_host(self._serial, pyserial_url)
             self._serial.reset_input_buffer()  # left from before this port was opened
             self._has_file = hasattr(select, "poll") and (
@@ -86,6 +94,8 @@ class Port:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
             raise PortError(f"{url}: {why_not_open(error, pyserial_url)}") from None
         _log.debug("%s is open, at %d baud", pyserial_url, baud)
+        if self.held_back:
+            _log.warning("%s: %s", url, self.held_back)
 
     @property
     def device(self) -> serial.SerialBase:
@@ -173,12 +183,6 @@ class Port:
         """Reads through pyserial: waits for one byte, then takes the others."""
         data: bytes = self._serial.read(1)
         return data + self._serial.read(self._serial.in_waiting) if data else data
-
-
-def _reduce_latency(port: serial.SerialBase) -> None:
-    """Stop USB adapters from holding bytes back (FTDI: 16 ms), where their driver can do that."""
-    with suppress(AttributeError, NotImplementedError, OSError, ValueError):
-        port.set_low_latency_mode(True)
 
 
 def _limit_wait_for_host(port: serial.SerialBase, url: str) -> None:

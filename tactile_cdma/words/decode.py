@@ -409,6 +409,8 @@ def _disturbed(frame: _Frame) -> Bools:
         return frame.active
     usual = np.partition(off, rank, axis=1)[:, rank]
     of_most = _middle(usual)
+    if levels.spoke is not None:  # of few words what is usual is not known, but noise is
+        of_most = np.maximum(of_most, np.float32(levels.noise_v))
     least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
     found[rows] = active & ((level < least[:, None]) | (off > most)).any(axis=0)

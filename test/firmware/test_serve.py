@@ -47,7 +47,7 @@ def test_nodes_that_are_not_wired_are_not_heard(
     first: int, emulator: None, built: Callable[[str], Path]
 ) -> None:
     built("node")
-    config = SkinConfig.of({"nodes": 4, "rows": 2, "columns": 2, "amplitude_mv": 97.5})
+    config = SkinConfig.of({"nodes": 4, "rows": 2, "columns": 2, "amplitude_mv": 97.06})
     nodes = reference_nodes(config, threshold=0)[:first]
     with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
         trial = press_and_decode(PressedSkin(config, SCENES["moving"], skin, skin), config, 5)

@@ -2,17 +2,21 @@
 
 """The analog chain in SPICE: lumping is exact, and what was computed is what the circuit does."""
 
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from amplifier import LATE_SAMPLE, SETTLED, design
-from ngspice import noise_v, waveform
+from amplifier import CIRCUITS, DIRECT, LATE_SAMPLE, PAPER, SETTLED, design
+from circuit import level_points, netlist
+from ngspice import noise_v, transient, waveform
 from passive_spice import passive_run
 from spice import simulate
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.passive import PIN_F
 
 pytestmark = pytest.mark.skipif(
     shutil.which("ngspice") is None, reason="no ngspice on this machine: apt install ngspice"
@@ -21,10 +25,12 @@ CHIP_S = 50e-6
 BOLTZMANN_T = 1.380649e-23 * 300.15
 
 
-@pytest.mark.parametrize("nodes", [16, 64, 900])
-def test_the_circuit_does_what_was_computed(nodes: int) -> None:
+@pytest.mark.parametrize(
+    ("nodes", "circuit"), [*((nodes, DIRECT) for nodes in (16, 64, 900)), (16, PAPER)]
+)
+def test_the_circuit_does_what_was_computed(nodes: int, circuit: str) -> None:
     """And every word of a frame through it is decoded right."""
-    config, front, found = simulate(nodes)
+    config, front, found = simulate(nodes, circuit=circuit)
     assert found.amplitude_v == pytest.approx(front.amplitude_v, rel=0.005)
     assert found.unsettled == pytest.approx(front.unsettled, abs=0.003)
     assert found.unsettled <= SETTLED
@@ -53,14 +59,17 @@ def test_a_circuit_that_is_too_slow_is_seen() -> None:
         assert (abs(early - late) < 0.02 * abs(late - before)) == settles
 
 
-def test_lumped_nodes_are_as_many_by_themselves() -> None:
+@pytest.mark.parametrize("circuit", CIRCUITS)
+def test_lumped_nodes_are_as_many_by_themselves(circuit: str) -> None:
     """Where followers are fast enough not to slew: then the circuit is linear."""
-    front = design(FrameSpec(nodes=4, frame_period_s=1.0), 4)
+    front = design(FrameSpec(nodes=4, frame_period_s=1.0), 4, circuit=circuit)
     rng = np.random.default_rng(1)
     levels = rng.choice([-1.0, 0.0, 1.0], (4, 30))
     linear = _Fast(**{name: getattr(front, name) for name in front.__dataclass_fields__})
     each = waveform(linear, levels, CHIP_S, 32 * CHIP_S)
-    mean = waveform(linear, levels.mean(axis=0)[None], CHIP_S, 32 * CHIP_S)
+    before, after = (np.pad(levels, ((0, 0), side)) for side in ((1, 0), (0, 1)))
+    released = np.where(after == 0, before, 0.0).mean(axis=0)
+    mean = waveform(linear, levels.mean(axis=0)[None], CHIP_S, 32 * CHIP_S, released)
     begins = CHIP_S * np.arange(32)[:, None]  # steps of the analysis are too long for the edges
     instants = begins + np.linspace(front.sample_s, 0.99 * CHIP_S, 40)
     apart = np.interp(instants, *each) - np.interp(instants, *mean)
@@ -75,18 +84,51 @@ class _Fast(type(design(FrameSpec(nodes=4, frame_period_s=1.0), 4))):  # type: i
         return 1e9
 
 
+def test_a_released_pin_keeps_its_charge_for_a_while(tmp_path: Path) -> None:
+    """As its capacitance does, in SPICE, behind a switch that opens: in the gap only."""
+    front = design(FrameSpec(nodes=64, frame_period_s=1.0), 4)
+    file, end_s = tmp_path / "levels.txt", 3 * CHIP_S
+    np.savetxt(file, level_points(np.array([-0.5, 0.5]), CHIP_S), fmt="%.17g")
+    text = netlist(front, [str(file)], end_s, 20e-9)
+    released = re.sub(
+        r"^bpin0 pin0 (.*)$",
+        r"bpin0 high \1\nvopen open 0 pulse(1 0 100u 1n 1n 1 2)\nsopen high pin0 open 0 drive\n"
+        rf".model drive sw(vt=0.5 ron=0.01 roff=1e12)\ncpin pin0 0 {64 * PIN_F:g}",
+        text,
+        flags=re.MULTILINE,
+    )
+    expected = transient(released)
+    found = waveform(front, np.array([[-0.5, 0.5]]), CHIP_S, end_s)
+    instants = 2 * CHIP_S + np.arange(0.0, 12e-6, 0.1e-6)
+    rest_v = front.supply_v / 2
+    seen, wanted = (np.interp(instants, *each) - rest_v for each in (found, expected))
+    peak_v = 0.5 * 64 * front.amplitude_v
+    assert np.abs(seen - wanted).max() < 0.03 * peak_v
+    late = np.interp(2 * CHIP_S + front.sample_s, *found) - rest_v
+    assert 0.005 * peak_v < abs(late) < 0.05 * peak_v
+    paper = design(FrameSpec(nodes=64, frame_period_s=1.0), 4, circuit=PAPER)
+    assert paper.tail_s == 0 < front.tail_s
+
+
 def test_noise_is_that_of_its_sources() -> None:
     """Against sums by hand: amplifier and divider times noise gain, resistors, followers."""
-    front = design(FrameSpec(nodes=16, frame_period_s=1.0), 4)
-    stage = front.nodes_stage
+    front = design(FrameSpec(nodes=16, frame_period_s=1.0), 4, circuit=PAPER)
+    stage, paper = front.nodes_stage, front.attenuator
     half_ohm, opamp_ohm = 5e3, 3.9e3
-    node_ohm = 1 / (1 / front.series_ohm + 2 / front.bias_ohm)
+    node_ohm = 1 / (1 / paper.series_ohm + 2 / paper.bias_ohm)
     white = (half_ohm + opamp_ohm) * stage.noise_gain**2
     white += stage.feedback_ohm + 16 * stage.input_ohm * stage.gain**2
     white += 16 * (node_ohm + opamp_ohm) * stage.gain**2
     band_hz = np.pi / 2 * 0.5 * stage.corner_hz  # two equal poles have half of one's band
     expected = np.sqrt(4 * BOLTZMANN_T * white * band_hz)
     assert noise_v(front) == pytest.approx(expected, rel=0.15)
+    simpler = design(FrameSpec(nodes=16, frame_period_s=1.0), 4)
+    stage = simpler.nodes_stage
+    white = (half_ohm + opamp_ohm) * stage.noise_gain**2
+    white += stage.feedback_ohm + 16 * stage.input_ohm * stage.gain**2
+    band_hz = np.pi / 2 * 0.5 * stage.corner_hz
+    expected = np.sqrt(4 * BOLTZMANN_T * white * band_hz)
+    assert noise_v(simpler) == pytest.approx(expected, rel=0.15)
 
 
 def test_of_sparse_nodes_as_many_talk_as_a_frame_holds() -> None:

@@ -4,7 +4,6 @@
 
 import json
 import os
-import shutil
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,30 +18,14 @@ from test.support.boards import Board, plugged
 from test.support.calibrations import write_calibration
 from test.support.programs import run_program, run_python
 from test.support.skin_client import running
+from test.support.users import USER, ordinary
 from test.support.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 LIFE = ROOT / "test" / "support" / "watched_life.py"
 POLICY = ROOT / "config" / "security" / "skin.policy.xml"
-USER, GROUP, NO_GROUP = 65_534, 54_321, 54_322
+GROUP, NO_GROUP = 54_321, 54_322
 OPEN_PORT = "import sys; from tactile_cdma.wire.port import Port; Port(sys.argv[1], 9600).close()"
-
-
-def ordinary(group: int) -> list[str]:
-    """What makes a command an ordinary user's: nothing, unless root runs the tests.
-
-    It may read everything, for the interpreter may be in a folder of root's; write, own or open
-    anything that others may not, it cannot.
-    """
-    if os.getuid():
-        return []
-    if not shutil.which("setpriv"):
-        pytest.skip("setpriv (Debian: util-linux) is not installed")
-    kept = [f"--{which}=-all,+dac_read_search" for which in ("inh-caps", "ambient-caps")]
-    return [
-        *("setpriv", f"--reuid={USER}", f"--regid={USER}", f"--groups={group}"),
-        *(*kept, "--bounding-set=-all,+dac_read_search", "--no-new-privs"),
-    ]
 
 
 def give_to_group(port: Path) -> None:

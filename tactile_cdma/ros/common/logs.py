@@ -3,6 +3,8 @@
 """Hands the log of the core, which knows no ROS, to ROS's."""
 
 import logging
+import os
+from pathlib import Path
 
 from rclpy.logging import LoggingSeverity, get_logger
 
@@ -25,3 +27,17 @@ def forward_logs() -> None:
         core.addHandler(_ToRos())
     wants_all = get_logger(CORE).get_effective_level() <= LoggingSeverity.DEBUG
     core.setLevel(logging.DEBUG if wants_all else logging.WARNING)
+
+
+def log_fault() -> str:
+    """Why ROS can write no log file, without which it would not begin; empty if it can."""
+    home = os.environ.get("HOME", "")
+    text = os.environ.get("ROS_LOG_DIR") or f"{os.environ.get('ROS_HOME') or '~/.ros'}/log"
+    if text.startswith("~") and not home:
+        return "HOME is not set"
+    folder = Path(text.replace("~", home, 1) if text.startswith("~") else text)  # as rcl does
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        return f"{folder}: {error.strerror}"
+    return "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder}: not writable"

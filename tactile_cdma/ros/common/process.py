@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -20,7 +21,7 @@ from ...base.named_file import existing
 from ...config.arguments import params_of
 from ...config.parameters import read_sections
 from .executor import LeanExecutor
-from .logs import forward_logs
+from .logs import CORE, forward_logs, log_fault
 
 WAKE_S = 0.1
 """Longest time, s, after which a program notices that it is told to end; chosen."""
@@ -30,7 +31,7 @@ N = TypeVar("N", bound=Node)
 
 
 def run_node(make: Callable[[], N], program: str) -> int:
-    """Run a driver's or a body's node until SIGINT or SIGTERM; returns the exit code.
+    """Run a driver's or a body's node until a signal comes; returns the exit code.
 
     make: creates it. Arguments of ROS, or parameters, that make this impossible are reported in
     one line.
@@ -69,19 +70,24 @@ class Running(Generic[N]):
 def running(make: Callable[[], N]) -> Iterator[Running[N]]:
     """A node for as long as the context lasts; raises what rcl, or the node, does not take.
 
-    SIGINT, SIGTERM and SIGHUP tell it to end; they raise nothing, as that could come amid the
+    Signals (see stop_event) tell it to end; they raise nothing, as that could come amid the
     conversion of a message. Everything ends in order: the executor, the node with all it has, and
     the ROS context last.
     """
     with stop_event(None) as stop, ExitStack() as ends:
         ends.callback(rclpy.try_shutdown)
+        fault = log_fault()
+        to_terminal = ["--ros-args", "--disable-external-lib-logs"] if fault else []
         try:
-            rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+            words = [*sys.argv, *to_terminal]
+            rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         except RCLError:
             for path in params_of(sys.argv):
                 read_sections(path, None)  # rcl's own words for a file that is none are hard, too
             raise
         forward_logs()
+        if fault:
+            get_logger(CORE).warning(f"no log file, only this: {fault}; ROS_LOG_DIR names a folder")
         node = make()
         ends.callback(node.destroy_node)
         program = Running(node, stop.is_set)

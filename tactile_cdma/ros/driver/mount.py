@@ -13,7 +13,7 @@ from tf2_msgs.msg import TFMessage
 from ...base.errors import SpecError
 from ...config.parameters import Values
 from ...places.layout import Layout
-from ...places.mesh import tangents
+from ...places.layout_shapes import tangents
 from ...places.poses import Pose
 
 TF_STATIC = "/tf_static"

@@ -6,6 +6,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,7 +17,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
-from ...base.errors import ParameterError, TactileError
+from ...base.errors import ParameterError, RestError, TactileError
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
 from ...config.skin_config import CURVE_PARAMETERS, SkinConfig
@@ -138,12 +139,11 @@ class SkinNode(ManagedNode):
             config = SkinConfig.of(self._live)
             Session(config)  # refuses what a digitizer cannot be told
             transform_of(self._live)  # refuses what tf does not take
-            folder, simulated = str(self._live["state_folder"]), url.lower().startswith(SIMULATION)
-            path = rest_path(folder, self.get_fully_qualified_name(), simulated)
+            path, no_path = self._rest_path(url)
             if not self._last_failure:  # else it is tried again
                 self.get_logger().info(f"opening {url}")
             if not is_remote(url):  # else the driver does it, which holds up nothing
-                self._port = Port(url, int(self._live["baud"]))
+                self._port = Port(url, int(self._live["baud"]), config.layout)
             self._objects.configure(self._port)
         except TactileError as error:
             if str(error) != self._last_failure:
@@ -152,7 +152,8 @@ class SkinNode(ManagedNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure, self._declared.fixed = "", True
         self._watch = watch
-        self._rest = RestKeeper(config, url, path, self.get_logger(), self._publish_info)
+        log = self.get_logger()
+        self._rest = RestKeeper(config, url, path, log, self._publish_info, no_path)
         self._mount.show(self._live, config.layout)
         return super().on_configure(state)
 
@@ -216,6 +217,19 @@ class SkinNode(ManagedNode):
             self.trigger_activate()
         if self._rest is not None:
             self._start_timer.cancel()
+
+    def _rest_path(self, url: str) -> tuple[Path | None, str]:
+        """Where tare and drift are kept, or why they are not.
+
+        Raises RestError for a folder of the user's that there cannot be.
+        """
+        folder, simulated = str(self._live["state_folder"]), url.lower().startswith(SIMULATION)
+        try:
+            return rest_path(folder, self.get_fully_qualified_name(), simulated), ""
+        except RestError as error:  # a user without a home folder, as in a container
+            if folder:
+                raise
+            return None, f"{error}; state_folder names a folder"
 
     def _stop_driver(self) -> None:
         if self._driver is not None and self._rest is not None:

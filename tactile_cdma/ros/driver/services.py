@@ -64,8 +64,7 @@ class RestServices:
             text = "not tared: the skin is not active; activate the node first"
             raise RestError(text, Refusal.INACTIVE)
         if request.clear:
-            keeper.clear()
-            return "tare and drift are forgotten"
+            return keeper.clear()
         return str(keeper.tare(request.force))
 
     def _pause(self) -> Future:

@@ -33,7 +33,7 @@ def test_the_papers_book_is_selectable() -> None:
         ({"order": 16}, "16 nodes from row 1 on need 17 code rows.*use order 20"),
         ({"nodes": 20, "order": 16, "first_row": 0}, "use order 20"),
         ({"order": 92}, "nearest feasible orders are 88 and 96"),
-        ({"chip_s": 100e-6}, "lasts 20 ms, longer than its period of 12.8 ms: .* to 20 or more"),
+        ({"chip_s": 100e-6}, "lasts 20 ms, longer than its period of 12.8 ms: .* to 21 or more"),
         ({"drive": "unipolar", "first_row": 0, "order": 16}, "cannot use code row 0"),
         ({"drive": "tripolar"}, "'tripolar'.*'bipolar' or 'unipolar'"),
         ({"polarity": 0}, "polarity is 0"),

@@ -245,20 +245,25 @@ def test_a_choice_of_kernel_that_is_none_is_a_problem() -> None:
     assert "TACTILE_CDMA_KERNEL is 'x'; it must be" in run.stdout
 
 
-def test_udev_rule_and_modem_manager(tmp_path: Path) -> None:
+def test_the_udev_rule_and_programs_that_take_ports(tmp_path: Path) -> None:
     assert list(installation.udev_rule(tmp_path)) == []  # no udev, as in a container
     (tmp_path / "run" / "udev").mkdir(parents=True)
     (tmp_path / "run" / "udev" / "control").touch()
     (tmp_path / "proc" / "12").mkdir(parents=True)
     (tmp_path / "proc" / "12" / "comm").write_text("ModemManager\n")
+    (tmp_path / "proc" / "13" / "comm").mkdir(parents=True)  # cannot be read, as one that has ended
     assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Grade.WARNING]
-    assert [f.verdict for f in installation.modem_manager(tmp_path)] == [Grade.WARNING]
+    assert [f.subject for f in installation.port_takers(tmp_path)] == ["ModemManager"]
     rules = tmp_path / "etc" / "udev" / "rules.d"
     rules.mkdir(parents=True)
     rule = rules / installation.RULES
     rule.write_bytes((shipped.CHECKOUT / "config" / installation.RULES).read_bytes())
     assert [f.verdict for f in installation.udev_rule(tmp_path)] == [Grade.OK]
-    assert list(installation.modem_manager(tmp_path)) == []
+    assert list(installation.port_takers(tmp_path)) == []
+    (rules / "85-brltty.rules").touch()
+    (tmp_path / "proc" / "12" / "comm").write_text("bash\n")
+    [taker] = installation.port_takers(tmp_path)
+    assert "sudo apt remove brltty" in taker.text
     rule.write_text("# of last year\n")
     [old] = installation.udev_rule(tmp_path)
     assert old.verdict is Grade.WARNING

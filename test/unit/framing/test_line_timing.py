@@ -485,21 +485,42 @@ def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
 
 
 def test_a_disturbed_line_costs_a_bounded_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    looked_at = []
-    strongest = LineRecogniser._strongest
+    looked_at, gains = [], LineRecogniser._gains
     spec = FrameSpec(nodes=256, chip_s=4e-6, frame_period_s=16e-3)
 
-    def counted(self: LineRecogniser, line: Line, chip: np.ndarray) -> float:
-        looked_at.append(chip.size * spec.chips)
-        return strongest(self, line, chip)
+    def counted(self: LineRecogniser, line: Line, chip: np.ndarray, bits: int) -> np.ndarray:
+        looked_at.append(chip.size * bits * spec.order)
+        return gains(self, line, chip, bits)
 
-    monkeypatch.setattr(LineRecogniser, "_strongest", counted)
+    monkeypatch.setattr(LineRecogniser, "_gains", counted)
     setup = Setup(spec, 2)
     rng, size = np.random.default_rng(3), round(spec.frame_period_s * setup.rate_hz)
     timing = LineTiming(spec, setup.rate_hz)
-    for number in range(20):
+    for number in range(40):
         volts = rng.normal(0, 3, size).astype(np.float32)
         timing.feed(SampleBlock(number * size, volts, sync=True))
-    nominal = 20 * 16 * spec.chips  # ends where the line falls silent
+    nominal = 40 * 8 * spec.chips  # ends where the line falls silent
     assert max(looked_at) > 100 * spec.chips, "none of all stretches was looked for"
-    assert sum(looked_at) < nominal + LARGEST_SEARCH + 20 * SEARCH_PER_S * spec.frame_period_s
+    assert sum(looked_at) < nominal + LARGEST_SEARCH + 40 * SEARCH_PER_S * spec.frame_period_s
+
+
+@pytest.mark.parametrize(
+    ("nodes", "stretch", "speaking", "noisy"),
+    [(256, 0.03, 1, 0), (256, 0.11, 32, 3), (512, 0.11, 64, 0)],
+)
+def test_a_first_frame_is_read_whatever_its_stretch(
+    nodes: int, stretch: float, speaking: int, noisy: int
+) -> None:
+    """After a silent slot, and after some of noise, which all are searched for words: ρ = 15."""
+    spec = FrameSpec(nodes=nodes, chip_s=1e-5, frame_period_s=0.128, amplitude_v=1.0)
+    rng, size, noise = np.random.default_rng(5), 25_600, np.sqrt(2 * spec.order) / 15
+    bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)) * (np.arange(nodes) < speaking)
+    chip = (np.arange(size) + 0.5) / 2 / (1 + stretch)
+    sent = np.append(bits @ spec.node_rows, 0.0)[np.minimum(chip, spec.chips).astype(int)]
+    lines = np.stack([0 * sent] + [3 * rng.normal(size=size)] * noisy + [sent, 0 * sent])
+    timing, frames = LineTiming(spec, 2 / spec.chip_s), []
+    for number, line in enumerate(lines + noise * rng.normal(size=lines.shape)):
+        frames += timing.feed(SampleBlock(number * size, line.astype(np.float32), sync=True))
+    [frame] = [frame for frame in frames if round(frame.start / size) == noisy + 1]
+    assert frame.levels is not None and frame.doubtful is None
+    assert np.array_equal(np.sign(frame.levels.values)[:, :speaking], bits[:, :speaking])

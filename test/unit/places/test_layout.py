@@ -2,6 +2,7 @@
 
 """Geometry of layouts: surfaces, neighbours, rasters."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull, Voronoi
 
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.places.layout import MAX_CELLS, NEIGHBOUR_PITCHES, Layout
+from tactile_cdma.places.adjacency import cells, polygon_areas_m2
+from tactile_cdma.places.layout import MAX_CELLS, Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere
 from tactile_cdma.places.proximity import beside, usual_distance_m
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
@@ -55,14 +58,18 @@ def pairs(layout: Layout) -> set[tuple[int, int]]:
     }
 
 
-def all_close_pairs(layout: Layout) -> set[tuple[int, int]]:
-    """The same by brute force."""
-    places = layout.positions_m.astype(float)
-    near = np.linalg.norm(places[:, None] - places, axis=2) <= NEIGHBOUR_PITCHES * layout.pitch_m
-    near &= layout.normals @ layout.normals.T > -1e-3
-    near &= (layout.nodes > 0) & (layout.nodes[:, None] > 0)
-    np.fill_diagonal(near, False)
-    return set(zip(*(i.tolist() for i in np.nonzero(near)), strict=True))
+def gabriel_pairs(layout: Layout, ball: float) -> set[tuple[int, int]]:
+    """Pairs of facing taxels whose ball, times `ball`, holds none that faces both."""
+    places, taxels = layout.positions_m.astype(float), np.flatnonzero(layout.nodes).tolist()
+    face = layout.normals @ layout.normals.T > -1e-3
+    found = set()
+    for a, b in itertools.permutations(taxels, 2):
+        middle, radius = (places[a] + places[b]) / 2, math.dist(places[a], places[b]) / 2
+        inside = np.linalg.norm(places[taxels] - middle, axis=1) < ball * radius
+        inside &= face[a][taxels] & face[b][taxels] & ~np.isin(taxels, [a, b])
+        if face[a, b] and not inside.any():
+            found.add((a, b))
+    return found
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -155,15 +162,35 @@ def test_a_single_taxel_has_no_neighbours() -> None:
     assert irregular(np.zeros((1, 2))).neighbours.tolist() == [[0]]
 
 
-@examples(60)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 80), st.floats(0.5, 12))
-def test_neighbours_are_exactly_the_taxels_within_reach(
-    seed: int, count: int, spread: float
+@pytest.mark.parametrize("shape", ["grid", "list"])
+def test_columns_may_be_farther_apart_than_rows(shape: str) -> None:
+    """6.0 × 3.6 mm: within 1.5 of the shorter pitch are no columns, of the longer one two rows."""
+    grid = Layout.grid(24, 6, 4, (6e-3, 3.6e-3), 3e-3)
+    layout = grid if shape == "grid" else irregular(grid.flat_m, 3.6e-3)
+    row, column = np.divmod(np.arange(24), 4)
+    step = np.maximum(abs(row[:, None] - row), abs(column[:, None] - column))
+    assert pairs(layout) == set(zip(*(i.tolist() for i in np.nonzero(step == 1)), strict=True))
+    assert np.allclose(polygon_areas_m2(layout.outlines_m), layout.areas_m2)
+    assert np.allclose(grid.areas_m2, 21.6e-6)
+    assert np.allclose(grid.pitches_m, (6e-3, 3.6e-3))
+    bent = cylinder(6, 4, (6e-3, 3.6e-3), 15e-3)
+    assert pairs(replace(grid, **vars(bent))) == pairs(grid)
+    picture = heatmap(np.zeros(24, np.float32), grid, 1e5, pixels=64)
+    assert picture.shape[1] / picture.shape[0] == pytest.approx(4 * 6.0 / (6 * 3.6), rel=0.02)
+
+
+@examples(40)
+@given(st.integers(0, 2**32 - 1), st.integers(4, 40), st.floats(1.5, 5), st.booleans())
+def test_neighbours_have_nobody_between_them(
+    seed: int, count: int, spread: float, is_bent: bool
 ) -> None:
     rng = np.random.default_rng(seed)
     places = rng.uniform(-spread, spread, (count, 3)) * PITCH_M
-    normals = rng.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.tile([0.0, 0.0, 1.0], (count, 1))
+    if is_bent:
+        normals = rng.normal(size=(count, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    places[:, 2] *= is_bent
     layout = replace(
         irregular(places[:, :2]),
         positions_m=places.astype(np.float32),
@@ -171,8 +198,39 @@ def test_neighbours_are_exactly_the_taxels_within_reach(
         nodes=rng.permutation(count).astype(np.int32),  # one of them is 0
     )
     found = pairs(layout)
-    assert found == all_close_pairs(layout)
     assert found == {(b, a) for a, b in found}, "who is beside me has me beside him"
+    assert all(math.dist(*layout.positions_m[[a, b]]) <= 3.001 * PITCH_M for a, b in found)
+    if not is_bent:
+        assert found <= gabriel_pairs(layout, 0.84)
+        length = {pair: math.dist(*layout.positions_m[[*pair]]) for pair in found}
+        shortest = min(length.values(), default=0.0)
+        near = {
+            p
+            for p in gabriel_pairs(layout, 1.0)
+            if math.dist(*layout.positions_m[[*p]]) <= shortest
+        }
+        assert near <= found
+
+
+def test_cells_of_a_list_are_those_of_voronoi() -> None:
+    """Inside as scipy finds them; at the border of a grid, and along a lone row, whole ones."""
+    rng = np.random.default_rng(3)
+    places = np.stack(np.meshgrid(np.arange(9.0), np.arange(8.0)), axis=-1).reshape(-1, 2)
+    inside = ((places > 1) & (places < [7, 6])).all(axis=1)
+    layout = irregular((places + rng.uniform(-0.25, 0.25, places.shape)) * PITCH_M)
+    surface = layout.positions_m, layout.normals, layout.neighbours
+    found_m2 = polygon_areas_m2(cells(*surface, PITCH_M))
+    diagram = Voronoi(layout.flat_m.astype(float))
+    for taxel in np.flatnonzero(inside):
+        corners = diagram.vertices[diagram.regions[diagram.point_region[taxel]]]
+        assert found_m2[taxel] == pytest.approx(ConvexHull(corners).volume, rel=1e-5)
+    row = irregular(places[:9] * PITCH_M)
+    assert np.allclose(polygon_areas_m2(row.outlines_m), PITCH_M**2)
+
+
+def test_pieces_of_a_skin_are_counted() -> None:
+    places = np.array([[0, 0], [1, 0], [0, 1], [4, 0], [5, 0], [5, 1], [9, 9]]) * PITCH_M
+    assert irregular(places).pieces.tolist() == [0, 0, 0, 1, 1, 1, 2]
 
 
 @examples(40)

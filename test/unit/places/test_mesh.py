@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere
-from tactile_cdma.places.mesh import CORNERS, tangents, taxel_squares
+from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere, tangents
+from tactile_cdma.places.mesh import CORNERS, taxel_squares
 
 PITCH_M = 7e-3
 ROWS, COLUMNS = 6, 9

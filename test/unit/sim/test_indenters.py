@@ -6,6 +6,7 @@ On a flat Winkler foundation the force is stiffness × the volume below the surf
 of shapes only whether a point is inside.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.places.layout_shapes import cylinder
+from tactile_cdma.places.layout_shapes import Surface, cylinder, plane
 from tactile_cdma.places.poses import Pose
+from tactile_cdma.sim.depth import at_force
 from tactile_cdma.sim.indenters import Box, Cylinder, Foundation, Indenter, Sphere
 
 PITCH_M, K = 2e-3, 2e7
@@ -204,3 +206,49 @@ def test_what_reaches_below_a_surface_may_touch_what_is_around(shape: str) -> No
 def test_what_cannot_be_is_refused(make: Callable[[], Indenter], reason: str) -> None:
     with pytest.raises(ParameterError, match=reason):
         make()
+
+
+def objects(seed: int) -> list[Indenter]:
+    rng = np.random.default_rng(seed)
+    turned = rng.normal(size=4).tolist()
+    common = {"position_m": (*rng.uniform(-8e-3, 8e-3, 2), 0.02), "stiffness_pa_per_m": K}
+    edge_m, long_m = rng.uniform(0.012, 0.02), rng.uniform(0.02, 0.03)
+    return [
+        Sphere(radius_m=edge_m, **common),
+        Cylinder(radius_m=edge_m, length_m=long_m, orientation_xyzw=turned, **common),
+        Box(size_m=(edge_m, long_m, 0.02), orientation_xyzw=turned, **common),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("surface", "most_n", "within"),
+    [(plane(12, 12, 4e-3), 0.3, 1e-6), (cylinder(12, 8, 4e-3, 0.015), 0.3, 0.05)],
+    ids=["flat", "curved"],  # there points come in from beside, one by one
+)
+def test_an_object_lies_where_the_cover_has_the_force(
+    surface: Surface, most_n: float, within: float
+) -> None:
+    cover = Foundation(surface.positions_m, surface.normals, surface.areas_m2)
+    slanted = np.array([0.3 * bool(np.ptp(surface.normals[:, 0])), 0.0, -1.0])
+    way = slanted / np.linalg.norm(slanted)
+    facing_m2 = surface.areas_m2 * np.maximum(-surface.normals @ way, 0)
+    for thing, share in itertools.product(itertools.chain(*map(objects, range(20))), (0.3, 1.0)):
+        lies = at_force(cover, thing, share * most_n, way.tolist())
+        moved_m = np.subtract(lies.position_m, thing.position_m)
+        assert np.allclose(moved_m, moved_m @ way * way, atol=1e-9)
+        force_n = float(cover.pressure_pa([lies]) @ facing_m2)
+        assert force_n == pytest.approx(share * most_n, rel=within)
+
+
+def test_a_box_lies_as_deep_as_force_over_stiffness_and_area() -> None:
+    box = Box(size_m=(0.012, 0.02, 0.02), position_m=(0, 0, 0.013), stiffness_pa_per_m=K)
+    lies = at_force(COVER, box, 3.0)
+    assert lies.position_m[2] == pytest.approx(0.01 - 3.0 / (K * 0.012 * 0.02), abs=1e-8)
+
+
+def test_what_cannot_have_the_force_stays_where_it_is() -> None:
+    beside = Sphere(radius_m=5e-3, position_m=(0.06, 0, 4e-3))
+    small = Sphere(radius_m=1e-3, position_m=(0, 0, 0))
+    far = Sphere(radius_m=5e-3, position_m=(0, 0, 0.04))
+    for thing in (beside, small, far):
+        assert at_force(COVER, thing, 5.0) is thing

@@ -49,8 +49,7 @@ def test_pressures_come_back_within_the_resolution_of_the_converter() -> None:
 
 def test_a_curved_skin_is_pressed_in_its_own_frame() -> None:
     path = Path(__file__).resolve().parents[3] / "config" / "layouts" / "cylinder.yaml"
-    port = f"{STEPPED}&threshold=0&layout={path}"
-    with Skin(port, layout_file=path, nodes=72, frame_period_ms=40.0) as skin:
+    with Skin(f"{STEPPED}&threshold=0", layout_file=path, nodes=72, frame_period_ms=40.0) as skin:
         layout = skin.layout
         cover = Foundation(layout.positions_m, layout.normals, layout.areas_m2)
         for taxel in (0, 17, 71):
@@ -59,6 +58,71 @@ def test_a_curved_skin_is_pressed_in_its_own_frame() -> None:
             true_pa, frame = cover.pressure_pa([ball]), skin.step(ball)
             assert np.argmax(frame.pressure_pa) == taxel
             assert np.abs(frame.pressure_pa - true_pa).max() <= 0.51 * LSB_PA
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("rows=2&columns=8", "option rows is 2, but 4 of the driver's skin, grid of 4 × 4"),
+        ("pitch_mm=7,5", "option pitch_mm is [7, 5], but 7 of"),
+        ("layout={path}", "is another skin than the driver's"),
+    ],
+)
+def test_a_url_of_another_skin_than_the_drivers_is_refused(
+    query: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "skin.yaml"
+    head = "schema: tactile_cdma/layout\nversion: 1\nshape: grid\nrows: 4\ncolumns: 4\n"
+    path.write_text(head + "pitch_mm: 7.5\n")
+    with pytest.raises(PortError, match=re.escape(words)):
+        stepped(query.format(path=path)).open()
+    with stepped("rows=4&pitch_mm=7"):
+        pass
+    path.write_text(head + "pitch_mm: 7\n")
+    with stepped(f"layout={path}"):
+        pass
+
+
+@pytest.mark.parametrize("shape", ["grid", "list"])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_slip_is_felt_across_columns_as_across_rows(shape: str, axis: int, tmp_path: Path) -> None:
+    """A fingertip with columns 6.0 mm and rows 3.6 mm apart; the ball moves at 20 mm/s."""
+    tip = Layout.grid(24, 6, 4, (6e-3, 3.6e-3), 3e-3)
+    parameters = {"rows": 6, "columns": 4, "pitch_mm": [6.0, 3.6], "taxel_mm": 3.0}
+    if shape == "list":
+        places = (1e3 * tip.positions_m).round(2).tolist()
+        taxels = [f"  - {{position_mm: {place}, node: {n}}}" for n, place in enumerate(places, 1)]
+        path = tmp_path / "tip.yaml"
+        head = ["schema: tactile_cdma/layout", "version: 1", "shape: list", "taxels:"]
+        path.write_text("\n".join(head + taxels))
+        parameters = {"layout_file": str(path)}
+    with Skin(
+        f"{STEPPED}&threshold=0", nodes=24, frame_period_ms=16.0, contacts=True, **parameters
+    ) as skin:
+        assert skin.layout.areas_m2.sum() == pytest.approx(24 * 21.6e-6)
+        skin.step()
+        speeds_mm_s = []
+        for frame in range(32):
+            place_m = np.roll([(frame - 16) * 20e-3 * 16e-3, 0.0], axis)
+            ball = Sphere(radius_m=0.01, position_m=(*place_m, 9e-3))
+            found = skin.step(ball).contacts
+            assert found is not None
+            assert len(found.ids) == 1
+            speeds_mm_s.append(1e3 * found.velocity_m_s[0, axis])
+    assert np.mean(speeds_mm_s[8:]) == pytest.approx(20, rel=0.1)
+
+
+@pytest.mark.parametrize("period_ms", [14.0, 14.05, 15.0])
+def test_a_step_returns_though_its_frame_fills_the_period(
+    period_ms: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What follows a frame shows that it is over; after the frame of a step nothing follows."""
+    with Skin(f"{STEPPED}&threshold=0", nodes=24, frame_period_ms=period_ms, timeout_s=2) as skin:
+        frames = [skin.step(BALL) if step % 2 else skin.step() for step in range(6)]
+    assert [frame.sequence for frame in frames] == list(range(6))
+    assert [frame.pressure_pa.max() > 5e3 for frame in frames] == [False, True] * 3
+    assert not any(frame.status.any() or frame.doubtful.any() for frame in frames)
+    assert ("set frame_period_ms to 15 or more" in caplog.text) is (period_ms < 15)
 
 
 def test_what_is_beyond_the_sensors_is_clamped_and_flagged() -> None:

@@ -18,6 +18,7 @@ import pytest
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import PortError
 from tactile_cdma.wire.discovery import is_away
+from tactile_cdma.wire.latency import held_back
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.port import HOST_GONE_S, Port
@@ -232,3 +233,16 @@ def test_a_port_without_a_file_gives_all_that_waits_at_once() -> None:
     with Port("loop://", 9600) as port:
         port.write(b"all of it")
         assert port.read()[0] == b"all of it"
+
+
+@pytest.mark.parametrize(("held_ms", "told"), [("16", True), ("1", False), (None, False)])
+def test_an_adapter_that_holds_bytes_back_is_told(
+    tmp_path: Path, held_ms: str | None, told: bool
+) -> None:
+    timer = tmp_path / "ttyUSB0" / "latency_timer"
+    timer.parent.mkdir()
+    if held_ms:
+        timer.write_text(f"{held_ms}\n")
+    said = held_back("/dev/ttyUSB0", tmp_path)
+    assert said.endswith(f"could not be changed: echo 1 | sudo tee {timer}" if told else "")
+    assert ("up to 16 ms" in said) == told

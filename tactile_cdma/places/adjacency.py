@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which taxels are neighbours, and the cells that divide the skin among them.
+
+On an irregular skin neighbours are those of a Gabriel graph (Gabriel & Sokal, A new statistical
+approach to geographic variation analysis, 1969): the ball between two of them holds no third one.
+It is part of the Delaunay triangulation, needs no plane to be unrolled on, and so takes closed
+sleeves and fingertips as they are.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.arrays import Floats, Indices
+from .layout_shapes import tangents
+from .proximity import beside
+
+NEIGHBOUR_PITCHES = 1.5
+"""Largest distance between neighbours' centres on a grid, in pitches: between √2 (the diagonal) and
+2, so that a taxel has its eight neighbours."""
+REACH_PITCHES = 3.0
+"""Farthest that neighbours on an irregular skin are looked for, in pitches. Chosen: the nearest
+taxel is a pitch away, so columns and rows may differ by a factor of 2.8."""
+_BALL = 0.85
+"""Radius of the ball that must be empty, over half the distance of two neighbours. Chosen below 1,
+so that both diagonals of a rectangle count, though its corners are a little off; the third taxel of
+a row, and what is beyond it, never do down to 0.38."""
+_LONG = 1.5
+"""Neighbours are no farther from each other than this times the median distance of either one's.
+Chosen as NEIGHBOUR_PITCHES, so that no neighbour is found across a missing taxel."""
+_GAP, _BESIDE = np.radians(135), np.radians(20)
+"""A taxel with a wider angle between neighbours is at the border; what is mirrored this close to a
+neighbour adds nothing. Chosen: inside, neighbours of a Gabriel graph leave 90° on average."""
+_AT_ONCE = 1 << 20
+"""Pairs of candidates that are compared at once: 24 MB."""
+Points = NDArray[np.floating]
+
+
+def on_grid(
+    positions_m: Points, normals: Points, pitches_m: tuple[float, float]
+) -> tuple[Indices, Indices]:
+    """First and second taxel of every pair of neighbours on a grid, in both orders, sorted.
+
+    positions_m, normals: (t, 3), m and unit vectors. pitches_m: from column to column, row to row.
+    """
+    first, second, _ = beside(positions_m, normals, NEIGHBOUR_PITCHES * max(pitches_m))
+    if pitches_m[0] == pitches_m[1]:
+        return first, second
+    apart_m = (positions_m[second] - positions_m[first]).astype(np.float64)
+    offset = [np.einsum("pi,pi->p", apart_m, way[first]) for way in tangents(normals)]
+    steps = np.hypot(offset[0] / pitches_m[0], offset[1] / pitches_m[1])
+    # The directions of rows and columns differ from taxel to taxel on a ball.
+    near = _both_ways(steps <= NEIGHBOUR_PITCHES, first, second)
+    return first[near], second[near]
+
+
+def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indices, Indices]:
+    """As on_grid, of an irregular skin. pitch_m: typical distance of a taxel to its nearest."""
+    first, second, distance_m = beside(positions_m, normals, REACH_PITCHES * pitch_m)
+    empty = _between_is_empty(positions_m.astype(np.float64), first, second, distance_m)
+    empty = _both_ways(empty, first, second)  # the third one may face away from one of them
+    first, second, distance_m = first[empty], second[empty], distance_m[empty]
+    most_m = _LONG * _median_of(first, distance_m, len(positions_m))
+    near = distance_m <= np.minimum(most_m[first], most_m[second])
+    return first[near], second[near]
+
+
+def table(first: Indices, second: Indices, count: int) -> NDArray[np.int32]:
+    """(count, m) int32, the seconds of each first, padded with its own index. Pairs are sorted."""
+    counts = np.bincount(first, minlength=count)
+    column = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    result = np.arange(count, dtype=np.int32)[:, None].repeat(counts.max(initial=1), axis=1)
+    result[first, column] = second
+    return result
+
+
+def _between_is_empty(
+    places_m: Floats, first: Indices, second: Indices, distance_m: Floats
+) -> NDArray[np.bool_]:
+    """(p,) whether the ball between two taxels holds none of those near the first one."""
+    counts = np.bincount(first, minlength=len(places_m))
+    begins = np.cumsum(counts) - counts
+    most = int(counts.max(initial=0))
+    column = np.arange(most)
+    empty = np.ones(len(first), dtype=bool)
+    step = max(1, _AT_ONCE // max(1, most))
+    for begin in range(0, len(first), step):
+        pair = np.arange(begin, min(begin + step, len(first)))
+        one = first[pair]
+        entry = np.minimum(begins[one][:, None] + column, len(first) - 1)
+        third = second[entry]
+        middle_m = (places_m[one] + places_m[second[pair]]) / 2
+        off_m = np.linalg.norm(places_m[third] - middle_m[:, None], axis=2)
+        others = (column < counts[one][:, None]) & (third != second[pair][:, None])
+        inside = others & (off_m < _BALL / 2 * distance_m[pair][:, None])
+        empty[pair] = ~inside.any(axis=1)
+    return empty
+
+
+def _both_ways(holds: NDArray[np.bool_], first: Indices, second: Indices) -> NDArray[np.bool_]:
+    """(p,) whether something holds of a pair in both orders."""
+    return holds & holds[np.lexsort((first, second))]
+
+
+def _median_of(group: Indices, values: Floats, groups: int) -> Floats:
+    """(groups,) the upper median of the values of each group; ∞ where there are none."""
+    order = np.lexsort((values, group))
+    counts = np.bincount(group, minlength=groups)
+    middle = np.cumsum(counts) - counts + counts // 2
+    medians = np.full(groups, np.inf)
+    some = counts > 0
+    medians[some] = values[order][middle[some]]
+    return medians
+
+
+def cells(
+    positions_m: Points, normals: Points, neighbours: NDArray[np.int32], pitch_m: float
+) -> list[Floats]:
+    """The Voronoi cell of each taxel: corners (c, 2), m, right and up of its centre, turning left.
+
+    neighbours: (t, m), padded with the taxel itself. Cells are cut in the tangent plane. At the
+    border, where neighbours leave a gap of more than _GAP, a cell reaches as far out as it does on
+    the other side; along a lone row, a pitch's half.
+    """
+    ways = np.stack(tangents(normals), axis=1)  # (t, 2, 3)
+    first, second, _ = beside(positions_m, normals, REACH_PITCHES * pitch_m)
+    begins = np.searchsorted(first, np.arange(len(positions_m) + 1))
+    result = []
+    for taxel, row in enumerate(neighbours):
+        others = second[begins[taxel] : begins[taxel + 1]]
+        apart_m = positions_m[others].astype(np.float64) - positions_m[taxel]
+        flat_m = apart_m @ ways[taxel].T
+        length_m = np.maximum(np.linalg.norm(flat_m, axis=1), 1e-12)
+        flat_m *= (np.linalg.norm(apart_m, axis=1) / length_m)[:, None]
+        beyond_m = _beyond(flat_m[np.isin(others, row)], pitch_m)
+        result.append(_cell(np.vstack([flat_m, beyond_m])))
+    return result
+
+
+def polygon_areas_m2(polygons: list[Floats]) -> Floats:
+    """Areas of polygons that turn left, (t,), m²."""
+    return np.array([_cross(p, np.roll(p, -1, axis=0)).sum() / 2 for p in polygons])
+
+
+def _beyond(flat_m: Floats, pitch_m: float) -> Floats:
+    """(g, 2) places where taxels would be that lie beyond the border, seen from one at (0, 0)."""
+    ghosts = [np.empty((0, 2)) if len(flat_m) else np.array([[pitch_m, 0.0]])]
+    mirrored = np.arctan2(-flat_m[:, 1], -flat_m[:, 0])
+    for begin, gap in _gaps(flat_m):
+        inside = (mirrored - begin) % (2 * np.pi)
+        ghosts.append(-flat_m[(inside > _BESIDE) & (inside < gap - _BESIDE)])
+    for begin, gap in _gaps(np.vstack([flat_m, *ghosts])):
+        parts = max(1, round(gap / (np.pi / 2)) - 1)
+        way = begin + gap * (np.arange(parts) + 1) / (parts + 1)
+        ghosts.append(pitch_m * np.column_stack([np.cos(way), np.sin(way)]))
+    return np.vstack(ghosts)
+
+
+def _gaps(flat_m: Floats) -> list[tuple[float, float]]:
+    """Where angles of more than _GAP between directions begin, and how wide they are, rad."""
+    turned = np.sort(np.arctan2(flat_m[:, 1], flat_m[:, 0]))
+    width = np.diff(turned, append=turned[:1] + 2 * np.pi)
+    return list(zip(turned[width > _GAP].tolist(), width[width > _GAP].tolist(), strict=True))
+
+
+def _cell(flat_m: Floats) -> Floats:
+    """(c, 2) corners of the points nearer to (0, 0) than to any other of these (k, 2) places."""
+    # A line n·p = h for each: it is an edge between the lines that cut it first on either side.
+    far_m = np.linalg.norm(flat_m, axis=1)
+    normal, height_m = flat_m / far_m[:, None], far_m / 2
+    along = np.column_stack([-normal[:, 1], normal[:, 0]])
+    rate = along @ normal.T  # (edge, other)
+    room_m = height_m - height_m[:, None] * (normal @ normal.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        meets_m = room_m / rate
+    parallel = np.abs(rate) < 1e-9
+    low_m = np.where(parallel | (rate > 0), -np.inf, meets_m).max(axis=1)
+    high_m = np.where(parallel | (rate < 0), np.inf, meets_m).min(axis=1)
+    beyond = (parallel & (room_m < -1e-15)).any(axis=1)
+    edge = np.flatnonzero(~beyond & (high_m - low_m > 1e-9 * far_m.min()))
+    # Two places in the same direction have the same line: it counts once.
+    _, once = np.unique(np.round(flat_m[edge] / far_m.min(), 6), axis=0, return_index=True)
+    edge = edge[once]
+    edge = edge[np.argsort(np.arctan2(normal[edge, 1], normal[edge, 0]))]
+    return np.asarray(height_m[edge, None] * normal[edge] + high_m[edge, None] * along[edge])
+
+
+def _cross(one: Floats, other: Floats) -> Floats:
+    return np.asarray(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
