@@ -21,7 +21,7 @@ from tactile_cdma import Skin
 from tactile_cdma.places.poses import Pose
 
 PORT, FRAME_MS, FRAMES, SHOWN = "sim://?scene=external&speed=0&threshold=0", 16.0, 150, 25
-TIP = Path(__file__).resolve().parents[1] / "config" / "layouts" / "fingertip.yaml"
+TIP = Path(__file__).with_name("fingertip.yaml")
 CLOSED = 0.6
 FINGERS = ("ff", "mf", "rf", "lf", "th")
 OUT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

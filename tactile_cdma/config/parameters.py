@@ -215,6 +215,8 @@ PARAMETERS: tuple[Parameter, ...] = (
         "orientation of frame_id in parent_frame: roll, pitch, yaw, as in URDF",
         "rad", (-10.0, 10.0), live=True),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
+    Parameter("publish_unknown_wrench", True,
+        "false: no ~/wrench while force or torque is unknown, in place of NaN", live=True),
     Parameter("idle_rate_hz", 0.0,
         "maximum rate of frames in which no node is active; 0: every frame is published",
         "Hz", (0.0, 1e5), live=True),

@@ -67,7 +67,7 @@ GAP_TIMING = "gap timing"
 
 _SHARED_LIMITS = (
     "deafened", "carried_noise", "carried_misfit", "loud", "spread", "misfit", "left",
-    "clear_spread", "chips", "few", "whole", "hiding", "kept", "rest",
+    "clear_spread", "chips", "few", "whole", "hiding", "kept", "rest", "at_rest",
     "tail_noise", "tail_scatter", "tail_level", "least_tail", "rise",
 )  # fmt: skip
 """Of `Limits`, and members of the kernel's rules by the same names."""

@@ -55,6 +55,7 @@ class Session:
     If the parameters ask for a certain digitizer, no other one is configured, started or stopped.
 
     problem: the likely cause of having received no frame; None if none is known.
+    deadline_s: when that will be told, if no frame comes before.
     """
 
     def __init__(self, config: SkinConfig | None = None, stepped: bool = False) -> None:
@@ -71,7 +72,7 @@ class Session:
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
         self._next_groups_s = -math.inf
         self._before = _Progress()
-        self._deadline_s = self._asked_s = -math.inf
+        self.deadline_s = self._asked_s = -math.inf
         self._obeyed = False  # it has streamed since it was asked
         self._was_idle = False  # it denied streaming, and no frame has come since
         self._answered = DigitizerState().status  # the last STATUS when it was asked
@@ -91,8 +92,11 @@ class Session:
         self._ours = self._config is None or self._config.refusal(info.digitizer_id) is None
         return self.open() if self._ours and awaited else b""
 
-    def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """Requests that are due, after a read: the last ones failed, or the digitizer is known."""
+    def watch(self, pipeline: Pipeline, now_s: float, heard_s: float = math.inf) -> bytes:
+        """Requests that are due, after a read: the last ones failed, or the digitizer is known.
+
+        heard_s: when the last frame was read, or the port opened, if that was before this read.
+        """
         if self._before.frames < 0:  # open() was just before
             self._asked_s = now_s
         digitizer = pipeline.digitizer
@@ -107,8 +111,8 @@ class Session:
             return groups
         if pipeline.counters.frames != self._before.frames:
             self._was_idle = False
-            self._note_progress(pipeline, now_s)
-        if now_s >= self._deadline_s:
+            self._note_progress(pipeline, min(now_s, heard_s))
+        if now_s >= self.deadline_s:
             if self._stepped and digitizer.refusal is None:
                 return b""  # another START would begin a stream anew
             self.problem = self._why(pipeline)
@@ -142,7 +146,7 @@ class Session:
         self._before = _Progress(
             counters.frames, counters.implausible_packets, *pipeline.parser.received
         )
-        self._deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+        self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
         """The request for a roll call, where one is wanted and the last one missed nodes.
