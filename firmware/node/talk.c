@@ -51,7 +51,7 @@ static BOARD_INLINE uint8_t answers(void)
         return 1u << TP_SYNC_RESTART;
     if (!may_frame)
         return 0;
-    if (others)
+    if (BOARD_LARGE && others)
         return named && plan & ANSWERS ? 1u << TP_SYNC_FRAME : plan & 1u << TP_SYNC_CALL;
     return BOARD_LARGE ? plan & (uint8_t)~ANSWERS : plan;
 }
@@ -132,7 +132,9 @@ void talk_expect(uint32_t when)
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE) {
         due = when;
         turn = 0;
-        others = named = false;
+        others = false;
+        if (BOARD_LARGE)
+            named = false;
     }
 }
 
