@@ -70,7 +70,7 @@ class Session:
         self._ours = config is None or config.digitizer_id is None
         self._known: Info | None = None  # the digitizer's last introduction
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
-        self._next_groups_s = -math.inf
+        self._groups_asked, self._next_groups_s = 0, -math.inf
         self._before = _Progress()
         self.deadline_s = self._asked_s = -math.inf
         self._obeyed = False  # it has streamed since it was asked
@@ -80,11 +80,11 @@ class Session:
     def open(self) -> bytes:
         """Requests that configure (where asked to) and start the digitizer, or ask who it is."""
         start = (*self._setting, GetInfo(), Start()) if self._ours else (GetInfo(),)
-        return self._encoded(*start)
+        return self.encoded(*start)
 
     def close(self) -> bytes:
         """The request that stops the digitizer, if it was started."""
-        return self._encoded(Stop()) if self._ours else b""
+        return self.encoded(Stop()) if self._ours else b""
 
     def introduced(self, info: Info) -> bytes:
         """Take in who the digitizer is; returns what to send if that was awaited."""
@@ -162,7 +162,7 @@ class Session:
             self._calls_left -= 1
             self._next_call_s = now_s + PATIENCE_S + 2 * spec.nodes * spec.frame_period_s
             self.problem = None
-            return self._encoded(RollCall())
+            return self.encoded(RollCall())
         return b""
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
@@ -172,11 +172,14 @@ class Session:
         """
         groups, refusal = pipeline.groups, pipeline.digitizer.refusal
         is_refused = refusal is not None and refusal.command == PacketType.GROUPS
-        is_due = groups.wanted_log2 != groups.now_log2 and now_s >= self._next_groups_s
+        is_obeyed = groups.now_log2 == self._groups_asked
+        is_due = groups.wanted_log2 != groups.now_log2 and (
+            is_obeyed or now_s >= self._next_groups_s
+        )
         if self._config is None or not self._ours or not is_due or is_refused:
             return b""
-        self._next_groups_s = now_s + ANSWER_S
-        return self._encoded(Groups(groups.wanted_log2))
+        self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S
+        return self.encoded(Groups(groups.wanted_log2))
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""
@@ -198,7 +201,8 @@ class Session:
             return "samples arrive, but no frame fits: check chip_us, order and bits"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
-    def _encoded(self, *packets: Packet) -> bytes:
+    def encoded(self, *packets: Packet) -> bytes:
+        """Packets as this conversation numbers them."""
         return b"".join(map(self._writer.encode, packets))
 
 
