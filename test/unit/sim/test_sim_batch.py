@@ -183,7 +183,7 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
             SkinBatch(config, 1)
     with pytest.raises(SpecError, match="leave out warming"):
         SkinBatch(config, 1, "sim://?warming=20")
-    with pytest.raises(SpecError, match="nodes, bits or frame_period_ms of the simulator"):
+    with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):
         SkinBatch(config, 1, "sim://?nodes=12")
     with pytest.raises(ParameterError, match="envs is 0"):
         SkinBatch(config, 0)
