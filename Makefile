@@ -35,6 +35,7 @@
 PYTHON ?= python3
 DISTRO ?=
 BLIND ?=
+SPEED ?=
 VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
@@ -57,7 +58,7 @@ export LC_ALL ?= C.UTF-8
 export PYTHONDONTWRITEBYTECODE =
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SPEED SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
