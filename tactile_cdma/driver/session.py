@@ -70,7 +70,7 @@ class Session:
         self._ours = config is None or config.digitizer_id is None
         self._known: Info | None = None  # the digitizer's last introduction
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
-        self._next_groups_s = -math.inf
+        self._groups_asked, self._next_groups_s = 0, -math.inf
         self._before = _Progress()
         self.deadline_s = self._asked_s = -math.inf
         self._obeyed = False  # it has streamed since it was asked
@@ -172,10 +172,13 @@ class Session:
         """
         groups, refusal = pipeline.groups, pipeline.digitizer.refusal
         is_refused = refusal is not None and refusal.command == PacketType.GROUPS
-        is_due = groups.wanted_log2 != groups.now_log2 and now_s >= self._next_groups_s
+        is_obeyed = groups.now_log2 == self._groups_asked
+        is_due = groups.wanted_log2 != groups.now_log2 and (
+            is_obeyed or now_s >= self._next_groups_s
+        )
         if self._config is None or not self._ours or not is_due or is_refused:
             return b""
-        self._next_groups_s = now_s + ANSWER_S
+        self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S
         return self._encoded(Groups(groups.wanted_log2))
 
     def _why(self, pipeline: Pipeline) -> str:
