@@ -14,7 +14,7 @@
 # make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
 # make spice            the analog circuit for 16, 64, 900 and 4,000 nodes, simulated, against what was computed
 # make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file; CIRCUIT=paper: the paper's
-# make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
+# make boards  checks schematics and layouts, lists parts; where KiCad is, its rules, and Gerbers in firmware/build/boards
 # make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
@@ -143,7 +143,7 @@ spice: firmware-tools
 	@"$(BIN)/python" firmware/analog/spice.py $(CIRCUIT:%=--circuit %)
 
 boards: setup
-	@"$(BIN)/python" firmware/boards/generate_boards.py --draw
+	@"$(BIN)/python" firmware/boards/make_boards.py
 
 scope: firmware
 	@"$(BIN)/python" firmware/boards/scope.py
