@@ -2,7 +2,7 @@
 #              PATCHES=config/body.yaml: a body of many patches
 #              FIRMWARE=1: the emulated skin, with real firmware on its nodes and in its digitizer
 # make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
-# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip
+# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip; SPEED=max: without ROS
 # make check   lint and the core's tests, in less than a minute; use it while you work
 # make test    lint and all tests
 # make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
@@ -89,7 +89,7 @@ view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 example-grip:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra mujoco
-	@"$(BIN)/python" examples/mujoco_grip.py $(if $(filter-out 0,$(BLIND)),--blind)
+	@"$(BIN)/python" examples/mujoco_grip.py $(if $(filter-out 0,$(BLIND)),--blind) $(if $(filter max,$(SPEED)),--fast)
 
 # Lint is one process for most of its time: tests run beside it, without make's jobs for makes of theirs.
 check: setup

@@ -9,9 +9,10 @@ normal, so that pressure = stiffness · depth; docs/simulation.md has what that 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -77,6 +78,13 @@ class Indenter(ABC):
         """The object's own frame in the skin's."""
         return Pose.of_quaternion(self.position_m, self.orientation_xyzw)
 
+    def moved(self, by_m: Floats) -> Self:
+        """The same object elsewhere, (3,), m; not checked again."""
+        thing = copy(self)
+        pose = Pose(self.pose.rotation, self.pose.translation_m + by_m)
+        vars(thing).update(position_m=tuple(pose.translation_m.tolist()), pose=pose)
+        return thing
+
     def spans_m(self, points_m: Floats, normals: Floats) -> Spans:
         """Where lines along the normals of a surface enter and leave it, as heights above there.
 
@@ -97,8 +105,8 @@ class Indenter(ABC):
     def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
         """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
         from_it_m = points_m - self.pose.translation_m
-        along_m = (from_it_m * normals).sum(axis=1)
-        beside_m2 = np.square(from_it_m).sum(axis=1) - np.square(along_m)
+        along_m = _dot(from_it_m, normals)
+        beside_m2 = _dot(from_it_m, from_it_m) - np.square(along_m)
         return np.asarray(beside_m2 <= np.square(self._reach_m + around_m))
 
     @property
@@ -268,43 +276,50 @@ class Foundation:
         x, y = (part.ravel()[:, None] for part in np.meshgrid(steps, steps))
         offsets_m = wide_m * x * right[:, None] + tall_m * y * up[:, None]
         self.points_m = self._positions_m[:, None] + offsets_m
+        per_taxel = self.points_m.shape[1]
+        self._point_normals = self._normals[:, None].repeat(per_taxel, axis=1)
+        self._point_m2 = (self.areas_m2 / per_taxel)[:, None].repeat(per_taxel, axis=1)
 
     def near(self, indenter: Indenter, moves_m: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """The points that an object may reach, their normals (both (m, 3)) and areas (m,), m².
 
         moves_m: as far as it moves sideways of the normals, m.
         """
-        near, points_m = self._near(indenter, moves_m)
-        per_taxel = points_m.shape[1]
-        normals = self._normals[near].repeat(per_taxel, axis=0)
-        areas_m2 = (self.areas_m2[near] / per_taxel).repeat(per_taxel)
-        return points_m.reshape(-1, 3), normals, areas_m2
+        near = self._near(indenter, moves_m)
+        points_m, normals = self.points_m[near], self._point_normals[near]
+        return points_m.reshape(-1, 3), normals.reshape(-1, 3), self._point_m2[near].ravel()
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
         pressure_pa = np.zeros(self.points_m.shape[:2])
         for indenter in indenters:
-            near, points_m = self._near(indenter)
-            normals = self._normals[near].repeat(points_m.shape[1], axis=0)
-            depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals).reshape(points_m.shape[:2])
+            near = self._near(indenter)
+            points_m, normals = self.points_m[near], self._point_normals[near]
+            depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals.reshape(-1, 3))
+            depth_m = depth_m.reshape(points_m.shape[:2])
             pressed_pa = indenter.stiffness_pa_per_m * depth_m
             pressure_pa[near] = np.maximum(pressure_pa[near], pressed_pa)
         return np.asarray(pressure_pa.mean(axis=1))
 
-    def _near(self, indenter: Indenter, moves_m: float = 0.0) -> tuple[Bools, Floats]:
-        """Which taxels it may touch, (t,), and their points (k, EDGE_POINTS², 3)."""
+    def _near(self, indenter: Indenter, moves_m: float = 0.0) -> Bools | slice:
+        """Which taxels it may touch; a slice of all is quicker to take than a mask."""
         around_m = self._corners_m + moves_m
         near = indenter.may_touch(self._positions_m, self._normals, around_m)
-        return near, self.points_m[near]
+        return slice(None) if near.all() else near
 
 
 def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:
     """Of a ball (3 coordinates) or an endless cylinder (2) about the origin."""
     return round_spans(
-        np.square(directions).sum(axis=1),
-        (points_m * directions).sum(axis=1),
-        np.square(points_m).sum(axis=1) - radius_m**2,
+        _dot(directions, directions),
+        _dot(points_m, directions),
+        _dot(points_m, points_m) - radius_m**2,
     )
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    """(m,) of (m, d); einsum takes a fifth of the time of a sum along a short axis."""
+    return np.asarray(np.einsum("md,md->m", one, other))
 
 
 def round_spans(a: Any, b: Any, c: Any, xp: Any = np) -> Spans:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ...base.arrays import Floats
 from ...base.errors import ParameterError
-from ...base.optional import needed_for
 from ...places.layout import Layout
 from ..indenters import (
     Box,
@@ -23,12 +22,7 @@ from ..indenters import (
     slab_spans,
     within_all,
 )
-
-with needed_for("BatchCover", "array_api_compat"):
-    from array_api_compat import array_namespace, device
-
-Array = Any
-"""Of numpy, torch, JAX or another library that follows the array API standard."""
+from .standard import Array, array_api
 
 
 class BatchCover:
@@ -75,7 +69,8 @@ class BatchCover:
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin.
         """
-        xp, where = array_namespace(position_m), device(position_m)
+        api = array_api()
+        xp, where = api.array_namespace(position_m), api.device(position_m)
 
         def here(array: Any) -> Array:
             return xp.asarray(array, dtype=position_m.dtype, device=where)

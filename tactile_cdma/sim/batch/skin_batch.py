@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from ...base.arrays import Floats32
 from ...base.errors import ParameterError, SpecError
-from ...base.optional import needed_for
 from ...config.skin_config import SkinConfig
 from ...readings.baseline import Baseline
 from ...readings.calibration import AdcScale
@@ -35,9 +34,7 @@ from ...words.health import NodeHealth
 from ..nodes import rest_codes
 from ..options import Setup, SimOptions
 from ..sensor import delayed, followed
-
-with needed_for("SkinBatch", "array_api_compat"):
-    from array_api_compat import array_namespace, device
+from .standard import Array, array_api
 
 PUBLISHING_S = 1e-3
 """From a frame's last sample to a subscriber, s: more than the median of make bench-ros."""
@@ -45,8 +42,6 @@ MOST_READINGS = 1 << 26
 """Codes × taxels of the table. Chosen: 0.6 GB; words of 16 bits of 1,024 taxels."""
 _NEVER = -(1 << 30)
 """Number of the frame in which a node spoke that was never heard."""
-Array = Any
-"""Of numpy, torch, JAX or another library that follows the array API standard."""
 
 
 class BatchFrame(NamedTuple):
@@ -110,6 +105,7 @@ class SkinBatch:
         delay_frames: int | None = None,
         tared: bool = False,
     ) -> None:
+        array_api()  # where it is missing this is told first
         options, spec = SimOptions.from_url(simulator), config.spec
         _check(config, options)
         if envs < 1:
@@ -132,12 +128,12 @@ class SkinBatch:
         a few in 10⁵ that differ by one. heard: every node has been heard before, as a second after
         a driver's start. Not to be called inside of jit.
         """
-        xp = self._xp = array_namespace(like)
+        xp = self._xp = array_api().array_namespace(like)
         if not xp.isdtype(like.dtype, "real floating"):
             raise ParameterError(f"SkinBatch takes arrays of floating numbers, not {like.dtype}")
         here = self._here = self._tables.moved(xp, like)
         shape = self.envs, self.taxels
-        nothing_pa = xp.zeros(shape, dtype=like.dtype, device=device(like))
+        nothing_pa = xp.zeros(shape, dtype=like.dtype, device=array_api().device(like))
         codes = xp.zeros_like(nothing_pa, dtype=here.rest.dtype) + here.rest
         number = xp.zeros_like(codes[:, :1])
         never = xp.full_like(codes, _NEVER)
@@ -228,7 +224,7 @@ class SkinBatch:
         """Raises ParameterError unless it is one of those that begin prepared for."""
         assert self._here is not None
         shape, kind = (self.envs, self.taxels), self._here.zero.dtype
-        same = array_namespace(array) is self._xp and array.dtype == kind
+        same = array_api().array_namespace(array) is self._xp and array.dtype == kind
         if not same or tuple(array.shape) != shape:
             raise ParameterError(
                 f"{name} is {tuple(array.shape)} of {array.dtype}; as begun, it must be {shape} of "
@@ -294,7 +290,7 @@ class _Tables(NamedTuple):
 
     def moved(self, xp: Any, like: Array) -> _Tables:
         """As arrays of the kind and on the device of `like`, whose type the floating ones take."""
-        where = device(like)
+        where = array_api().device(like)
         kinds = {"i": xp.arange(1).dtype, "f": like.dtype}
 
         def move(array: Any) -> Any:

@@ -2,6 +2,7 @@
 
 """SkinBatch against the whole chain: simulated nodes, line, digitizer, decoder, frame by frame."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
@@ -9,11 +10,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import array_api_strict
 import numpy as np
 import pytest
 
 from tactile_cdma import ParameterError, SpecError
+from tactile_cdma.base.errors import MissingPackageError
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
@@ -23,6 +24,9 @@ from tactile_cdma.sim.batch import BatchCover, BatchFrame, SkinBatch
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
+
+pytest.importorskip("array_api_compat", reason="the extra [batch] is not installed")
+array_api_strict = pytest.importorskip("array_api_strict")
 
 LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
 SCENES = "presses", "cycles"
@@ -169,8 +173,14 @@ def test_tared_skins_read_nothing_at_rest() -> None:
         assert (frame.pressure_pa == 0).all() == tared
 
 
-def test_what_cannot_be_modelled_or_is_no_pressure_is_refused() -> None:
+def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     config = SkinConfig.of({"nodes": 16})
+    with monkeypatch.context() as missing:
+        missing.setitem(sys.modules, "array_api_compat", None)
+        with pytest.raises(MissingPackageError, match="pip install array_api_compat"):
+            SkinBatch(config, 1)
     with pytest.raises(SpecError, match="leave out warming"):
         SkinBatch(config, 1, "sim://?warming=20")
     with pytest.raises(SpecError, match="nodes, bits or frame_period_ms of the simulator"):
