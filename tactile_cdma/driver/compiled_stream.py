@@ -340,6 +340,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         slack=CLOCK_TOLERANCE,
         gap_s=pace.gap_s,
         gaps=pace.gaps,
+        least_gap_s=pace.least_gap_s,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,

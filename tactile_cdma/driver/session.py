@@ -80,11 +80,11 @@ class Session:
     def open(self) -> bytes:
         """Requests that configure (where asked to) and start the digitizer, or ask who it is."""
         start = (*self._setting, GetInfo(), Start()) if self._ours else (GetInfo(),)
-        return self._encoded(*start)
+        return self.encoded(*start)
 
     def close(self) -> bytes:
         """The request that stops the digitizer, if it was started."""
-        return self._encoded(Stop()) if self._ours else b""
+        return self.encoded(Stop()) if self._ours else b""
 
     def introduced(self, info: Info) -> bytes:
         """Take in who the digitizer is; returns what to send if that was awaited."""
@@ -162,7 +162,7 @@ class Session:
             self._calls_left -= 1
             self._next_call_s = now_s + PATIENCE_S + 2 * spec.nodes * spec.frame_period_s
             self.problem = None
-            return self._encoded(RollCall())
+            return self.encoded(RollCall())
         return b""
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
@@ -179,7 +179,7 @@ class Session:
         if self._config is None or not self._ours or not is_due or is_refused:
             return b""
         self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S
-        return self._encoded(Groups(groups.wanted_log2))
+        return self.encoded(Groups(groups.wanted_log2))
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""
@@ -201,7 +201,8 @@ class Session:
             return "samples arrive, but no frame fits: check chip_us, order and bits"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
-    def _encoded(self, *packets: Packet) -> bytes:
+    def encoded(self, *packets: Packet) -> bytes:
+        """Packets as this conversation numbers them."""
         return b"".join(map(self._writer.encode, packets))
 
 
