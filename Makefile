@@ -2,7 +2,7 @@
 #              PATCHES=config/body.yaml: a body of many patches
 #              FIRMWARE=1: the emulated skin, with real firmware on its nodes and in its digitizer
 # make view    the same in the Rerun viewer, which it installs; WEB=1: in a browser
-# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip
+# make example-grip  a gripper in MuJoCo grips by the skin of a finger; BLIND=1: without its cue for slip; SPEED=max: without ROS
 # make check   lint and the core's tests, in less than a minute; use it while you work
 # make test    lint and all tests
 # make mutants wrong operators in the modules changed SINCE=HEAD~1: lists those that no unit test detects; COUNT=24
@@ -19,7 +19,7 @@
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
 # make bench-error, -doubt, -speed, -skip, -timing, -scale, -ros, -pressure, -contact, -pictures,
-#              -body, -pareto, -sparse
+#              -body, -pareto, -sparse, -batch
 #              up to 7 min each, writes docs/img; QUICK=1: less than 40 s each, writes build/benchmarks
 #              bench-doubt ONLY=hum: conditions with this in their name
 # make paper   the paper's figures and claims beside this project's: docs/paper.md, docs/img/paper.png
@@ -35,6 +35,7 @@
 PYTHON ?= python3
 DISTRO ?=
 BLIND ?=
+SPEED ?=
 VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
@@ -57,7 +58,7 @@ export LC_ALL ?= C.UTF-8
 export PYTHONDONTWRITEBYTECODE =
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SPEED SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
@@ -89,7 +90,7 @@ view: view-setup $(if $(filter-out 0,$(FIRMWARE)),firmware)
 example-grip:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: error: no $(PYTHON); apt install python3-venv"; exit 1; }
 	@$(PYTHON) tools/setup_env.py --venv "$(VENV)" --distro "$(DISTRO)" --extra mujoco
-	@"$(BIN)/python" examples/mujoco_grip.py $(if $(filter-out 0,$(BLIND)),--blind)
+	@"$(BIN)/python" examples/mujoco_grip.py $(if $(filter-out 0,$(BLIND)),--blind) $(if $(filter max,$(SPEED)),--fast)
 
 # Lint is one process for most of its time: tests run beside it, without make's jobs for makes of theirs.
 check: setup

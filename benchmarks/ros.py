@@ -44,10 +44,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from tactile_cdma.config.parameters import Value
+from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.wire._protocol import TAIL_CHIPS
 from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
@@ -55,6 +56,14 @@ from tactile_cdma.wire.reader import READ_SIZE
 
 from .report import QUICK, ROOT, Report, be_alone
 from .scale import streaming
+from .skip import pressed
+
+
+def configured(name: str) -> dict[str, Value]:
+    """The parameters of a file of config/, for any port and amplifier."""
+    values = read_file(ROOT / "config" / f"{name}.yaml")
+    return {key: value for key, value in values.items() if key not in ("port", "amplitude_mv")}
+
 
 CASES: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip
@@ -68,9 +77,13 @@ CASES: dict[int, dict[str, Value]] = {
         "samples_per_chip": 1,
         "frame_period_ms": 20.0,
     },
+    900: configured("thousand_skin"),
+    4000: configured("sparse_skin"),
 }
 """Parameters of the driver for each number of nodes; all nodes talk in every frame."""
-SIZES = (16, 4096) if QUICK else tuple(CASES)
+PRESSED = {4000: 0.08}
+"""Of sparse codes this share of the nodes talks: always the same ones, and of others none."""
+SIZES = (16, 4096) if QUICK else (16, 256, 1024, 4096)
 SECONDS = 2.5 if QUICK else 30.0
 WARM_UP_S = 1.0
 START_S = 30.0
@@ -163,7 +176,7 @@ def measure(who: str, nodes: int) -> Result:
     ends = context.RawArray("q", 2 * MOST_FRAMES)
     stop, receiving, arrivals = context.Event(), context.Event(), context.Queue()
     with tempfile.TemporaryDirectory() as folder:
-        digitizer = Digitizer(config, Path(folder) / "skin", ends)
+        digitizer = Digitizer(config, Path(folder) / "skin", ends, PRESSED.get(nodes))
         subscriber = context.Process(target=subscribe, args=(stop, receiving, arrivals))
         if who == DRIVER:
             publisher = driver(CASES[nodes], digitizer.path, Path(folder) / "driver.log")
@@ -194,13 +207,13 @@ def cpu_share(pid: int) -> float:
 
 
 def cpu_s(pid: int) -> float:
-    """CPU time of a process so far, s; raises RunError where it has ended."""
-    state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    if state == "Z":
+    """CPU time of a process's threads so far, s; raises RunError where it has ended."""
+    if "(zombie)" in Path(f"/proc/{pid}/status").read_text():
         raise RunError(
             f"process {pid}, which was to be measured, ended by itself; what it said is above"
         )
-    return sum(map(int, fields[10:12])) / os.sysconf("SC_CLK_TCK")  # utime, stime
+    threads = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(thread.read_text().split()[0]) for thread in threads) / 1e9
 
 
 def match(
@@ -231,11 +244,16 @@ class Digitizer:
     MOST_FRAMES of End, in which each stands before the frame's last byte is written.
     """
 
-    def __init__(self, config: SkinConfig, path: Path, ends: Any) -> None:
-        self.path = path
+    def __init__(
+        self, config: SkinConfig, path: Path, ends: Any, pressed_share: float | None
+    ) -> None:
+        """pressed_share: of the nodes, which talk; None if all do."""
+        self.path, scene = path, "scene=all&threshold=0"
+        if pressed_share is not None:
+            SCENES["press"], scene = pressed(pressed_share), "scene=press&heartbeat=0"
         self.sent: dict[int, float] = {}
         self._config, self._ends, self._frames = config, ends, 0
-        self._digitizer = VirtualDigitizer(SimOptions.from_url("sim://?scene=all&threshold=0"))
+        self._digitizer = VirtualDigitizer(SimOptions.from_url(f"sim://?{scene}"))
         self._parser = PacketParser()
         self._last: int | None = None  # index of the last sample of the awaited frame
         self._middle_us = 0
@@ -289,8 +307,9 @@ class Digitizer:
     def _ends_frame(self, packet: Samples) -> bool:
         spec, per_chip = self._config.spec, self._config.samples_per_chip
         if packet.sync:
-            tail = TAIL_CHIPS if per_chip > 1 else 0
-            self._last = packet.first_index + (spec.span_chips + tail) * per_chip - 1
+            # One value per chip: guards have none.
+            count = (spec.span_chips + TAIL_CHIPS) * per_chip if per_chip > 1 else spec.chips
+            self._last = packet.first_index + count - 1
             self._middle_us = packet.device_time_us + round(spec.frame_s / 2 * 1e6)
         if self._last is None or packet.first_index + len(packet.counts) <= self._last:
             return False

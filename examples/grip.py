@@ -20,34 +20,42 @@ GRIP_PA, STEP_MM, SLIP_M_S = 5e3, 0.01, 5e-3
 MOST_MM, SILENT_S = 5.0, 0.5
 
 
+class Rule:
+    """Says after each frame how far to close, whether it grips, and whether to stop."""
+
+    def __init__(self, slip_m_s: float) -> None:
+        self.slip_m_s, self.closed_mm, self.fast_frames = slip_m_s, 0.0, 0
+
+    def decide(self, is_sure: bool, speed_m_s: float, most_pa: float) -> tuple[float, bool, bool]:
+        if not is_sure:  # silent, or blind in part: what is not felt may be crushed
+            return self.closed_mm, False, True
+        self.fast_frames = self.fast_frames + 1 if speed_m_s > self.slip_m_s else 0
+        slips, grips = self.fast_frames >= 2, most_pa >= GRIP_PA
+        wanted_mm = self.closed_mm + (STEP_MM if slips or not grips else 0.0)
+        self.closed_mm = min(wanted_mm, MOST_MM)
+        stop = slips or wanted_mm > MOST_MM
+        return self.closed_mm, grips and not stop, stop
+
+
 class Grip(Node):
     def __init__(self) -> None:
         super().__init__("grip")
-        self.slip_m_s = self.declare_parameter("slip_m_s", SLIP_M_S).value
+        self.rule = Rule(self.declare_parameter("slip_m_s", SLIP_M_S).value)
         self.closing = self.create_publisher(Float64, "/gripper/close_mm", 10)
         self.gripped = self.create_publisher(Bool, "/gripper/gripped", 10)
         self.stop = self.create_publisher(Bool, "/arm/stop", 10)
-        self.closed_mm, self.fast_frames = 0.0, 0
         self.skin = SkinClient(self, on_touch=self.feel, silent_after_s=SILENT_S)
         print("waiting for /skin/contacts …", flush=True)
 
     def feel(self, touch: Touch) -> None:
-        if not touch.is_sure:
-            self.command(stop=True)  # silent, or blind in part: what is not felt may be crushed
-            return
-        self.fast_frames = self.fast_frames + 1 if touch.speed_m_s > self.slip_m_s else 0
-        slips, grips = self.fast_frames >= 2, touch.pressure_pa >= GRIP_PA
-        wanted_mm = self.closed_mm + (STEP_MM if slips or not grips else 0.0)
-        self.closed_mm = min(wanted_mm, MOST_MM)
-        stop = slips or wanted_mm > MOST_MM
-        self.command(stop, gripped=grips and not stop)
-
-    def command(self, stop: bool, gripped: bool = False) -> None:
-        self.closing.publish(Float64(data=self.closed_mm))
+        felt = touch.is_sure, touch.speed_m_s, touch.pressure_pa
+        closed_mm, gripped, stop = self.rule.decide(*felt)
+        self.closing.publish(Float64(data=closed_mm))
         self.gripped.publish(Bool(data=gripped))
         self.stop.publish(Bool(data=stop))
 
 
-rclpy.init()
-with suppress(KeyboardInterrupt, ExternalShutdownException):
-    rclpy.spin(Grip())
+if __name__ == "__main__":
+    rclpy.init()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(Grip())

@@ -10,6 +10,7 @@ filled to 250 g, so that it slips. No screen is needed; the pace is that of the 
 
     make example-grip            # or .venv/bin/python examples/mujoco_grip.py, with mujoco there
     make example-grip BLIND=1    # the controller has no cue for slip, and drops it
+    make example-grip SPEED=max  # the same rule in one process, without ROS and without the line
 
 The last line: gripped=1 if the controller claims a grip at the end, lifted=1 once the cylinder was
 40 mm up, dropped=1 if it fell; peak_kpa, the greatest pressure felt; reaction_ms, from the
@@ -31,16 +32,21 @@ from typing import Any, NamedTuple, TypeAlias
 import mujoco
 import numpy as np
 import rclpy
+from grip import SLIP_M_S, Rule
 from mujoco_skin import MujocoSkin
 from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.msg import SimObjects, TactileContacts
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
+from tactile_cdma.readings.contact import ContactTracker
+from tactile_cdma.readings.taxels import Readings
+from tactile_cdma.ros.client import SETTLED_S
 from tactile_cdma.ros.driver.objects import sim_objects
-from tactile_cdma.sim.indenters import Indenter
+from tactile_cdma.sim import Foundation, Indenter, SkinBatch
 
 PITCH_M, FRAME_S, STEPS = 7e-3, 12.8e-3, 32  # of physics per frame
 RADIUS_M, GAP_M, LIGHT_KG, HEAVY_KG = 0.020, 0.5e-3, 0.100, 0.250
@@ -140,12 +146,12 @@ class Controller:
     """examples/grip.py and a driver of a simulated skin, as processes; a frame is a question."""
 
     def __init__(self, node: Node, slip_m_s: float, dead_after_s: float | None) -> None:
-        port = "sim://?scene=external&speed=0&threshold=0"
-        if dead_after_s is not None:
-            dead = ",".join(map(str, range(1, 17)))
-            port += f"&dead={dead}&dead_after={dead_after_s:g}"
         self.state = TemporaryDirectory()  # no tare of another simulation, nor for one
-        parameters = {"port": port, "stale_after_s": 0.3, "state_folder": self.state.name}
+        parameters = {
+            "port": port(dead_after_s),
+            "stale_after_s": 0.3,
+            "state_folder": self.state.name,
+        }
         self.processes = [
             started("-m", "tactile_cdma.ros.driver.node", **parameters),
             started(str(Path(__file__).with_name("grip.py")), slip_m_s=slip_m_s),
@@ -198,6 +204,38 @@ class Controller:
         self.state.cleanup()
 
 
+class InProcess:
+    """The same rule on what SkinBatch says that the driver would publish, for training."""
+
+    def __init__(self, slip_m_s: float, dead_after_s: float | None) -> None:
+        config = SkinConfig.of({"nodes": 16, "stale_after_s": 0.3})
+        self.batch = SkinBatch(config, 1, port(dead_after_s), delay_frames=0)
+        self.state = self.batch.begin(np.zeros(()))
+        self.tracker = ContactTracker(config.layout, config.contact)
+        layout = config.layout
+        self.cover = Foundation(layout.positions_m, layout.normals, layout.areas_m2)
+        self.rule, self.t_s = Rule(slip_m_s), 0.0
+
+    def ask(self, objects: Sequence[Indenter]) -> Answer:
+        pressed_pa = self.cover.pressure_pa(objects)
+        self.state, frame = self.batch.step(self.state, pressed_pa[None])
+        self.t_s += FRAME_S
+        felt_pa, status = frame.pressure_pa[0], frame.status[0]
+        # Voltages are for people; contacts come of pressures.
+        found = self.tracker.update(Readings(felt_pa, felt_pa, status), self.t_s)
+        speeds_m_s = np.linalg.norm(found.velocity_m_s[found.age_s > SETTLED_S], axis=1)
+        most_pa = float(found.pressure_max_pa.max(initial=0.0))
+        sure = found.coverage.is_whole
+        return Answer(most_pa, *self.rule.decide(sure, float(speeds_m_s.max(initial=0.0)), most_pa))
+
+
+def port(dead_after_s: float | None) -> str:
+    """The simulated skin; its nodes die after so many s."""
+    url = "sim://?scene=external&speed=0&threshold=0"
+    dead = ",".join(map(str, range(1, 17)))
+    return url if dead_after_s is None else f"{url}&dead={dead}&dead_after={dead_after_s:g}"
+
+
 def started(*command: str, **parameters: object) -> subprocess.Popen[bytes]:
     """A ROS program of this Python, as a process."""
     settings = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
@@ -217,7 +255,7 @@ def run(node: Node, slip_m_s: float, dead_after_s: float | None = None) -> Run:
         controller.close()
 
 
-def course(controller: Controller, cell: Cell) -> Run:
+def course(controller: Controller | InProcess, cell: Cell) -> Run:
     closed_mm, gripped, stop = 0.0, False, True
     lifted = dropped = False
     slip_from_s, slipped_mm, reaction_s = math.inf, 0.0, math.nan
@@ -266,11 +304,19 @@ def course(controller: Controller, cell: Cell) -> Run:
 def main() -> None:
     parser = argparse.ArgumentParser(description="A gripper in MuJoCo that grips by touch.")
     parser.add_argument("--blind", action="store_true", help="without the cue for slip")
+    parser.add_argument("--fast", action="store_true", help="in one process, without ROS")
     parser.add_argument("--dead-after", type=float, help="the skin's nodes die after so many s")
     arguments = parser.parse_args()
+    slip_m_s = 1e9 if arguments.blind else SLIP_M_S
+    begun_s = time.process_time()
+    if arguments.fast:
+        outcome, felt, _ = course(InProcess(slip_m_s, arguments.dead_after), Cell())
+        per_cpu_s = len(felt) / (time.process_time() - begun_s)
+        print(f"{outcome} frames_per_cpu_s={per_cpu_s:.0f}")
+        return
     rclpy.init()
     node = rclpy.create_node("mujoco_grip")
-    outcome, *_ = run(node, 1e9 if arguments.blind else 5e-3, arguments.dead_after)
+    outcome, *_ = run(node, slip_m_s, arguments.dead_after)
     rclpy.shutdown()
     print(outcome)
 

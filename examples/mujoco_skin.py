@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contacts of a MuJoCo geom as objects on the simulated skin, to copy: pip install mujoco.
+"""Contacts of MuJoCo geoms as objects on the simulated skin, to copy: pip install mujoco.
 
 MuJoCo's bodies are nearly rigid: its contacts have forces, but no depth that a soft cover would
-have. So each object that touches the geom is pressed into the cover until that answers with
-MuJoCo's normal force, and the skin reads what the physics carries. examples/mujoco_grip.py uses
-examples/mujoco_skin.py.
+have. So each object that touches the skin's geoms is pressed into the cover until that answers with
+MuJoCo's normal force, and the skin reads what the physics carries. examples/mujoco_grip.py and
+examples/mujoco_hand.py use examples/mujoco_skin.py.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -18,118 +18,201 @@ from tactile_cdma import ParameterError
 from tactile_cdma.base.arrays import Floats
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, Sphere
+from tactile_cdma.sim import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Foundation,
+    HeightMap,
+    Indenter,
+    Sphere,
+    at_force,
+)
 from tactile_cdma.sim.indenters import STIFFNESS_PA_PER_M
 
-ABOVE_M, FIRST_M, GROWTH, DEEPEST_M = 2e-3, 1e-4, 1.5, 0.02
-"""The depth that gives a force is searched from ABOVE_M above MuJoCo's place down to DEEPEST_M, m,
-in steps that begin with FIRST_M and grow by GROWTH. Chosen: MuJoCo's contacts are flatter than
-ABOVE_M, and the soft cover of a finger is thinner than DEEPEST_M."""
-HALVINGS = 20
-"""Halvings of the step in which the force is reached: the depth is then known to a few nm."""
+CELL_M, MOST_RAYS, BELOW_M = 1e-3, 1024, 0.03
+"""Of meshes rays find the face that touches: a grid of CELL_M, coarser for a skin that takes more
+than MOST_RAYS, from BELOW_M under the skin. Chosen: 0.5 ms of rays."""
+AT_HOME = Pose(np.eye(3), np.zeros(3))
+PLANE_M = (100.0, 100.0, 1.0)
+"""A plane is the top of a box of this size, m."""
+Geom = int | str
 
 
 class MujocoSkin:
-    """A flat skin on a geom of a MuJoCo model.
+    """A skin on geoms of a MuJoCo model.
 
-    model: MjModel. geom: its name. layout: of the skin. pose: of the skin's frame in the geom's,
-    whose z points out of the geom. stiffness_pa_per_m: of the cover, Pa/m.
-    Raises ParameterError for a geom that is not there.
+    model: MjModel. on: what it covers: a geom, by name or number, or several ones of one body; a
+    body, by name, for all its geoms; or a site, for those of its body. layout: of the skin.
+    pose: of the skin's frame in that of the geom, the body (of several geoms, too) or the site; its
+    z points out. stiffness_pa_per_m: of the cover, Pa/m.
+    Raises ParameterError for what is not there.
     """
 
     def __init__(
         self,
         model: Any,
-        geom: str,
+        on: Geom | Sequence[Geom],
         layout: Layout,
-        pose: Pose,
+        pose: Pose = AT_HOME,
         stiffness_pa_per_m: float = STIFFNESS_PA_PER_M,
     ) -> None:
         self._model, self._pose, self._stiffness_pa_per_m = model, pose, stiffness_pa_per_m
-        self._mujoco = mujoco = import_module("mujoco")
-        self._geom: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
-        if self._geom < 0:
-            raise ParameterError(f"the model has no geom {geom!r}")
-        self._cover = Foundation(layout.positions_m, layout.normals, layout.areas_m2)
-        self._areas_m2 = layout.areas_m2.astype(np.float64)
+        self._mujoco = import_module("mujoco")
+        self._kinds = self._mujoco.mjtGeom
+        self._places, self._number, self._geoms = self._found(on)
+        places_m, normals = layout.positions_m, layout.normals
+        self._cover = Foundation(places_m, normals, layout.areas_m2, layout.aspect)
+        self._out = normals[0].astype(np.float64) if (normals == normals[0]).all() else None
+        low_m, high_m = places_m.min(axis=0), places_m.max(axis=0)
+        self._middle_m = ((low_m + high_m) / 2).astype(np.float64)
+        self._half_m = float(np.linalg.norm(high_m - low_m) / 2 + max(layout.pitches_m))
 
     def frame(self, data: Any) -> Pose:
         """The skin's frame in the world, of the state MjData."""
-        return _pose_of(data, self._geom) @ self._pose
+        place_m, turned = (getattr(data, name)[self._number] for name in self._places)
+        return _pose(place_m, turned) @ self._pose
 
     def forces_n(self, data: Any) -> dict[int, float]:
         """Normal force of every geom that touches the skin's, N, by the other geom's number."""
-        forces_n: dict[int, float] = {}
-        force = np.zeros(6)
-        for number in range(data.ncon):
-            geoms = [int(geom) for geom in data.contact[number].geom]
-            if self._geom in geoms:
-                self._mujoco.mj_contactForce(self._model, data, number, force)
-                [other] = [geom for geom in geoms if geom != self._geom] or [self._geom]
-                forces_n[other] = forces_n.get(other, 0.0) + float(force[0])
-        return forces_n
+        return {geom: force_n for geom, (force_n, _) in self._contacts(data).items()}
 
     def objects(self, data: Any) -> list[Indenter]:
         """What touches the skin in a state, for Skin.press, Skin.step or ~/sim/objects.
 
-        Spheres, cylinders, capsules (as the cylinders between their ends) and boxes; raises
-        ParameterError for other geoms.
+        Spheres, cylinders, capsules, boxes, ellipsoids, planes and meshes; a mesh, as a HeightMap,
+        is not for the topic. Raises ParameterError for other geoms. On a flat skin an object is
+        pressed along its normal, on a curved one along its force.
         """
-        inverse = self.frame(data).inverse
-        return [
-            self._pressed(self._object(geom, inverse @ _pose_of(data, geom)), force_n)
-            for geom, force_n in self.forces_n(data).items()
-            if force_n > 0
-        ]
+        frame = self.frame(data)
+        inverse = frame.inverse
+        found = []
+        for geom, (force_n, vector_n) in self._contacts(data).items():
+            along = -self._out if self._out is not None else _unit(inverse.rotate(vector_n))
+            if self._out is None:
+                force_n = float(np.linalg.norm(vector_n))
+            if force_n > 0:
+                thing = self._object(data, geom, frame, inverse, along)
+                found.append(at_force(self._cover, thing, force_n, along.tolist()))
+        return found
 
-    def _object(self, geom: int, pose: Pose) -> Indenter:
-        mujoco = self._mujoco
-        kind, size = mujoco.mjtGeom(self._model.geom_type[geom]), self._model.geom_size[geom]
+    def _found(self, on: Geom | Sequence[Geom]) -> tuple[tuple[str, str], int, frozenset[int]]:
+        """Names in MjData of place and orientation, the number there, and the skin's geoms."""
+        model, kinds = self._model, self._mujoco.mjtObj
+        if isinstance(on, str):
+            for kind, names, owners in (
+                (kinds.mjOBJ_GEOM, ("geom_xpos", "geom_xmat"), None),
+                (kinds.mjOBJ_BODY, ("xpos", "xmat"), range(model.nbody)),
+                (kinds.mjOBJ_SITE, ("site_xpos", "site_xmat"), model.site_bodyid),
+            ):
+                number = int(self._mujoco.mj_name2id(model, kind, on))
+                if number >= 0:
+                    geoms = [number] if owners is None else self._of_body(int(owners[number]), on)
+                    return names, number, frozenset(geoms)
+            raise ParameterError(f"the model has no geom, body or site {on!r}")
+        numbers = [self._geom(each) for each in ([on] if isinstance(on, int) else on)]
+        if isinstance(on, int):
+            return ("geom_xpos", "geom_xmat"), on, frozenset(numbers)
+        bodies = {int(model.geom_bodyid[number]) for number in numbers}
+        if len(bodies) != 1:
+            raise ParameterError(
+                f"the geoms {list(on)} are of {len(bodies)} bodies; a skin has one"
+            )
+        return ("xpos", "xmat"), bodies.pop(), frozenset(numbers)
+
+    def _geom(self, geom: Geom) -> int:
+        number = geom
+        if isinstance(geom, str):
+            number = self._mujoco.mj_name2id(self._model, self._mujoco.mjtObj.mjOBJ_GEOM, geom)
+        if not 0 <= int(number) < self._model.ngeom:
+            raise ParameterError(f"the model has no geom {geom!r}")
+        return int(number)
+
+    def _of_body(self, body: int, name: str) -> list[int]:
+        geoms = np.flatnonzero(self._model.geom_bodyid == body).tolist()
+        if not geoms:
+            raise ParameterError(f"{name!r} is of a body without geoms: nothing touches it")
+        return geoms
+
+    def _contacts(self, data: Any) -> dict[int, tuple[float, Floats]]:
+        """By geom that touches the skin's: normal force, N, and its vector in the world."""
+        found: dict[int, tuple[float, Floats]] = {}
+        if not data.ncon:
+            return found
+        force = np.zeros(6)
+        for number, (one, other) in enumerate(data.contact.geom.tolist()):
+            if (one in self._geoms) == (other in self._geoms):
+                continue  # somewhere else, or within the skin's own body
+            self._mujoco.mj_contactForce(self._model, data, number, force)
+            # The normal points from the first geom to the second one.
+            theirs, sign = (one, 1.0) if other in self._geoms else (other, -1.0)
+            so_far_n, vector_n = found.get(theirs, (0.0, np.zeros(3)))
+            normal = sign * force[0] * data.contact.frame[number, :3]
+            found[theirs] = so_far_n + float(force[0]), vector_n + normal
+        return found
+
+    def _object(self, data: Any, geom: int, frame: Pose, inverse: Pose, along: Floats) -> Indenter:
+        """frame, inverse: of the skin. along: the direction in which it is pressed."""
+        kinds, size = self._kinds, self._model.geom_size[geom]
+        kind = kinds(self._model.geom_type[geom])
+        if kind == kinds.mjGEOM_MESH:
+            return self._face(data, geom, frame, along)
+        pose = inverse @ _pose(data.geom_xpos[geom], data.geom_xmat[geom])
+        if kind == kinds.mjGEOM_PLANE:
+            pose = pose @ Pose(np.eye(3), np.array([0, 0, -PLANE_M[2] / 2]))
         common: dict[str, Any] = {
             "position_m": pose.translation_m.tolist(),
             "orientation_xyzw": pose.quaternion.tolist(),
             "stiffness_pa_per_m": self._stiffness_pa_per_m,
         }
-        if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        if kind == kinds.mjGEOM_SPHERE:
             return Sphere(radius_m=float(size[0]), **common)
-        if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
-            return Cylinder(radius_m=float(size[0]), length_m=float(2 * size[1]), **common)
-        if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            return Box(size_m=(2 * size).tolist(), **common)
-        name = mujoco.mj_id2name(self._model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+        if kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
+            shape = Cylinder if kind == kinds.mjGEOM_CYLINDER else Capsule
+            return shape(radius_m=float(size[0]), length_m=float(2 * size[1]), **common)
+        if kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_PLANE):
+            edges_m = PLANE_M if kind == kinds.mjGEOM_PLANE else (2 * size).tolist()
+            return Box(size_m=edges_m, **common)
+        if kind == kinds.mjGEOM_ELLIPSOID:
+            return Ellipsoid(size_m=(2 * size).tolist(), **common)
+        name = self._mujoco.mj_id2name(self._model, self._mujoco.mjtObj.mjOBJ_GEOM, geom)
         raise ParameterError(
-            f"geom {name or geom} is a {kind.name}; the skin feels spheres, "
-            "cylinders, capsules and boxes: give the body one of these for contacts"
+            f"geom {name or geom} is a {kind.name}; the skin feels spheres, cylinders, capsules, "
+            "boxes, ellipsoids, planes and meshes: give the body one of these for contacts"
         )
 
-    def _pressed(self, thing: Indenter, force_n: float) -> Indenter:
-        """The object where it touches the skin with this force, moved along the skin's normal.
-
-        One that cannot have the force, as it touches the geom beside the skin, stays where it is.
-        """
-        x, y, z = thing.position_m
-
-        def moved(depth_m: float) -> Indenter:
-            return replace(thing, position_m=(x, y, z - depth_m))
-
-        low_m, high_m, step_m = -ABOVE_M, -ABOVE_M, FIRST_M
-        while self._force_n(moved(high_m)) < force_n:
-            low_m, high_m, step_m = high_m, high_m + step_m, GROWTH * step_m
-            if high_m > DEEPEST_M:
-                return thing
-        for _ in range(HALVINGS):
-            middle_m = (low_m + high_m) / 2
-            if self._force_n(moved(middle_m)) < force_n:
-                low_m = middle_m
-            else:
-                high_m = middle_m
-        return moved(high_m)
-
-    def _force_n(self, *things: Indenter) -> float:
-        return float(self._cover.pressure_pa(things) @ self._areas_m2)
+    def _face(self, data: Any, geom: int, frame: Pose, along: Floats) -> HeightMap:
+        """The face of a mesh that touches the skin, by rays against the direction of pressing."""
+        count = 2 * int(min(self._half_m / CELL_M, np.sqrt(MOST_RAYS) / 2)) + 1
+        cell_m = 2 * self._half_m / (count - 1)
+        map_pose = Pose(_upright(-along), self._middle_m)
+        steps_m = (np.arange(count) - count // 2) * cell_m
+        x, y = (part.ravel() for part in np.meshgrid(steps_m, steps_m))
+        in_world = frame @ map_pose
+        starts_m = in_world.apply(np.column_stack([x, y, np.full(x.size, -BELOW_M)]))
+        way = np.ascontiguousarray(in_world.rotation[:, 2])
+        ray = self._mujoco.mj_rayMesh
+        seen_m = np.array([ray(self._model, data, geom, start_m, way) for start_m in starts_m])
+        return HeightMap(
+            heights_m=np.where(seen_m < 0, np.nan, seen_m - BELOW_M).reshape(count, count),
+            cell_m=cell_m,
+            position_m=map_pose.translation_m.tolist(),
+            orientation_xyzw=map_pose.quaternion.tolist(),
+            stiffness_pa_per_m=self._stiffness_pa_per_m,
+        )
 
 
-def _pose_of(data: Any, geom: int) -> Pose:
-    """A geom's frame in the world."""
-    rotation: Floats = np.array(data.geom_xmat[geom]).reshape(3, 3)
-    return Pose(rotation, np.array(data.geom_xpos[geom]))
+def _pose(place_m: Any, turned: Any) -> Pose:
+    """A frame in the world, from MjData."""
+    return Pose(np.array(turned).reshape(3, 3), np.array(place_m))
+
+
+def _unit(vector: Floats) -> Floats:
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _upright(z: Floats) -> Floats:
+    """A rotation whose z axis is this unit vector."""
+    x = _unit(np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z))
+    return np.column_stack([x, np.cross(z, x), z])

@@ -134,9 +134,9 @@ enum frame_look frame_summed_up(const struct frame_rules *rules, const struct fr
 /* Whether words leave no more than the noise of the gap, and chips have the power of their samples, as
  * LineRecogniser._is_explained and _is_kept say; or those of samples that are chips are believable beyond
  * doubt, as WordFit.believable says; and the frame does not look as if a bit began or ended at rest. outermost:
- * the least level of the bits' first and last chips, V. sampled: power of the samples, V². */
+ * the least level of the bits' first and last chips, V; ends: of the frame's. sampled: power of the samples, V². */
 static bool is_explained(const struct frame_rules *rules, const struct frame_rest *rest,
-                         const float *rows, double outermost, double sampled, float *scratch)
+                         const float *rows, double outermost, double ends, double sampled, float *scratch)
 {
     const struct words_frame *frame = &rules->frame;
     float *amplitude = scratch, *uneven = scratch + frame->nodes, pedestal, power, spread, misfit;
@@ -157,7 +157,8 @@ static bool is_explained(const struct frame_rules *rules, const struct frame_res
         return false;
     bool is_odd = (size_t)active % 2 || CLEARLY * weakest < rules->whole * (double)frame->swing;
     bool may_be_shifted = active <= rules->few && !rules->scrambled;
-    if (may_be_shifted && left > CLEARLY * rules->hiding * weakest * weakest)
+    bool may_rest = !rules->scrambled && CLEARLY * CLEARLY * ends * ends < rules->at_rest * rules->at_rest * left;
+    if ((may_be_shifted || may_rest) && left > CLEARLY * rules->hiding * weakest * weakest)
         return false;
     if (may_be_shifted && is_odd && !frame->unipolar &&
         CLEARLY * outermost < rules->rest * weakest)
@@ -292,7 +293,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         return read_sparse(code, volts, rows, found);
     if (!find_chips(rules, code, edges, found->level, volts, count, rows))
         return FRAME_NO_TIMING;
-    double outermost = INFINITY;
+    double outermost = INFINITY, ends = fmin(fabs((double)rows[0]), fabs((double)rows[chips - 1]));
     for (size_t bit = 0; bit < frame->bits; bit++) {
         double first = fabs((double)rows[bit * frame->order]);
         double last = fabs((double)rows[(bit + 1) * frame->order - 1]);
@@ -300,7 +301,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         outermost = outermost < last ? outermost : last;
     }
     transform_multiply(code->transform, rows, rows, frame->bits);
-    if (!is_explained(rules, rest, rows, outermost, power, scratch))
+    if (!is_explained(rules, rest, rows, outermost, ends, power, scratch))
         return FRAME_UNEXPLAINED;
     if (!rules->integrated) {
         double missing = timing->until - (double)count;

@@ -60,7 +60,7 @@ struct frame_rules {
     double most_noise;         /* of a chip, V, in which no word is missed; infinite if unknown */
     double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
     double deafened, carried_noise, carried_misfit, loud;
-    double spread, misfit, left, clear_spread, chips, few, whole, hiding, kept, rest;
+    double spread, misfit, left, clear_spread, chips, few, whole, hiding, kept, rest, at_rest;
     double tail_noise, tail_scatter, tail_level, least_tail;
     bool integrated;     /* samples are chips; there is no timing, and no gap */
     bool mean_is_offset; /* of a frame, until a gap has shown it */

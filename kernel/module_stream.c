@@ -101,7 +101,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, frame.chips),               FIELD(stream_rules, frame.few),
     FIELD(stream_rules, frame.whole),               FIELD(stream_rules, frame.hiding),
     FIELD(stream_rules, frame.kept),                FIELD(stream_rules, frame.rest),
-    FIELD(stream_rules, frame.tail_noise),
+    FIELD(stream_rules, frame.at_rest),             FIELD(stream_rules, frame.tail_noise),
     FIELD(stream_rules, frame.tail_scatter),        FIELD(stream_rules, frame.tail_level),
     FIELD(stream_rules, frame.least_tail),          FIELD(stream_rules, frame.integrated),
     FIELD(stream_rules, frame.mean_is_offset),      FIELD(stream_rules, frame.scrambled),
@@ -115,7 +115,8 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
     FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
     FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
-    FIELD(stream_rules, gaps),                      FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, gaps),                      FIELD(stream_rules, least_gap_s),
+    FIELD(stream_rules, most_device_us),
     FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
 };
 

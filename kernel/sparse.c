@@ -26,6 +26,7 @@ struct sparse {
     float *left;            /* what words leave over of them */
     float *sums;            /* (k, 2^m + APART_BY) levels of all codes, times the chips per bit */
     float *told;            /* (2^m) the chips of a bit's words, wherever a chip may be */
+    float *spread;          /* (2^m) 0, but for a bit's words while they are transformed */
     float *loud, *belief;   /* (2^m): mean |r|; share of a word that is believed */
     float *straight, *squares; /* (2^m) of those that are listed: see soften; squares of a frame's levels */
     float *amplitude;       /* (2^m) of a node, V: when it last spoke, in a frame that settled */
@@ -76,7 +77,7 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
         return NULL;
     sparse->book = *book;
     sparse->rules = *rules;
-    sparse->chips = calloc(2 * chips + levels + 7 * book->rows, sizeof(float));
+    sparse->chips = calloc(2 * chips + levels + 8 * book->rows, sizeof(float));
     sparse->unused = malloc(5 * book->rows * sizeof(int32_t));
     if (!(sparse->chips && sparse->unused && make_list(&sparse->now, book) && make_list(&sparse->next, book))) {
         sparse_free(sparse);
@@ -91,6 +92,7 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->squares = sparse->straight + book->rows;
     sparse->amplitude = sparse->squares + book->rows;
     sparse->swings = sparse->amplitude + book->rows;
+    sparse->spread = sparse->swings + book->rows;
     sparse->carried = sparse->unused + book->rows;
     sparse->from = sparse->carried + book->rows;
     sparse->nodes = sparse->from + book->rows;
@@ -146,6 +148,15 @@ VECTORS static void add_squares(size_t rows, const float *restrict sums, float *
 {
     for (size_t i = 0; i < rows; i++)
         squares[i] += sums[i] * sums[i];
+}
+
+VECTORS static bool any_above(size_t rows, const float *values, float most)
+{
+    int any = 0;
+
+    for (size_t i = 0; i < rows; i++)
+        any |= values[i] > most;
+    return any;
 }
 
 VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
@@ -225,17 +236,21 @@ static void exchange(struct sparse *sparse)
     sparse->next = now;
 }
 
-/* Lists the codes that have more; without branches, because it is a guess who has. */
-static void list_above(struct sparse *sparse, const float *values, float least)
+/* Lists the codes that have more: most eights of codes have none, and in others it is a guess who has. */
+VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
-    int32_t *codes = sparse->next.codes;
     size_t count = 0;
 
-    for (size_t code = 0; code < sparse->book.rows; code++) {
-        codes[count] = (int32_t)code;
-        count += values[code] > least;
+    for (size_t first = 0; first < rows; first += LANES) {
+        int any = 0;
+        for (size_t i = 0; i < LANES; i++)
+            any |= values[first + i] > least;
+        for (size_t i = 0; any && i < LANES; i++) {
+            codes[count] = (int32_t)(first + i);
+            count += values[first + i] > least;
+        }
     }
-    sparse->next.count = count;
+    return count;
 }
 
 /* Lists those who are believed, and those who were listed, if what they said is kept. */
@@ -246,7 +261,7 @@ static void list_believed(struct sparse *sparse, bool keeps)
     size_t old = 0;
 
     if (!keeps) {
-        list_above(sparse, sparse->belief, 0);
+        next->count = list_above(sparse->book.rows, sparse->belief, 0, next->codes);
         return;
     }
     next->count = 0;
@@ -341,7 +356,7 @@ static void harden(struct sparse *sparse, float least)
     struct listed *next = &sparse->next;
     const float *loud = sparse->loud;
 
-    list_above(sparse, loud, least);
+    next->count = list_above(book->rows, loud, least, next->codes);
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *sums = sums_of(sparse, bit);
         float *words = next->words + bit * book->rows;
@@ -389,15 +404,16 @@ static void take_off(struct sparse *sparse, double level, float onsager)
     const struct sparse_book *book = &sparse->book;
     const struct listed *now = &sparse->now;
     size_t chips = book->bits * book->order;
-    float *told = sparse->told;
+    float *told = sparse->told, *spread = sparse->spread;
 
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *words = now->words + bit * book->rows;
         size_t first = bit * book->order;
-        memset(told, 0, book->rows * sizeof *told);
         for (size_t i = 0; i < now->count; i++)
-            told[now->codes[i]] = words[i];
-        transform_multiply(book->walsh, told, told, 1);
+            spread[now->codes[i]] = words[i];
+        transform_multiply(book->walsh, spread, told, 1);
+        for (size_t i = 0; i < now->count; i++)
+            spread[now->codes[i]] = 0;
         take(book->order, sparse->chips + first, told, book->places + first, onsager, sparse->left + first);
     }
     sparse->level = isnan(level) ? product(chips, sparse->left, book->flips) / (double)chips : level;
@@ -592,10 +608,15 @@ static bool words_explain(const struct sparse *sparse, double noise)
 static bool silence_rises(struct sparse *sparse, double noise)
 {
     const struct sparse_book *book = &sparse->book;
-    float *squares = sparse->squares, order2 = (float)book->order * (float)book->order;
-    float most = fmaxf((float)sparse->rules.silent_square, (float)(sparse->rules.silent_power * noise)) * order2;
-    int rises = 0;
+    float *squares = sparse->squares, *loud = sparse->loud, order2 = (float)book->order * (float)book->order;
+    float most = fmaxf((float)sparse->rules.silent_square, (float)(sparse->rules.silent_power * noise));
 
+    for (size_t i = 0; i < sparse->next.count; i++)
+        loud[sparse->next.codes[i]] = 0;
+    /* The sum of squares is no more than the square of the sum; but for rounding. */
+    float least = 0.999f * sqrtf(most) / (float)book->bits;
+    if (!any_above(book->rows, loud, least))
+        return false;
     memset(squares, 0, book->rows * sizeof *squares);
     for (size_t bit = 0; bit < book->bits; bit++)
         add_squares(book->rows, sums_of(sparse, bit), squares);
@@ -603,9 +624,7 @@ static bool silence_rises(struct sparse *sparse, double noise)
         squares[sparse->unused[i]] = 0;
     for (size_t i = 0; i < sparse->next.count; i++)
         squares[sparse->next.codes[i]] = 0;
-    for (size_t i = 0; i < book->rows; i++)
-        rises |= squares[i] > most;
-    return rises;
+    return any_above(book->rows, squares, most * order2);
 }
 
 void sparse_learn(const struct sparse *sparse, double found, double *noise)

@@ -26,15 +26,18 @@ from .datasets.samples import (
     SkinFrame,
     check_taxels,
     differences,
+    feature_name,
     in_order,
 )
 from .datasets.skin_samples import patch_info, samples_of
-from .datasets.touch import TouchStream
+from .datasets.touch import HOLD, LAST, TouchStream
 from .skin import Frame, Skin
 
 LAG_S = 0.1
 """An observation is as of the moment that every stream has passed, but at most this old, s, or two
 frame periods of the slowest skin. Chosen: above what a frame takes from its middle on the wire."""
+ROWS_HZ = 30
+"""Of LiveObservation.of, rows per s: with more than 2, nothing depends on it."""
 _READING = (
     *(
         *FRAME_PARAMETERS,
@@ -61,23 +64,30 @@ class LiveObservation:
                 observation.state(joints)
                 action = policy(observation.read())
 
-    dataset: a folder that `tactile-cdma export --lerobot` wrote.
+    dataset: a folder that `tactile-cdma export --lerobot` wrote, or what is to be known of one.
     skins: open skins by the name that their patch has in the dataset; one skin where it has one
         patch. Their frames go here: nobody else must read them. contacts=True is needed where the
         dataset has contacts or wrench.
-    features: shape and dtype of what read() gives, by name. others: the dataset's observations that
+    features: shape and dtype of what read() gives, by name. elements: names of its elements, or of
+        its axes. others: the dataset's observations that
         the program has to add itself, such as images.
 
     CaptureError: raised for a folder that is no such dataset, and for other taxels than its.
     ParameterError: raised where a skin is missing, is too many, or does not find contacts.
     """
 
-    def __init__(self, dataset: str | PathLike[str], skins: Skin | Mapping[str, Skin]) -> None:
-        self._meta = meta = DatasetMeta.read(Path(dataset))
+    def __init__(
+        self, dataset: str | PathLike[str] | DatasetMeta, skins: Skin | Mapping[str, Skin]
+    ) -> None:
+        if not isinstance(dataset, DatasetMeta):
+            dataset = DatasetMeta.read(Path(dataset))
+        self._meta = meta = dataset
         self._skins = {next(iter(meta.slots)): skins} if isinstance(skins, Skin) else dict(skins)
         if self._skins.keys() != meta.slots.keys():
             names = ", ".join(meta.slots)
-            raise ParameterError(f"skins {', '.join(self._skins) or 'none'}; {dataset} has {names}")
+            raise ParameterError(
+                f"skins {', '.join(self._skins) or 'none'}; {meta.path} has {names}"
+            )
         for name, skin in self._skins.items():
             self._check(name, skin)
         touch = {
@@ -91,10 +101,23 @@ class LiveObservation:
         slowest_s = max(skin.config.spec.frame_period_s for skin in self._skins.values())
         self._lag_ns = round(max(LAG_S, 2 * slowest_s) * NANO)
         self.features = {one.name: (one.shape, np.dtype(one.dtype)) for one in meta.features}
+        self.elements = {one.name: one.names for one in meta.features}
         self.others = tuple(meta.others)
 
     def __repr__(self) -> str:
         return f"LiveObservation({str(self._meta.path)!r}, {len(self.features)} features)"
+
+    @classmethod
+    def of(cls, skins: Skin | Mapping[str, Skin]) -> LiveObservation:
+        """Without a dataset: what `tactile-cdma export --samples last` would write of these skins.
+
+        With contacts and wrench where all find contacts. Names become those of the export.
+        """
+        by_name = {skins.config.skin: skins} if isinstance(skins, Skin) else skins
+        named = {feature_name(name): skin for name, skin in by_name.items()}
+        patches = [patch_info(one.config, one.source, name, {}) for name, one in named.items()]
+        contacts = all(one.contacts for one in named.values())
+        return cls(DatasetMeta.of(patches, contacts, ROWS_HZ, LAST, HOLD), named)
 
     @staticmethod
     def parameters(dataset: str | PathLike[str], patch: str = "") -> dict[str, Any]:
@@ -145,20 +168,22 @@ class LiveObservation:
         now_ns = self._now_ns()
         self._present.add(Sample(key, now_ns if stamp_ns is None else stamp_ns, now_ns, found))
 
-    def read(self) -> dict[str, NDArray[Any]]:
+    def read(self, now: bool = False) -> dict[str, NDArray[Any]]:
         """The observation of the present, at once: arrays as the dataset has them, by feature.
 
         Of the newest moment that all streams have passed, so that nothing of it can still be on its
-        way, but none older than LAG_S. Raises ObservationError, with the reason, where the dataset
-        would have no row: a stream has not begun, the state is too old, or, with --nan drop, a
-        taxel has no valid reading. PortError if a skin is closed.
+        way, but none older than LAG_S; now: of this very moment, as a recorder's rows are. Raises
+        ObservationError, with the reason, where the dataset would have no row: a stream has not
+        begun, the state is too old, or, with --nan drop, a taxel has no valid reading. PortError
+        if a skin is closed.
         """
         for name, skin in self._skins.items():
             for frame in skin.waiting():
                 self.take(frame, name)
         now_ns = self._now_ns()
         passed_ns = min((stamp for stamp, _ in self._present.newest.values()), default=now_ns)
-        return self.at(max(min(now_ns, passed_ns), now_ns - self._lag_ns, self._present.done_ns))
+        oldest_ns = now_ns if now else now_ns - self._lag_ns
+        return self.at(max(min(now_ns, passed_ns), oldest_ns, self._present.done_ns))
 
     def take(
         self,

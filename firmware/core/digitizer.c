@@ -114,12 +114,23 @@ static enum tp_result divide(struct dg *dg, const struct tp_groups *asked)
     return TP_RESULT_OK;
 }
 
+static enum tp_result number(struct dg *dg, const struct tp_number *asked)
+{
+    if (!tp_number_in_range(asked))
+        return TP_RESULT_OUT_OF_RANGE;
+    if (!dg->running || dg->board->layout || !setup_has_numbers(&dg->setup))
+        return TP_RESULT_UNSUPPORTED;
+    pulses_number(&dg->pulses, asked->number, asked->forget);
+    return TP_RESULT_OK;
+}
+
 /* Executes the command just read. */
 static enum tp_result obey(struct dg *dg)
 {
     uint8_t type = dg->reader.header.type;
     struct tp_configure asked;
     struct tp_groups groups;
+    struct tp_number named;
 
     switch (type) {
     case TP_GET_INFO:
@@ -140,6 +151,11 @@ static enum tp_result obey(struct dg *dg)
             return TP_RESULT_BAD_LENGTH;
         memcpy(&groups, dg->reader.payload, sizeof groups);
         return divide(dg, &groups);
+    case TP_NUMBER:
+        if (dg->reader.payload_size != sizeof named)
+            return TP_RESULT_BAD_LENGTH;
+        memcpy(&named, dg->reader.payload, sizeof named);
+        return number(dg, &named);
     default:
         return dg->board->command
                    ? dg->board->command(type, dg->reader.payload, dg->reader.payload_size)

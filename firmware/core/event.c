@@ -15,17 +15,12 @@ void event_init(struct event *e, const struct tp_node_record *record, uint16_t r
     e->called = record->nodes;
 }
 
-static bool farther(uint16_t a, uint16_t b, uint16_t distance)
-{
-    return (a > b ? a - b : b - a) > distance;
-}
-
 bool event_talks(const struct event *e, uint16_t code)
 {
     if (e->called < e->nodes)
         return e->called == e->turn;
-    return e->threshold == 0 || farther(code, e->rest, e->threshold) ||
-           farther(code, e->last_sent, e->threshold) || e->owes ||
+    return e->threshold == 0 || event_farther(code, e->rest, e->threshold) ||
+           event_farther(code, e->last_sent, e->threshold) || e->owes ||
            (e->heartbeat && e->to_heartbeat == 0);
 }
 

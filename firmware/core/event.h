@@ -27,6 +27,12 @@ struct event {
     uint16_t called;         /* frames of the roll call begun so far; `nodes`: no roll call */
 };
 
+/* Whether codes differ by more than this. */
+static inline bool event_farther(uint16_t a, uint16_t b, uint16_t distance)
+{
+    return (a > b ? a - b : b - a) > distance;
+}
+
 /* rest: code at rest, learnt or from the record. */
 void event_init(struct event *e, const struct tp_node_record *record, uint16_t rest);
 

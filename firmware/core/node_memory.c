@@ -15,9 +15,14 @@ static uint16_t octets(const struct tp_node_record *record)
     return record->digits ? record->digits : (uint16_t)((record->order + 7u) / 8u);
 }
 
+uint16_t node_memory_size(const struct tp_node_record *record)
+{
+    return (uint16_t)(sizeof *record + octets(record) + sizeof(uint32_t));
+}
+
 static bool intact(const struct tp_node_record *record, node_memory_reader *read)
 {
-    uint16_t size = (uint16_t)(sizeof *record + octets(record) + sizeof(uint32_t));
+    uint16_t size = node_memory_size(record);
     uint32_t crc = 0;
 
     for (uint16_t address = 0; address < size; address++) {

@@ -18,6 +18,9 @@ enum node_memory_fault {
     NODE_MEMORY_UNFIT = 4,    /* a valid record beyond this board's struct node_limits */
 };
 
+/* Octets of a whole memory: record, code, CRC-32. */
+uint16_t node_memory_size(const struct tp_node_record *record);
+
 /* Reads record and row (limits->order / 8 bytes, rounded up, at least 16), which are valid only if the
  * result is GOOD. row: of a sparse code its first octets. */
 enum node_memory_fault node_memory_load(struct tp_node_record *record, uint8_t *row,

@@ -2,6 +2,8 @@
 
 #include "pulses.h"
 
+#include "turn.h"
+
 #define LEAD_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US)
 
 void pulses_begin(struct pulses *pulses, const struct setup *setup)
@@ -9,7 +11,8 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
     pulses->setup = setup;
     pulses->mark = setup->first_mark;
     pulses->frame = pulses->chip = pulses->turns = 0;
-    pulses->log2_groups = pulses->group = pulses->announced = pulses->digits = 0;
+    pulses->log2_groups = pulses->group = pulses->announced = 0;
+    pulses->digits = 0;
     __asm__ volatile("" ::: "memory"); /* an interrupt may use the above once `on` is set */
     pulses->on = setup->marked;
 }
@@ -19,6 +22,7 @@ void pulses_end(struct pulses *pulses)
     pulses->on = false;
     pulses->call_asked = false;
     pulses->log2_asked = 0;
+    pulses->number_asked = 0;
     __asm__ volatile("" ::: "memory"); /* the caller may change the setup from here on */
 }
 
@@ -40,6 +44,13 @@ bool pulses_called(const struct pulses *pulses, uint32_t frame)
 void pulses_divide(struct pulses *pulses, uint8_t log2_groups)
 {
     pulses->log2_asked = log2_groups;
+}
+
+void pulses_number(struct pulses *pulses, uint16_t number, bool forget)
+{
+    uint16_t digits = (uint16_t)(number << TP_TURN_NUMBER_SHIFT) | (forget ? TP_TURN_FORGET : 0);
+
+    pulses->number_asked = digits ? digits | TP_TURN_NUMBERS : 0;
 }
 
 uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame)
@@ -67,8 +78,10 @@ static uint8_t take_turn(struct pulses *pulses)
 static void announce_frame(struct pulses *pulses)
 {
     bool begins = pulses->call_asked;
-    uint8_t turn = take_turn(pulses);
+    uint16_t turn = take_turn(pulses), number = pulses->number_asked;
 
+    if (number && pulses->frame > 0) /* before the first one there is no time for it */
+        turn = number;
     if (begins) {
         pulses->call_asked = false;
         pulses->turns = pulses->setup->asked.frame.nodes;
@@ -80,18 +93,19 @@ static void announce_frame(struct pulses *pulses)
     } else {
         pulses->called &= ~bit(pulses->frame);
     }
-    pulses->turn[pulses->frame % PULSES_AHEAD] = pulses->digits = turn;
+    pulses->turn[pulses->frame % PULSES_AHEAD] = turn & TURN_OF_GROUPS;
+    pulses->digits = turn;
     pulses->announced = begins ? TP_SYNC_CALL : TP_SYNC_FRAME;
 }
 
 /* Goes back from a frame's pulse to that of the highest digit left. */
 static void take_digit(struct pulses *pulses, struct dg_pulse *pulse)
 {
-    uint8_t digit = TP_TURN_MOST_LOG2;
+    uint8_t digit = TURN_DIGITS - 1u;
 
     while (!(pulses->digits >> digit))
         digit--;
-    pulses->digits ^= (uint8_t)(1u << digit);
+    pulses->digits ^= (uint16_t)(1u << digit);
     pulse->tick -= (uint64_t)(digit + 1u) * TP_SYNC_DIGIT * TP_SYNC_UNIT_US * pulses->setup->ticks_per_us;
     pulse->units = TP_SYNC_RESTART;
 }

@@ -27,6 +27,7 @@ struct pulses {
     volatile bool call_asked;     /* … and no frame of it has begun */
     volatile uint32_t called;     /* bit f % PULSES_AHEAD: frame f belongs to a roll call */
     volatile uint8_t log2_asked;  /* of the groups, from the next frame on */
+    volatile uint16_t number_asked; /* … and what is said of a number: a turn with its digits; 0: nothing */
     volatile uint8_t turn[PULSES_AHEAD]; /* of frame f at f % PULSES_AHEAD */
     const struct setup *setup;
     uint64_t mark;                /* tick at which the present frame begins */
@@ -35,7 +36,7 @@ struct pulses {
     uint32_t turns;               /* frames left of the roll call */
     uint8_t log2_groups, group;   /* in force; the next frame's */
     uint8_t announced;            /* length of the next frame's pulse, in TP_SYNC_UNIT_US; 0: not begun yet */
-    uint8_t digits;               /* of its turn, whose pulses are to come */
+    uint16_t digits;              /* of its turn, whose pulses are to come */
 };
 
 /* Starts at the stream's first frame. The setup must not change until pulses_end. */
@@ -46,6 +47,9 @@ void pulses_end(struct pulses *pulses);
 void pulses_call(struct pulses *pulses);
 /* Divides the nodes into 2^log2_groups groups, from the next frame without a pulse on; pulses_end undoes it. */
 void pulses_divide(struct pulses *pulses, uint8_t log2_groups);
+/* Announces a number from the next frame without a pulse on, in place of groups; 0 with `forget` false, and
+ * pulses_end, end that. */
+void pulses_number(struct pulses *pulses, uint16_t number, bool forget);
 /* The turn of a frame, whose pulse pulses_next has returned; 0: of all nodes. */
 uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame);
 /* Whether a frame, whose pulse pulses_next has returned, belongs to a roll call. */

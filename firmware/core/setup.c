@@ -3,6 +3,7 @@
 #include "setup.h"
 
 #include "frame.h"
+#include "turn.h"
 
 #define LEAD_US (TP_SYNC_LEAD * TP_SYNC_UNIT_US)
 
@@ -47,6 +48,24 @@ bool setup_has_turns(const struct setup *setup)
                                 frame->frame_period_us * 1000ull;
 }
 
+/* From the pulse of a frame's last sub-slot to the next frame's. */
+static uint64_t last_pulse_ns(const struct setup *setup)
+{
+    const struct tp_frame_layout *frame = &setup->asked.frame;
+    uint32_t slots = frame->resync_chips ? (setup->chips - 1) / frame->resync_chips : 0;
+
+    return frame->frame_period_us * 1000ull -
+           (uint64_t)place(setup, slots * frame->resync_chips) * frame->chip_ns;
+}
+
+bool setup_has_numbers(const struct setup *setup)
+{
+    /* the highest digit's pulse comes two leads after that */
+    uint64_t digits_us = (TURN_DIGITS * TP_SYNC_DIGIT + 2 * TP_SYNC_LEAD) * TP_SYNC_UNIT_US;
+
+    return setup->marked && last_pulse_ns(setup) >= digits_us * 1000;
+}
+
 /* Whether a frame fits its period, and successive pulses of the sync line are two leads apart. */
 static bool timely(const struct setup *setup)
 {
@@ -59,9 +78,8 @@ static bool timely(const struct setup *setup)
     if (!setup->marked)
         return frame->resync_chips == 0 && !setup->asked.integrated;
     if (frame->resync_chips && setup->chips > frame->resync_chips) {
-        uint32_t last = (setup->chips - 1) / frame->resync_chips * frame->resync_chips;
         uint64_t slot_ns = (uint64_t)place(setup, frame->resync_chips) * frame->chip_ns;
-        between_ns = period_ns - (uint64_t)place(setup, last) * frame->chip_ns;
+        between_ns = last_pulse_ns(setup);
         if (slot_ns < between_ns)
             between_ns = slot_ns;
     }

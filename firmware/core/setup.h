@@ -46,6 +46,9 @@ bool setup_make(struct setup *setup, const struct dg_board *board,
 /* Whether there is time before a frame for the pulses of its turn. */
 bool setup_has_turns(const struct setup *setup);
 
+/* Whether there is time after a frame's last pulse for those of a number. */
+bool setup_has_numbers(const struct setup *setup);
+
 /* Time from a frame's mark to the start of chip `chip`, in thousandths of a tick. */
 uint64_t setup_chip_place(const struct setup *setup, uint32_t chip);
 

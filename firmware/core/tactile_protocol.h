@@ -40,6 +40,10 @@
 #define TP_SYNC_DIGIT 8u
 #define TP_TURN_SHIFT 3u
 #define TP_TURN_MOST_LOG2 4u
+#define TP_TURN_NUMBERS 1u
+#define TP_TURN_NUMBER_SHIFT 5u
+#define TP_TURN_NUMBER_BITS 10u
+#define TP_TURN_FORGET 32768u
 #define TP_NODE_MAGIC 1314145108u
 #define TP_NODE_VERSION 3u
 #define TP_NODE_LEARN_REST 65535u
@@ -61,6 +65,7 @@
 #define TP_PACK 0x86
 #define TP_TOUCH 0x87
 #define TP_BOOTSEL 0x88
+#define TP_NUMBER 0x8A
 #define TP_GROUPS 0x89
 
 /* flags of struct tp_samples and struct tp_quiet */
@@ -384,6 +389,21 @@ _Static_assert(sizeof(struct tp_touch) == 5, "size of tp_touch");
 static inline bool tp_touch_in_range(const struct tp_touch *m)
 {
     return (m->scene == 0 || m->scene == 1 || m->scene == 2 || m->scene == 3 || m->scene == 4);
+}
+
+/* Has a node that is pressed take a number, or nodes forget theirs. */
+struct __attribute__((packed)) tp_number {
+    uint16_t number; /* to take, or to forget; 0: none, or all */
+    uint8_t forget; /* 1: they forget it */
+};
+TP_ASSERT_AT(tp_number, number, 0);
+TP_ASSERT_AT(tp_number, forget, 2);
+_Static_assert(sizeof(struct tp_number) == 3, "size of tp_number");
+/* Whether every field is within its range. */
+static inline bool tp_number_in_range(const struct tp_number *m)
+{
+    return m->number <= 1023u &&
+           m->forget <= 1u;
 }
 
 /* Divides the nodes into groups that transmit by turns. */

@@ -21,13 +21,17 @@ size_t commands_plain(struct input *input, uint8_t type, uint8_t *wire)
 
 size_t commands_any(struct input *input, uint8_t *wire)
 {
-    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL, TP_PACK, TP_GROUPS};
+    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL, TP_PACK, TP_GROUPS, TP_NUMBER};
     uint8_t type = input_u8(input);
     const uint8_t *payload;
 
     if (type < 0xC0 && types[type % sizeof types] == TP_GROUPS) {
         uint8_t log2_groups = input_u8(input) % 6;
         return packet(input, TP_GROUPS, &log2_groups, 1, wire);
+    }
+    if (type < 0xC0 && types[type % sizeof types] == TP_NUMBER) {
+        struct tp_number number = {.number = input_u16(input) % 1100, .forget = input_u8(input) % 3};
+        return packet(input, TP_NUMBER, &number, sizeof number, wire);
     }
     if (type < 0xC0)
         return commands_plain(input, types[type % sizeof types], wire);

@@ -136,7 +136,8 @@ static void ask_pulses(struct bench *bench, unsigned more)
         bool frame = line->chip == 0 && !line->begun; /* what it says is decided now */
         more -= more > 0;
         MUST(dg_pulse(&bench->dg, &pulse), WRONG_VALUE);
-        line_pulse(line, &pulse, frame && host->call_asked, host->log2_asked);
+        line_pulse(line, &pulse, frame && host->call_asked, host->log2_asked,
+                   host->number_asked);
         host->call_asked &= !frame;
     }
 }

@@ -295,9 +295,9 @@ static void check_pulse(uint32_t ticks)
 /* A pulse stands for a digit within two units of its place. */
 static void check_digit(uint32_t ticks)
 {
-    uint8_t bit = turn_digit(ticks, UNIT_TICKS);
+    uint16_t bit = turn_digit(ticks, TP_SYNC_DIGIT * UNIT_TICKS);
 
-    for (uint32_t digit = 0; digit <= TP_TURN_MOST_LOG2; digit++) {
+    for (uint32_t digit = 0; digit < TURN_DIGITS; digit++) {
         bool there = apart(ticks, (digit + 1) * TP_SYNC_DIGIT * UNIT_TICKS) <= 2 * UNIT_TICKS;
         MUST(there == (bit >> digit & 1), WRONG_VALUE);
     }
@@ -310,7 +310,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     uint8_t *row = malloc(ROW_OCTETS);
 
     check_pulse(input_u32(&input) % (8 * UNIT_TICKS));
-    check_digit(input_u32(&input) % (50 * UNIT_TICKS));
+    check_digit(input_u32(&input) % (140 * UNIT_TICKS));
     check_pulse(input_u32(&input));
     write_memory(&input);
     enum node_memory_fault fault = node_memory_load(&record, row, limits, read_memory);

@@ -40,6 +40,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
         host->restarted |= host->running;
         host->running = host->call_asked = host->packs = false;
         host->log2_asked = 0;
+        host->number_asked = 0;
     }
     return result;
 }
@@ -47,9 +48,13 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
 static enum tp_result done(struct host *host, uint8_t type, const uint8_t *payload, size_t size)
 {
     if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
-        type != TP_ROLL_CALL && type != TP_PACK && type != TP_GROUPS)
+        type != TP_ROLL_CALL && type != TP_PACK && type != TP_GROUPS &&
+        type != TP_NUMBER)
         return TP_RESULT_UNKNOWN_COMMAND;
-    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure) : type == TP_GROUPS ? 1 : 0))
+    if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure)
+                 : type == TP_NUMBER  ? 3
+                 : type == TP_GROUPS  ? 1
+                                      : 0))
         return TP_RESULT_BAD_LENGTH;
     if (type == TP_CONFIGURE)
         return configured(host, payload);
@@ -59,6 +64,14 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
         if (!host->running || !settings_has_turns(&host->settings))
             return TP_RESULT_UNSUPPORTED;
         host->log2_asked = payload[0];
+    } else if (type == TP_NUMBER) {
+        uint16_t number = (uint16_t)(payload[0] | payload[1] << 8);
+
+        if (number > 1023 || payload[2] > 1)
+            return TP_RESULT_OUT_OF_RANGE;
+        if (!host->running || !settings_has_numbers(&host->settings))
+            return TP_RESULT_UNSUPPORTED;
+        host->number_asked = number || payload[2] ? (uint16_t)(1u | number << 5 | payload[2] << 15) : 0;
     } else if (type == TP_ROLL_CALL) {
         if (!host->running || !host->settings.marked || host->settings.asked.integrated)
             return TP_RESULT_UNSUPPORTED;
@@ -70,6 +83,7 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
         host->running = type == TP_START;
         host->call_asked = false;
         host->log2_asked = 0;
+        host->number_asked = 0;
     }
     return TP_RESULT_OK;
 }

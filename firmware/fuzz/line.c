@@ -42,7 +42,7 @@ static wide frame_begin(const struct line *line, uint64_t frame)
 }
 
 /* What the next frame's pulses must say. */
-static void begin_frame(struct line *line, bool call, uint8_t log2_groups)
+static void begin_frame(struct line *line, bool call, uint8_t log2_groups, uint16_t number)
 {
     uint8_t groups = (uint8_t)(1u << log2_groups);
 
@@ -61,10 +61,15 @@ static void begin_frame(struct line *line, bool call, uint8_t log2_groups)
     line->group = (uint8_t)((line->group + 1) % groups);
     line->turns -= line->turns > 0;
     line->digits = line->turn[line->frame];
+    if (number && line->frame && !line->called[line->frame]) { /* the first one comes too soon */
+        line->turn[line->frame] = 1;
+        line->digits = number;
+    }
     line->begun = true;
 }
 
-void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups)
+void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups,
+                uint16_t number)
 {
     const struct settings *settings = &line->settings;
     const struct tp_frame_layout *frame = &settings->asked.frame;
@@ -79,12 +84,12 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint
                          : 0;
     wide tick = (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us - early;
     if (line->chip == 0 && !line->begun) {
-        begin_frame(line, call, log2_groups);
+        begin_frame(line, call, log2_groups, number);
         line->call = call;
     }
     if (line->chip == 0 && line->digits) {
         int digit = 31 - __builtin_clz(line->digits);
-        line->digits ^= (uint8_t)(1u << digit);
+        line->digits ^= (uint16_t)(1u << digit);
         MUST(pulse->tick == tick - (wide)(digit + 1) * 128 * settings->ticks_per_us, WRONG_VALUE);
         MUST(pulse->units == TP_SYNC_RESTART, WRONG_VALUE);
         return;

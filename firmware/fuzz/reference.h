@@ -68,6 +68,7 @@ wide settings_chip(const struct settings *settings, uint32_t chip);
 
 /* Whether 832 µs or more lie between a frame's end and the next one, and these are marked. */
 bool settings_has_turns(const struct settings *settings);
+bool settings_has_numbers(const struct settings *settings);
 
 /* Number of the first sample at or after a time. */
 uint64_t settings_sample(const struct settings *settings, wide time);
@@ -95,7 +96,7 @@ struct line {
     size_t frames;  /* room for so many there */
     bool begun;     /* the next frame's first pulse has been taken … */
     bool call;      /* … and it begins a roll call */
-    uint8_t digits; /* whose pulses are still due before it */
+    uint16_t digits; /* whose pulses are still due before it */
     uint8_t log2_groups, group; /* in force; the next frame's */
     uint64_t next;  /* index of the word after the last one that was told of */
 };
@@ -118,8 +119,9 @@ void line_free(struct line *line);
 /* Samples of the converter; counts NULL: lost ones. */
 void line_add(struct line *line, const uint16_t *counts, size_t size);
 
-/* The next pulse. call: whether a roll call was asked for since the last frame's. log2_groups: asked for. */
-void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups);
+/* The next pulse. call: whether a roll call was asked for since the last frame's. log2_groups, number: asked for. */
+void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups,
+                uint16_t number);
 /* So many samples come before what the next pulse announces. */
 uint64_t line_covered(const struct line *line);
 /* Frames by which pulses are ahead of the samples. */
@@ -158,6 +160,7 @@ struct host {
     bool restarted;           /* since the harness has looked */
     bool call_asked;          /* … and not yet begun */
     uint8_t log2_asked;       /* of the groups */
+    uint16_t number_asked;    /* in the digits of a turn; 0: none */
     bool packs;               /* packed samples were asked for since the last CONFIGURE */
     uint32_t refused, errors;
     struct host_run sent;

@@ -111,6 +111,14 @@ bool settings_has_turns(const struct settings *settings)
     return settings->marked && end + (wide)832000 * settings->ticks_per_us <= settings->period;
 }
 
+bool settings_has_numbers(const struct settings *settings)
+{
+    uint32_t resync = settings->asked.frame.resync_chips;
+    wide last = resync ? settings_chip(settings, (settings->chips - 1) / resync * resync) : 0;
+
+    return settings->marked && last + (wide)2176000 * settings->ticks_per_us <= settings->period;
+}
+
 uint64_t settings_sample(const struct settings *settings, wide time)
 {
     wide sample = (wide)1000 * settings->ticks_per_sample;

@@ -44,3 +44,8 @@ uint8_t board_memory_byte(uint16_t address)
 {
     return eeprom_read_byte((const uint8_t *)address);
 }
+
+void board_memory_write(uint16_t address, uint8_t byte)
+{
+    eeprom_update_byte((uint8_t *)address, byte);
+}

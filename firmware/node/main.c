@@ -42,6 +42,7 @@ static uint16_t code;      /* of the plan */
 /* Frame periods in a row with pulses, but no frame's pulse at its time. */
 static uint8_t strange;
 #define STRANGE 32 /* of them the LED tells; chosen: half a second or so, more than a restarted digitizer takes */
+#define PRESSED 16u /* 1/256 of the range: as far from rest a node takes a number. Chosen: a clear press */
 #define BLINK 8u   /* frames that it is lit, and as many dark. Chosen: 0.1 s, unlike the faults above */
 
 /* Waits until a frame begins (returns true) or a time comes. Feeds the watchdog while time advances. */
@@ -102,15 +103,23 @@ static void tell(bool sound)
     else if (talk_pulsed && strange < STRANGE)
         strange++;
     talk_pulsed = 0;
-    board_led(strange == STRANGE && turns++ & BLINK);
+    board_led(strange == STRANGE ? turns++ & BLINK : number_lacks());
 }
 
 static void plan(void)
 {
     talk_stop();
     code = measured_code();
-    talk_plan(&clock, code, clock_known && event_talks(&event, code),
-              clock_known && event_talks_first(&event));
+    bool ready = clock_known && !number_lacks();
+    talk_plan(&clock, code, ready && event_talks(&event, code), ready && event_talks_first(&event), ready);
+}
+
+static void begin(uint16_t rest)
+{
+    event_init(&event, &record, rest);
+    discipline_init(&clock, &record, BOARD_TICKS_PER_US);
+    clock_known = !record.discipline;
+    talk_init(&record, row);
 }
 
 static void frame_began(void)
@@ -126,6 +135,9 @@ static void frame_began(void)
     heard = ever_heard = true;
     talk_expect(mark + clock.period);
     event_frame(&event, frame.units == TP_SYNC_CALL, frame.others, frame.spoke, code);
+    if (BOARD_LARGE && number_heard(frame.turn, event_farther(code, event.rest, PRESSED << record.bits >> 8), &record, row,
+                     &limits))
+        begin(event.rest);
 }
 
 /* No pulse came: counts the frame all the same, so that heartbeats and roll calls keep their turns. */
@@ -149,10 +161,7 @@ int main(void)
     if (fault)
         blink(fault);
 
-    event_init(&event, &record, record.rest == TP_NODE_LEARN_REST ? learnt_rest() : record.rest);
-    discipline_init(&clock, &record, BOARD_TICKS_PER_US);
-    clock_known = !record.discipline;
-    talk_init(&record, row);
+    begin(record.rest == TP_NODE_LEARN_REST ? learnt_rest() : record.rest);
     mark = board_now();
     for (;;) {
         plan();

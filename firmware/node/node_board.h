@@ -27,6 +27,8 @@ void board_sleep(uint32_t when, const volatile uint8_t *event);
 uint16_t board_measure(void);
 void board_led(bool on);
 uint8_t board_memory_byte(uint16_t address);
+/* Begins to change it; takes 3.4 ms, for which the next one waits. */
+void board_memory_write(uint16_t address, uint8_t byte);
 /* Of the table in the node's flash (protocol.yaml), for BOARD_LARGE only. */
 uint8_t board_flash_byte(uint16_t address);
 

@@ -14,6 +14,7 @@
 #define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
 
 static volatile uint8_t plan;      /* pulses that begin a transmission: bit per length in units */
+#define ANSWERS 0x80u              /* … and whether an ordinary one does where this node's number is announced */
 
 static uint32_t rise;              /* when the present pulse of the sync line began */
 static bool high;                  /* whether the sync line is high */
@@ -27,8 +28,10 @@ static uint8_t guard_chips;
 
 static uint16_t node;
 static uint32_t due;               /* when the next frame's pulse is expected */
-static uint8_t turn;               /* its digits so far … */
-static bool others;                /* … by which it is another group's turn */
+static uint16_t digit_ticks;       /* by this clock, from it back to the pulse of each digit of its turn */
+static uint16_t turn;              /* its digits so far … */
+static bool others;                /* … by which it is another group's turn, or announces a number … */
+static bool named;                 /* … which is this node's */
 
 static struct talk_frame frame;
 volatile uint8_t talk_began, talk_pulsed;
@@ -48,7 +51,9 @@ static BOARD_INLINE uint8_t answers(void)
         return 1u << TP_SYNC_RESTART;
     if (!may_frame)
         return 0;
-    return others ? plan & 1u << TP_SYNC_CALL : plan;
+    if (BOARD_LARGE && others)
+        return named && plan & ANSWERS ? 1u << TP_SYNC_FRAME : plan & 1u << TP_SYNC_CALL;
+    return BOARD_LARGE ? plan & (uint8_t)~ANSWERS : plan;
 }
 
 static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
@@ -60,12 +65,15 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
         frame.when = rise;
         frame.units = units;
         frame.others = others;
+        if (SPARSE_CODES)
+            frame.turn = turn;
         frame.spoke = spoke;
         talk_began = 1;
         plan = 0;
     } else if (SPARSE_CODES && units == TP_SYNC_RESTART && !spoke) {
-        turn |= turn_digit(due - rise, UNIT_TICKS);
-        others = turn_is_others(turn, node);
+        turn |= turn_digit(due - rise, digit_ticks);
+        named = turn_number(turn) == node;
+        others = turn_has_number(turn) || turn_is_others(turn, node);
     }
 }
 
@@ -125,10 +133,12 @@ void talk_expect(uint32_t when)
         due = when;
         turn = 0;
         others = false;
+        if (BOARD_LARGE)
+            named = false;
     }
 }
 
-void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first)
+void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first, bool answers)
 {
     uint32_t guard_ticks = guard_chips * (clock->chip_q16 >> 8) >> 8;
     uint32_t slot_ticks = 0;
@@ -137,11 +147,13 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool t
         slot_ticks = (uint32_t)((uint64_t)slot_places * clock->chip_q16 >> 16);
     chips_plan(clock, code);
     /* a guard allows for clocks that are off by as much */
+    if (SPARSE_CODES)
+        digit_ticks = (uint16_t)(clock->lead_q16 * (TP_SYNC_DIGIT / TP_SYNC_LEAD) >> 16);
     restart_earliest = slot_ticks - guard_ticks;
     restart_width = 2u * guard_ticks;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         earliest = discipline_earliest(clock);
-    plan = (uint8_t)(talks << TP_SYNC_FRAME | talks_first << TP_SYNC_CALL);
+    plan = (uint8_t)(talks << TP_SYNC_FRAME | talks_first << TP_SYNC_CALL | (BOARD_LARGE && answers ? ANSWERS : 0));
 }
 
 void talk_stop(void)

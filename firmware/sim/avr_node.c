@@ -587,6 +587,15 @@ void node_forget(struct avr_node *node, int64_t t_ns)
     memmove(node->edges, node->edges + old, node->size * sizeof *node->edges);
 }
 
+size_t node_memory(struct avr_node *node, uint8_t *bytes, size_t size)
+{
+    size_t all = node->avr->e2end + 1u;
+    avr_eeprom_desc_t content = {.ee = bytes, .size = (uint32_t)(size < all ? size : all)};
+
+    avr_ioctl(node->avr, AVR_IOCTL_EEPROM_GET, &content);
+    return content.size;
+}
+
 bool node_led(const struct avr_node *node)
 {
     const uint8_t *data = node->avr->data;

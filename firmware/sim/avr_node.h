@@ -82,6 +82,8 @@ size_t node_edges(const struct avr_node *node, const struct pin_edge **edges, in
 /* Forgets edges before a time. */
 void node_forget(struct avr_node *node, int64_t t_ns);
 
+/* Copies the beginning of its EEPROM, at most `size`; returns how much. */
+size_t node_memory(struct avr_node *node, uint8_t *bytes, size_t size);
 bool node_led(const struct avr_node *node);
 void node_count(const struct avr_node *node, struct node_counters *counters);
 

@@ -5,17 +5,17 @@
     images of the fast node (simavr) → pins → analog line → the RP2040's image → USB → driver
 
 A share of the nodes is pressed at random, another in every frame; then 300 at once (a hug); then
-all. That is more than a frame holds, so the digitizer is asked for groups, and all are heard by
-turns. Nodes are told from the rules of docs/protocol.md, frame by frame: what each has to say, and
-when; every word and every silence of a frame that is certain is compared with that.
+all. That is more than a frame holds, so the driver asks the digitizer for groups, and all are heard
+by turns. Nodes are told from the rules of docs/protocol.md, frame by frame: what each has to say,
+and when; every word and every silence of a frame that is certain is compared with that.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,9 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.framing.sparse_timing import capacity
 from tactile_cdma.hardware.node_memory import FAST, usual_heartbeat
 from tactile_cdma.recording.recording_file import Recorder
-from tactile_cdma.wire.messages import Groups, Quiet, Samples
-from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from tactile_cdma.wire.messages import Quiet, Samples
+from tactile_cdma.wire.packets import PacketParser
+from tactile_cdma.words.groups import FULL
 
 Codes = NDArray[np.int64]
 
@@ -43,10 +44,8 @@ SETTLING = 14
 PRESSED_SHARE = 0.04
 """Of the nodes that are on the wire, in a frame; as many are released: 8 % speak."""
 HUG, HUG_FRAMES, RANDOM_FRAMES = 300, 4, 8
-LOG2_GROUPS = 3
-"""Eight groups: 4,000 nodes are 500 in each, and a frame of 912 chips holds 553."""
-TURNS = (1 << LOG2_GROUPS) + 2
-"""Frames in groups: everybody's turn, and the command's way."""
+WAY = 4
+"""Frames until there are groups: those that tell that it is too many, and the command's way."""
 QUICK = 600
 """Images of a quick run: more than a frame holds."""
 CLOCK_KNOWN = 2
@@ -58,15 +57,8 @@ PATIENCE = 6
 """Frame periods for which the last frames are waited for; chosen."""
 
 
-class Step(NamedTuple):
-    """What is done just before a frame: the nodes' codes, and the groups asked for."""
-
-    codes: Codes
-    log2_groups: int
-
-
-def script(nodes: int, seed: int) -> Iterator[Step]:
-    """What happens to so many nodes, frame by frame."""
+def script(nodes: int, most: int, seed: int) -> Iterator[Codes]:
+    """The codes of so many nodes, frame by frame. most: nodes that may speak in one."""
     rng = np.random.default_rng(seed)
     rest = np.full(nodes, REST_CODE)
 
@@ -76,23 +68,22 @@ def script(nodes: int, seed: int) -> Iterator[Step]:
         return codes
 
     for _ in range(SETTLING):
-        yield Step(rest, 0)
+        yield rest
     for _ in range(RANDOM_FRAMES):
         count = max(1, round(PRESSED_SHARE * nodes))
-        yield Step(pressed(rng.choice(nodes, count, replace=False)), 0)
-    yield Step(rest, 0)
+        yield pressed(rng.choice(nodes, count, replace=False))
+    yield rest
     first = rng.integers(nodes - min(HUG, nodes) + 1)
     for _ in range(HUG_FRAMES):
-        yield Step(pressed(np.arange(first, first + min(HUG, nodes))), 0)
-    yield Step(rest, 0)
+        yield pressed(np.arange(first, first + min(HUG, nodes)))
+    yield rest
     everybody = pressed(np.arange(nodes))
-    yield Step(everybody, 0)
-    for _ in range(TURNS):
-        yield Step(everybody, LOG2_GROUPS)
-    for _ in range(TURNS):
-        yield Step(rest, LOG2_GROUPS)
+    groups = 1 << max(0, math.ceil(math.log2(nodes / (FULL * most))))
+    for codes in (everybody, rest):
+        for _ in range(WAY + groups):
+            yield codes
     for _ in range(4):
-        yield Step(pressed(np.arange(0, nodes, 10)), 0)
+        yield pressed(np.arange(0, nodes, 10))
 
 
 class Rules:
@@ -149,7 +140,7 @@ class Found:
         return bool(self.frames and self.heard.all() and not false)
 
     def compare(
-        self, frame: TactileFrame, wired: Codes, step: Step, speaks: Bools, most: int
+        self, frame: TactileFrame, wired: Codes, said_codes: Codes, speaks: Bools, most: int
     ) -> None:
         """Count a frame; most: words that a frame holds."""
         words = frame.words
@@ -159,7 +150,7 @@ class Found:
         said = np.zeros(words.active.size, bool)
         said[wired] = speaks
         codes = np.zeros(words.active.size, np.int64)
-        codes[wired] = step.codes
+        codes[wired] = said_codes
         certain = ~words.doubtful
         if speaks.sum() > most:
             self.unflagged += bool(certain.any())
@@ -204,9 +195,9 @@ def on_one_wire(
     nodes = reference_nodes(config, spread, mcu=FAST, threshold=THRESHOLD, rest=REST_CODE)
     wired = np.linspace(0, spec.nodes - 1, images or spec.nodes).round().astype(np.int64)
     found, rules = Found(), Rules(wired + 1, spec.nodes, heartbeat)
-    steps = list(script(wired.size, spread.seed))[:step_count]
+    steps = list(script(wired.size, capacity(spec), spread.seed))[:step_count]
     period_ns = round(spec.frame_period_s * 1e9)
-    host, writer = Host(config), PacketWriter()
+    host, session = Host(config), Session(config)
     supplies_v = np.array([nodes[number].supply_v for number in wired])
     recorder = Recorder(record, "emulated RP2040", 0, values) if record is not None else None
     with Rp2040Skin([nodes[number] for number in wired], reference_amplifier(config)) as skin:
@@ -221,16 +212,14 @@ def on_one_wire(
 
         skin.press(REST_CODE / 1024 * supplies_v)
         run(40_000_000)
-        skin.write(Session(config).open())
+        skin.write(session.open())
         while not host.turns:
             run(skin.now_ns + period_ns // 4)
-        mark_ns, groups = min(host.turns) * 1000, 0
-        for number, step in enumerate(steps):
+        mark_ns = min(host.turns) * 1000
+        for number, codes in enumerate(steps):
             run(max(skin.now_ns, mark_ns + number * period_ns - COMMANDED_NS))
-            skin.press(step.codes / 1024 * supplies_v)
-            if step.log2_groups != groups:
-                groups = step.log2_groups
-                skin.write(writer.encode(Groups(groups)))
+            skin.press(codes / 1024 * supplies_v)
+            skin.write(session.watch(host.pipeline, skin.now_ns * 1e-9))
         run(skin.now_ns + PATIENCE * period_ns)
         found.cpu_load = skin.chip.load
     if recorder is not None:
@@ -238,11 +227,11 @@ def on_one_wire(
     told = {round((us * 1000 - mark_ns) / period_ns): turn for us, turn in host.turns.items()}
     decoded = {round((frame.t_start * 1e9 - mark_ns) / period_ns): frame for frame in frames}
     found.heard = np.zeros(wired.size, bool)
-    for number, step in enumerate(steps):
-        speaks = rules.speakers(number, step.codes, told[number])
+    for number, codes in enumerate(steps):
+        speaks = rules.speakers(number, codes, told[number])
         if number < SETTLING or number not in decoded:
             continue
-        found.compare(decoded[number], wired, step, speaks, capacity(spec))
+        found.compare(decoded[number], wired, codes, speaks, capacity(spec))
         if told[number]:
             found.in_groups += 1
             words = decoded[number].words

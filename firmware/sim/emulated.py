@@ -240,6 +240,12 @@ class EmulatedNodes:
         """Whether a node's status LED is lit."""
         return bool(self._library.node_led(self._node(node)))
 
+    def memory(self, node: int) -> bytes:
+        """The first KiB of a node's EEPROM, or all of it."""
+        content = ctypes.create_string_buffer(1024)
+        size = self._library.node_memory(self._node(node), content, len(content))
+        return content.raw[:size]
+
     def counters(self, node: int) -> NodeCounters:
         """What a node did since power-up."""
         counters = NodeCounters()
@@ -350,5 +356,6 @@ _FUNCTIONS: tuple[tuple[str, type | None, tuple[type, ...]], ...] = (
     ("board_write", None, (c_void_p, c_char_p, c_size_t)),
     ("board_read", c_size_t, (c_void_p, c_char_p, c_size_t)),
     ("node_led", c_bool, (c_void_p,)),
+    ("node_memory", c_size_t, (c_void_p, c_char_p, c_size_t)),
     ("node_count", None, (c_void_p, POINTER(NodeCounters))),
 )

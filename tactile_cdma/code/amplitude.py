@@ -20,6 +20,9 @@ sound lines leave there (edges, hum of a third of an amplitude, droop) stays bel
 MOVED_SHARE = 0.3
 """Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
 may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""
+SILENT_RHO = 6.0
+"""ρ of a node below which noise may be a faint word, and nobody's silence is certain. Chosen: words
+are flagged below 5, and those of weak nodes are half as loud."""
 HIDDEN = 0.65
 """Share of a node's level that, as noise of a chip, may be a node that is out of its place. Chosen:
 such a node leaves 1, less what is taken for words of others."""

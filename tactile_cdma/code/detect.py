@@ -47,6 +47,8 @@ STALLED = 0.97
 """Ratio of noise to that of the turn before beyond which soft words get no better. Chosen."""
 MOST_TURNS = 24
 """Turns after which a frame is given up. Chosen: those that are found take up to 12."""
+MOST_PAIRS = 16
+"""Pairs of bits that are turned in one bit of the words. Chosen: one or two are."""
 REMEMBERED = (0.5, 1.5)
 """Share of its amplitude that a node is expected to have for how it spoke before. Chosen: a sound
 one's is within; of others a frame tells more."""
@@ -153,6 +155,10 @@ class Detector:
         level, settled = self.kernel.detect(chips, damping, rows, heard, left, power)
         return Detected(rows, heard, level, left, power, settled)
 
+    def detect_from(self, words: Floats32, chips: Floats32) -> Detected:
+        """The words in chips (k, N) float32, V, beginning with others, (k, 2^m) V."""
+        return numpy_detect(chips, self._spec, 0.0, self._before, words)
+
     def loudness(self, chips: Floats32, lateness: int) -> Floats32:
         """Mean |r| of every node, (n,) V, in chips (k, N) that are read so much later in bits."""
         if self.kernel is None:
@@ -174,13 +180,23 @@ def numpy_loudness(chips: Floats32, lateness: int, spec: FrameSpec) -> Floats32:
     return loudness
 
 
-def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Before) -> Detected:
-    """As Detector.detect. With damping, nothing is expected for what was before."""
+def numpy_detect(
+    chips: Floats32,
+    spec: FrameSpec,
+    damping: float,
+    before: Before,
+    start: Floats32 | None = None,
+) -> Detected:
+    """As Detector.detect. With damping, nothing is expected for what was before.
+
+    start: words to begin with, (k, 2^m) V, which are hard.
+    """
     swing, bits = np.float32(spec.node_swing_v or 0.0), spec.line_bits
-    level = float(chips.mean(dtype=np.float64))
-    left = chips - np.float32(level)
-    words = np.zeros((bits, spec.row_count), np.float32)
-    nodes, noise_before, soft, were_hard = spec.node_slice, np.inf, True, True
+    words = np.zeros((bits, spec.row_count), np.float32) if start is None else start
+    left = chips if start is None else chips - chips_of(words, spec)
+    level = float(left.mean(dtype=np.float64))
+    left = left - np.float32(level)
+    nodes, noise_before, soft, were_hard = spec.node_slice, np.inf, start is None, True
     are_whole = True  # the words before: then what is left is of them alone
     expected_v = before.amplitude_v if damping == 0 else np.full(spec.nodes, swing)
     spoke = before.spoke if damping == 0 else np.zeros(spec.nodes, np.bool_)
@@ -229,6 +245,33 @@ def numpy_detect(chips: Floats32, spec: FrameSpec, damping: float, before: Befor
         spoken_v = np.abs(rows[:, nodes]).mean(axis=0, dtype=np.float32)
         before.amplitude_v[heard] = np.clip(spoken_v, least_v, most_v)[heard]
     return Detected(rows, heard, level, left, power, settled)
+
+
+def turn_pairs(found: Detected, products: Floats32, spec: FrameSpec) -> Floats32:
+    """The words found, (k, 2^m) V, with bits turned, two at a time, as long as that leaves less.
+
+    Turns of all words stop where no single bit that is turned leaves less; of few chips two may.
+    products: (k, 2^m), of codes i and j at i XOR j, over the chips per bit.
+    """
+    own = found.rows[:, spec.node_slice][:, found.heard]
+    codes = spec.code_numbers[spec.rows[found.heard]]
+    products = products[:, codes[:, None] ^ codes]
+    words = np.copysign(np.abs(own).mean(axis=0, dtype=np.float32), own)
+    off = own - words  # what is left on every row
+    for bit, alike in enumerate(products):
+        word, rest = words[bit], off[bit]
+        for _ in range(MOST_PAIRS):
+            one = 4 * word * (word + rest)  # power that turning it adds, per chip
+            both = one[:, None] + one + 8 * word[:, None] * word * alike
+            np.fill_diagonal(both, one)
+            pair = list(set(divmod(int(both.argmin()), word.size)))
+            if both.min() >= 0:
+                break
+            rest += 2 * alike[:, pair] @ word[pair]
+            word[pair] *= -1
+    turned = np.zeros_like(found.rows)
+    turned[:, spec.rows[found.heard]] = words
+    return turned
 
 
 def _prior(power: float, spec: FrameSpec) -> float:

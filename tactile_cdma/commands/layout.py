@@ -16,6 +16,9 @@ from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
 from .layout_picture import draw_layout
 
+_PIECES = 6
+"""Most pieces of a skin whose sizes are listed."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
@@ -48,10 +51,11 @@ def describe_layout(layout: Layout) -> str:
     own = np.arange(len(layout))[:, None]
     beside = (layout.neighbours != own).sum(axis=1)[real]
     area_mm2 = layout.areas_m2[real] * 1e6
+    pitch = " × ".join(f"{edge * 1e3:.4g}" for edge in dict.fromkeys(layout.pitches_m))
     arranged = "irregular" if layout.irregular else f"{layout.rows} × {layout.columns}"
     lines = [
         f"{plain(layout.name)}: {arranged}, {np.count_nonzero(real)} taxels, {layout.wired} nodes",
-        f"pitch {layout.pitch_m * 1e3:.4g} mm, centres within {size_mm} mm",
+        f"pitch {pitch} mm, centres within {size_mm} mm",
         f"area {area_mm2.sum() / 100:.4g} cm², {area_mm2.min():.4g}…{area_mm2.max():.4g} mm² each",
         f"neighbours of a taxel: {beside.min()}…{beside.max()}",
     ]
@@ -60,4 +64,11 @@ def describe_layout(layout: Layout) -> str:
             lines.append(f"{what}: {listed(nodes, 'node')}")
     if alone := np.flatnonzero(real)[beside == 0].tolist():
         lines.append(f"taxels without a neighbour: {listed(alone)}")
+    if (pieces := int(layout.pieces.max()) + 1) > 1:
+        sizes = np.sort(np.bincount(layout.pieces[real]))[::-1]
+        shown = ", ".join(map(str, sizes[:_PIECES])) + (" …" if pieces > _PIECES else "")
+        lines.append(
+            f"in {pieces} pieces of {shown} taxels, farther from each other than neighbours are: a "
+            "contact across a gap counts once for each; if it is one skin, give pitch_mm"
+        )
     return "\n".join(lines)

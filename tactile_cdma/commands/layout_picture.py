@@ -19,7 +19,7 @@ _SHAPE_INCHES, _HEADING_INCHES = 4.5, 3.0
 _LEFT_INCHES, _RIGHT_INCHES, _BOTTOM_INCHES, _TOP_INCHES = 0.8, 0.4, 0.6, 0.8
 _DPI = 100
 _GAP = 0.92
-"""Edge of a drawn taxel over that of its area, so that neighbours stand apart."""
+"""Edge of a drawn taxel over that of what it covers, so that neighbours stand apart."""
 _LABELLED_INCHES = 0.3
 """Taxels smaller than this in the picture have no numbers."""
 _ARROWS = 400
@@ -36,7 +36,7 @@ def draw_layout(layout: Layout, path: Path, first_row: int) -> None:
     """
     from matplotlib.figure import Figure  # slow to load, and needed here only
 
-    extent_m = np.ptp(layout.flat_m, axis=0) + layout.pitch_m
+    extent_m = np.ptp(layout.flat_m, axis=0) + max(layout.pitches_m)
     inches_per_m = min(_INCHES_PER_PITCH / layout.pitch_m, _MOST_INCHES / float(extent_m.max()))
     flat_width, flat_height = (extent_m * inches_per_m).tolist()
     bent = bool(np.ptp(layout.positions_m[:, 2]) > 1e-6 or (layout.normals[:, 2] < 1).any())
@@ -72,14 +72,15 @@ def _colours(layout: Layout) -> Any:
 def _draw_flat(axes: Any, layout: Layout, labelled: bool, first_row: int) -> None:
     from matplotlib.collections import PolyCollection
 
-    edge_mm = np.sqrt(layout.areas_m2) * 1e3 * _GAP
     flat_mm = layout.flat_m * 1e3
-    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    squares = flat_mm[:, None] + corners * edge_mm[:, None, None]
+    covered = [
+        place_mm + outline_m * 1e3 * _GAP
+        for place_mm, outline_m in zip(flat_mm, layout.outlines_m, strict=True)
+    ]
     axes.add_collection(
-        PolyCollection(list(squares), facecolors=_colours(layout), edgecolors="0.5", linewidths=0.5)
+        PolyCollection(covered, facecolors=_colours(layout), edgecolors="0.5", linewidths=0.5)
     )
-    half_mm = layout.pitch_m * 500
+    half_mm = max(layout.pitches_m) * 500
     low_mm, high_mm = flat_mm.min(axis=0) - half_mm, flat_mm.max(axis=0) + half_mm
     axes.set(xlim=(low_mm[0], high_mm[0]), ylim=(low_mm[1], high_mm[1]))
     axes.set(xlabel="x along the surface, mm", ylabel="y along the surface, mm")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
+from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
 from ..hardware.node_image import CRYSTALS_MHZ, node_image
 from ..hardware.node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
@@ -22,9 +23,10 @@ from ..hardware.programmer import (
     write_image,
     write_memory,
 )
+from . import node_numbers
 
-ALL = "all"
-"""Instead of a node's number."""
+ALL, ANY = "all", "any"
+"""Instead of a node's number: a file for each, and one file for all."""
 ARDUINO = "arduino -P /dev/ttyUSB0 -b 57600"
 """What avrdude is told of a Pro Mini's boot loader, and of an older Nano's; an Uno's is faster."""
 
@@ -34,6 +36,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
     what.add_argument("--all", action="store_const", dest="node", const=ALL, help="as --node all")
+    what.add_argument(
+        "--any",
+        action="store_const",
+        dest="node",
+        const=ANY,
+        help="an image for all nodes (--hex)",
+    )
+    what.add_argument(
+        "--enumerate",
+        metavar="PORT",
+        dest="port",
+        help="give nodes of such an image their numbers: press one after the other",
+    )
     what.add_argument("--read", type=Path, metavar="FILE", help="print the contents of such a file")
     parser.add_argument(
         "-o",
@@ -80,6 +95,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="also write it to the node by avrdude: usbasp, 'arduino -P /dev/ttyUSB0 -b 57600', …",
     )
+    parser.add_argument(
+        "--layout", type=Path, metavar="FILE", help="layout file that --enumerate writes"
+    )
     add_skin_options(parser, "the driver's")
 
 
@@ -88,11 +106,19 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.read:
         print(describe_memory(*read_memory(arguments.read)))
         return 0
+    if arguments.port:
+        values = given(arguments)
+        config = SkinConfig.of(values)
+        get: Values = {**DEFAULTS, **values}
+        check_timing(config.timing)
+        return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
     mcu, programmer, of_flash = arguments.mcu, arguments.programmer, arguments.hex is not None
     if (arguments.output is None) != of_flash:
         both = "-o and --hex are given: EEPROM or flash, not both"
         none = "-o is missing: the file to write, or with --node all the directory"
         raise SpecError(both if of_flash else f"{none}; or --hex")
+    if arguments.node == ANY and not of_flash:
+        raise SpecError("--any is an image for the flash: give --hex instead of -o")
     if not of_flash and (arguments.crystal_mhz or arguments.image):
         raise SpecError("--crystal-mhz and --image are about flash: give --hex instead of -o")
     if programmer and arguments.node == ALL:
@@ -102,7 +128,8 @@ def run(arguments: argparse.Namespace) -> int:
     heartbeat = arguments.heartbeat
     if heartbeat is None:
         heartbeat = usual_heartbeat(config.spec.frame_period_s)
-    nodes = range(1, config.spec.nodes + 1) if arguments.node == ALL else [arguments.node]
+    one = arguments.node not in (ALL, ANY)
+    nodes = [arguments.node] if one else range(1, config.spec.nodes + 1)
     memories = [
         node_memory(
             config.spec,
@@ -117,12 +144,13 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     output = arguments.hex if of_flash else arguments.output
     paths = [output] if arguments.node != ALL else node_files(output, len(memories))
-    for path, memory in zip(paths, memories, strict=True):
+    contents = [memories] if arguments.node == ANY else [[memory] for memory in memories]
+    for path, content in zip(paths, contents, strict=True):
         if of_flash:
             crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
-            write_image(path, node_image(mcu, [memory], crystal_mhz, arguments.image))
+            write_image(path, node_image(mcu, content, crystal_mhz, arguments.image))
         else:
-            write_memory(path, memory)
+            write_memory(path, *content)
     if arguments.threshold:
         _warn_of_silence(heartbeat, config)
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))

@@ -5,12 +5,21 @@
 import argparse
 import math
 import threading
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 
 from ..base.errors import ParameterError
-from .parameters import BY_NAME, NATURAL_SIGNS, Value, read_file, read_sections, unknown
+from .parameters import (
+    BY_NAME,
+    NATURAL_SIGNS,
+    TRUTH,
+    Value,
+    of_text,
+    read_file,
+    read_sections,
+    unknown,
+)
 
 _NAMES = (
     *("nodes", "bits", "chip_us", "frame_period_ms", "order", "first_row", "sign_seed", "drive"),
@@ -18,6 +27,8 @@ _NAMES = (
     "codes",
 )
 """Parameters that are options: --nodes, …, --vref-v, --parity and --no-parity, …"""
+SIM_TIME = "use_sim_time"
+"""A parameter that every ROS node has, and that files which include others' often pass on."""
 _SHORT = {"vref_v": ("--vref",)}
 """Other names that options have."""
 
@@ -54,21 +65,35 @@ def given(arguments: argparse.Namespace) -> dict[str, Value]:
     return values | {name: value for name, value in options.items() if value is not None}
 
 
-def check_launch_arguments(words: Iterable[str], known: Collection[str]) -> None:
-    """Raise ParameterError for an argument `name:=value` that a launch file does not have.
+def launch_values(
+    given: Mapping[str, str], own: Mapping[str, str]
+) -> tuple[dict[str, str], dict[str, Value]]:
+    """The arguments of a launch file, and the driver's parameters that are given beside them.
 
-    `ros2 launch` itself ignores these. words: of its command line.
+    given: texts by name, which `ros2 launch` itself takes whatever the name. own: arguments that
+    the file has, with their defaults. Raises ParameterError for a name that is neither such an
+    argument nor a parameter, and for a text that is no value of the parameter.
     """
-    for word in words:
-        name, assignment, _ = word.partition(":=")
-        if assignment and name not in known:
-            names = ", ".join(sorted(known))
-            is_parameter = (
-                "; it is a parameter: write it into params_file" if name in BY_NAME else ""
-            )
+    values: dict[str, Value] = {}
+    for name in given.keys() - own.keys():
+        if name == SIM_TIME:
+            values[name] = true_or_false(name, given[name])
+        elif name in BY_NAME:
+            values[name] = of_text(name, given[name])
+        else:
+            text = unknown(name, [*own, *BY_NAME], "launch argument")
             raise ParameterError(
-                f"{unknown(name, known, 'launch argument')}{is_parameter} (there are {names})"
+                f"{text} (there are {', '.join(sorted(own))}, and the parameters of the driver)"
             )
+    return {name: given.get(name, default) for name, default in own.items()}, values
+
+
+def true_or_false(name: str, text: str) -> bool:
+    """What an argument says; True, yes and ON will do. Raises ParameterError."""
+    try:
+        return TRUTH[text.lower()]
+    except KeyError:
+        raise ParameterError(f"{name} is {text!r}; it must be true or false") from None
 
 
 def params_of(words: Iterable[str]) -> list[Path]:

@@ -215,6 +215,8 @@ PARAMETERS: tuple[Parameter, ...] = (
         "orientation of frame_id in parent_frame: roll, pitch, yaw, as in URDF",
         "rad", (-10.0, 10.0), live=True),
     Parameter("publish_voltage", False, "also fill TactileArray.voltage", live=True),
+    Parameter("publish_unknown_wrench", True,
+        "false: no ~/wrench while force or torque is unknown, in place of NaN", live=True),
     Parameter("idle_rate_hz", 0.0,
         "maximum rate of frames in which no node is active; 0: every frame is published",
         "Hz", (0.0, 1e5), live=True),
@@ -323,11 +325,26 @@ def _typed(value: Marked) -> object:
         return [_typed(item) for item in value.content]
     if isinstance(value.content, dict):
         raise value.refuse("keys with values where a single value is expected")
-    text = value.content
     if value.quoted:
-        return text
-    if value.is_null:
-        return None
+        return value.content
+    return None if value.is_null else _scalar(value.content)
+
+
+def of_text(name: str, text: str) -> Value:
+    """A parameter's value as it is typed in a command; a list in brackets or without.
+
+    Raises ParameterError.
+    """
+    parameter = BY_NAME[name]
+    if isinstance(parameter.default, str):
+        return parameter.check(text)
+    if isinstance(parameter.default, tuple):
+        return parameter.check([_scalar(part.strip()) for part in text.strip(" []").split(",")])
+    return parameter.check(_scalar(text.strip()))
+
+
+def _scalar(text: str) -> object:
+    """A text without quotes in the type that YAML gives it."""
     if _INTEGER.fullmatch(text):
         return int(text, 16 if "x" in text else 10)
     if _NUMBER.fullmatch(text):

@@ -167,7 +167,7 @@ class FrameTimes:
         # A better estimate of the clock may move time back: stamps still rise.
         self._last_t_host = max(t_host, self._last_t_host + TICK_S)
         # The frame was over when the packet came: that is the latest that it can have been.
-        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s)
+        error_s = LEAST_ERROR_S + max(late_s, self._last_t_host - t_host, clock.error_s(t_middle))
         counters.frames += 1
         counters.lost_frames += periods - 1
         if clock.steps:
@@ -226,9 +226,11 @@ class DeviceClock:
         # Others move the line little, and at the next interval's fit.
         self._fitted = self._fitted and not is_first and t_host >= self.to_host(t_device)
 
-    @property
-    def error_s(self) -> float:
-        """What the map may be off by although packets come in time, s; infinite for a guess."""
+    def error_s(self, t_device: float) -> float:
+        """What the map may be off by at a device time although packets come in time, s.
+
+        Infinite for a guess.
+        """
         if self._count < SURE:
             return math.inf
         return STEP_S if self._is_slow or self._count < RECENT else self._scatter_s

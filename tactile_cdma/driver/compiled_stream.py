@@ -67,7 +67,7 @@ GAP_TIMING = "gap timing"
 
 _SHARED_LIMITS = (
     "deafened", "carried_noise", "carried_misfit", "loud", "spread", "misfit", "left",
-    "clear_spread", "chips", "few", "whole", "hiding", "kept", "rest",
+    "clear_spread", "chips", "few", "whole", "hiding", "kept", "rest", "at_rest",
     "tail_noise", "tail_scatter", "tail_level", "least_tail", "rise",
 )  # fmt: skip
 """Of `Limits`, and members of the kernel's rules by the same names."""
@@ -340,6 +340,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         slack=CLOCK_TOLERANCE,
         gap_s=pace.gap_s,
         gaps=pace.gaps,
+        least_gap_s=pace.least_gap_s,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,

@@ -196,11 +196,13 @@ class Driver:
             self._report(WAITING)
         port.write(session.open())
         backlog = Backlog(pipeline.config.spec.frame_period_s)
-        look_s, age_s, file = -math.inf, 0.0, port.file
+        look_s, age_s, file, timeout_ms = -math.inf, 0.0, port.file, READ_TIMEOUT_MS
+        heard_s = time.monotonic()
         try:
             while not self._stop.is_set():
-                last, t_host = self._next(port, file)
-                age_s = t_host - last.t_host if last else age_s
+                last, t_host = self._next(port, file, timeout_ms)
+                if last:
+                    age_s, heard_s = t_host - last.t_host, t_host
                 if last and self.problem:
                     self._report(None)
                 if last and t_host < look_s:
@@ -214,23 +216,26 @@ class Driver:
                             for frame in pipeline.drain():
                                 self._hand_on(frame, t_host)
                             pipeline.skipped(port.skip())
-                if request := session.watch(pipeline, t_host):
+                if request := session.watch(pipeline, t_host, heard_s):
                     port.write(request)
                     if session.problem:
                         self._report(session.problem)
+                timeout_ms = READ_TIMEOUT_MS
+                if (left_s := session.deadline_s - t_host) > 0:
+                    timeout_ms = min(timeout_ms, math.ceil(1e3 * left_s))
         finally:
             pipeline.close()
             if self._stop.is_set():
                 port.write(session.close())
 
-    def _next(self, port: Port, file: int) -> tuple[TactileFrame | None, float]:
+    def _next(self, port: Port, file: int, timeout_ms: int) -> tuple[TactileFrame | None, float]:
         """Go on to what comes next: a frame that was handed on, if it is one; when it was read.
 
-        file: see Port.file.
+        file: see Port.file. timeout_ms: most that is waited for bytes there.
         """
         pipeline = self.pipeline
         try:
-            event = pipeline.stream.next(file, READ_TIMEOUT_MS)
+            event = pipeline.stream.next(file, timeout_ms)
         except OSError as error:
             raise port.lost(error) from None
         with self._busy:

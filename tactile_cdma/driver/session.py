@@ -55,6 +55,7 @@ class Session:
     If the parameters ask for a certain digitizer, no other one is configured, started or stopped.
 
     problem: the likely cause of having received no frame; None if none is known.
+    deadline_s: when that will be told, if no frame comes before.
     """
 
     def __init__(self, config: SkinConfig | None = None, stepped: bool = False) -> None:
@@ -69,9 +70,9 @@ class Session:
         self._ours = config is None or config.digitizer_id is None
         self._known: Info | None = None  # the digitizer's last introduction
         self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
-        self._next_groups_s = -math.inf
+        self._groups_asked, self._next_groups_s = 0, -math.inf
         self._before = _Progress()
-        self._deadline_s = self._asked_s = -math.inf
+        self.deadline_s = self._asked_s = -math.inf
         self._obeyed = False  # it has streamed since it was asked
         self._was_idle = False  # it denied streaming, and no frame has come since
         self._answered = DigitizerState().status  # the last STATUS when it was asked
@@ -79,11 +80,11 @@ class Session:
     def open(self) -> bytes:
         """Requests that configure (where asked to) and start the digitizer, or ask who it is."""
         start = (*self._setting, GetInfo(), Start()) if self._ours else (GetInfo(),)
-        return self._encoded(*start)
+        return self.encoded(*start)
 
     def close(self) -> bytes:
         """The request that stops the digitizer, if it was started."""
-        return self._encoded(Stop()) if self._ours else b""
+        return self.encoded(Stop()) if self._ours else b""
 
     def introduced(self, info: Info) -> bytes:
         """Take in who the digitizer is; returns what to send if that was awaited."""
@@ -91,8 +92,11 @@ class Session:
         self._ours = self._config is None or self._config.refusal(info.digitizer_id) is None
         return self.open() if self._ours and awaited else b""
 
-    def watch(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """Requests that are due, after a read: the last ones failed, or the digitizer is known."""
+    def watch(self, pipeline: Pipeline, now_s: float, heard_s: float = math.inf) -> bytes:
+        """Requests that are due, after a read: the last ones failed, or the digitizer is known.
+
+        heard_s: when the last frame was read, or the port opened, if that was before this read.
+        """
         if self._before.frames < 0:  # open() was just before
             self._asked_s = now_s
         digitizer = pipeline.digitizer
@@ -107,8 +111,8 @@ class Session:
             return groups
         if pipeline.counters.frames != self._before.frames:
             self._was_idle = False
-            self._note_progress(pipeline, now_s)
-        if now_s >= self._deadline_s:
+            self._note_progress(pipeline, min(now_s, heard_s))
+        if now_s >= self.deadline_s:
             if self._stepped and digitizer.refusal is None:
                 return b""  # another START would begin a stream anew
             self.problem = self._why(pipeline)
@@ -142,7 +146,7 @@ class Session:
         self._before = _Progress(
             counters.frames, counters.implausible_packets, *pipeline.parser.received
         )
-        self._deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
+        self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
         """The request for a roll call, where one is wanted and the last one missed nodes.
@@ -158,7 +162,7 @@ class Session:
             self._calls_left -= 1
             self._next_call_s = now_s + PATIENCE_S + 2 * spec.nodes * spec.frame_period_s
             self.problem = None
-            return self._encoded(RollCall())
+            return self.encoded(RollCall())
         return b""
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
@@ -168,11 +172,14 @@ class Session:
         """
         groups, refusal = pipeline.groups, pipeline.digitizer.refusal
         is_refused = refusal is not None and refusal.command == PacketType.GROUPS
-        is_due = groups.wanted_log2 != groups.now_log2 and now_s >= self._next_groups_s
+        is_obeyed = groups.now_log2 == self._groups_asked
+        is_due = groups.wanted_log2 != groups.now_log2 and (
+            is_obeyed or now_s >= self._next_groups_s
+        )
         if self._config is None or not self._ours or not is_due or is_refused:
             return b""
-        self._next_groups_s = now_s + ANSWER_S
-        return self._encoded(Groups(groups.wanted_log2))
+        self._groups_asked, self._next_groups_s = groups.wanted_log2, now_s + ANSWER_S
+        return self.encoded(Groups(groups.wanted_log2))
 
     def _why(self, pipeline: Pipeline) -> str:
         """The likely cause of having received no frame for a while."""
@@ -194,7 +201,8 @@ class Session:
             return "samples arrive, but no frame fits: check chip_us, order and bits"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
-    def _encoded(self, *packets: Packet) -> bytes:
+    def encoded(self, *packets: Packet) -> bytes:
+        """Packets as this conversation numbers them."""
         return b"".join(map(self._writer.encode, packets))
 
 

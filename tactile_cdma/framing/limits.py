@@ -50,6 +50,8 @@ class Limits:
         five bits that change, twice in each, are then 11 deviations.
     rest: share of the weakest word's amplitude below which a line is at rest. Chosen: below half,
         so that a lone node's chips exceed it even where their edges leave out part of them.
+    at_rest: deviations of what many words leave of a chip up to which a line that such noise hides
+        is at rest there. Chosen: a chip at rest is louder once in 80.
     tail_noise, tail_scatter: what follows a frame is noise where its power is below tail_noise +
         tail_scatter/√m of that of the gap, of m samples. Chosen; the fewer, the more by chance.
     tail_level: deviations of their mean from the level at rest up to which the same holds. Chosen.
@@ -118,6 +120,7 @@ class Limits:
     faint_scatter: float = 6.0
     hiding: float = 0.3
     rest: float = 0.4
+    at_rest: float = 2.5
     tail_noise: float = 2.0
     tail_scatter: float = 8.0
     tail_level: float = 4.0

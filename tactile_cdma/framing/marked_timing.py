@@ -14,7 +14,7 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
-from ..code.amplitude import MOVED_SHARE, rises
+from ..code.amplitude import MOVED_SHARE, SILENT_RHO, rises
 from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
 from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
@@ -243,8 +243,10 @@ class MarkedLine:
         return is_mean or (most > least and most > LIMITS.lone_chip * usual)
 
     def _holds_more(self, levels: NodeLevels) -> bool:
-        """Whether a row holds more than noise, or the line moves."""
+        """Whether a row holds more than noise, noise may be a word, or the line moves."""
         swing_v = self.spec.node_swing_v or 0.0
+        if levels.noise_v * SILENT_RHO > swing_v > 0:
+            return True
         squares = np.einsum("kn,kn->n", levels.values, levels.values)
         if rises(squares, np.float32(swing_v), levels.noise_v, self.spec.line_bits).any():
             return True

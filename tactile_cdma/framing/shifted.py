@@ -2,6 +2,7 @@
 
 """Tells whether a marked frame, or a part of it, is some whole chips beside its place."""
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -29,15 +30,20 @@ def may_be_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
 
     There even clear words may be the opposite ones, as those of Sylvester's rows 1 to 3 that are
     the same in all bits, or be several of part of the amplitude: all that tells is the chip that is
-    missing. Nor do others show it where noise leaves as much as chips that are the opposite.
-    Scrambled frames that are shifted look like noise. See is_shifted.
+    missing. Nor do others show it where noise leaves as much as chips that are the opposite; of
+    many nodes the frame's first or last chip may be at rest then. Scrambled frames that are shifted
+    look like noise. See is_shifted.
     """
     spoken = words.amplitude[0][words.amplitude[0] > 0]
-    if not 0 < spoken.size <= LIMITS.few or spec.scramble:
+    if not spoken.size or spec.scramble:
         return False
     weakest, swing_v = float(spoken.min()), spec.node_swing_v or 0.0
-    if words.misfit.item() * words.power.item() > LIMITS.hiding * weakest**2:
-        return True
+    left = words.misfit.item() * words.power.item()
+    is_hidden, are_few = left > LIMITS.hiding * weakest**2, spoken.size <= LIMITS.few
+    if is_hidden and not are_few:
+        return float(np.abs(chips.flat[[0, -1]]).min()) < LIMITS.at_rest * math.sqrt(left)
+    if is_hidden or not are_few:
+        return is_hidden
     if spec.drive != BIPOLAR or (spoken.size % 2 == 0 and weakest >= LIMITS.whole * swing_v):
         return False
     return float(np.abs(chips[:, [0, -1]]).min()) < LIMITS.rest * weakest

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Indices
 from .layout_shapes import tangents
-from .proximity import beside
+from .proximity import FACING_AWAY, beside
 
 NEIGHBOUR_PITCHES = 1.5
 """Largest distance between neighbours' centres on a grid, in pitches: between √2 (the diagonal) and
@@ -37,21 +37,38 @@ Points = NDArray[np.floating]
 
 
 def on_grid(
-    positions_m: Points, normals: Points, pitches_m: tuple[float, float]
+    positions_m: Points,
+    normals: Points,
+    pitches_m: tuple[float, float],
+    places: Indices,
+    columns: int,
 ) -> tuple[Indices, Indices]:
     """First and second taxel of every pair of neighbours on a grid, in both orders, sorted.
 
     positions_m, normals: (t, 3), m and unit vectors. pitches_m: from column to column, row to row.
+    places: (t,) of each taxel on the whole grid, row by row, rising. Neighbours are those around a
+    place, and those that a closed sleeve or a fold brings as near as that.
     """
     first, second, _ = beside(positions_m, normals, NEIGHBOUR_PITCHES * max(pitches_m))
-    if pitches_m[0] == pitches_m[1]:
-        return first, second
-    apart_m = (positions_m[second] - positions_m[first]).astype(np.float64)
-    offset = [np.einsum("pi,pi->p", apart_m, way[first]) for way in tangents(normals)]
-    steps = np.hypot(offset[0] / pitches_m[0], offset[1] / pitches_m[1])
-    # The directions of rows and columns differ from taxel to taxel on a ball.
-    near = _both_ways(steps <= NEIGHBOUR_PITCHES, first, second)
-    return first[near], second[near]
+    row, column = np.divmod(places, columns)
+    if pitches_m[0] != pitches_m[1]:
+        apart_m = (positions_m[second] - positions_m[first]).astype(np.float64)
+        offset = [np.einsum("pi,pi->p", apart_m, way[first]) for way in tangents(normals)]
+        near = np.hypot(offset[0] / pitches_m[0], offset[1] / pitches_m[1]) <= NEIGHBOUR_PITCHES
+        # Right and up need not be those of rows and columns, so that others of a row seem near.
+        near &= np.abs(column[first] - column[second]) > 2
+        near = _both_ways(near, first, second)  # they differ from taxel to taxel on a ball
+        first, second = first[near], second[near]
+    beyond = len(places)  # stands for places without a taxel
+    at = np.full((int(row[-1]) + 3, columns + 2), beyond)
+    at[row + 1, column + 1] = np.arange(beyond)
+    steps = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
+    around_it = np.stack([at[row + 1 + down, column + 1 + right] for down, right in steps], axis=1)
+    one, other = np.repeat(np.arange(beyond), len(steps)), around_it.ravel()
+    one, other = one[other < beyond], other[other < beyond]
+    facing = np.einsum("ij,ij->i", normals[one], normals[other]) >= FACING_AWAY
+    pairs = np.concatenate([first * beyond + second, (one * beyond + other)[facing]])
+    return np.divmod(np.unique(pairs), beyond)
 
 
 def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indices, Indices]:

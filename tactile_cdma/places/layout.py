@@ -136,8 +136,8 @@ class Layout(Surface):
     def neighbours(self) -> NDArray[np.int32]:
         """(t, m) int32, the neighbours of each taxel, padded with its own index.
 
-        On a grid they are within NEIGHBOUR_PITCHES, the shorter pitch stretched to the longer one;
-        on an irregular skin see adjacency.around. None face away from each other. Taxels without
+        On a grid they are the eight around it, and what a sleeve brings near; on an irregular skin
+        see adjacency.around. None face away from each other. Taxels without
         a node neither have nor are neighbours.
         """
         placed = np.flatnonzero(self.nodes)
@@ -145,7 +145,7 @@ class Layout(Surface):
         if self.irregular:
             first, second = around(*surface, self.pitch_m)
         else:
-            first, second = on_grid(*surface, self.pitches_m)
+            first, second = on_grid(*surface, self.pitches_m, placed, self.columns)
         return table(placed[first], placed[second], len(self))
 
     @cached_property

@@ -29,6 +29,7 @@ from .layout_shapes import (
     sphere,
 )
 from .proximity import beside, usual_distance_m
+from .surface_file import first_hits, read_link, read_triangles
 
 SCHEMA = "tactile_cdma/layout"
 VERSION = 1
@@ -39,15 +40,18 @@ _LEAST_MM2, _MOST_MM2 = 1e-6, 1e6
 _MOST_NORMAL = 1e6
 """Largest component of a normal, which need not have unit length."""
 _SHAPES: dict[str, Callable[..., Surface]] = {"grid": plane, "cylinder": cylinder, "sphere": sphere}
-_LIST = "list"
+_LIST, _MESH = "list", "mesh"
 _HEAD_KEYS = ("schema", "version", "name", "skin", "shape", "pitch_mm", "masked", "unplaced")
 _GRID_KEYS = (*_HEAD_KEYS, "rows", "columns", "nodes", "code_rows", "area_mm2")
 _KEYS = {
     "grid": _GRID_KEYS,
     "cylinder": (*_GRID_KEYS, "radius_mm"),
     "sphere": (*_GRID_KEYS, "radius_mm"),
+    _MESH: (*_GRID_KEYS, "mesh", "scale", "urdf", "link", "at_mm", "out", "right"),
     _LIST: (*_HEAD_KEYS, "taxels"),
 }
+_LEAST_FACING = 0.25
+"""Least cosine between a mesh's normal and the rectangle's: steeper, and pitches no longer hold."""
 _TAXEL_KEYS = ("position_mm", "normal", "area_mm2", "node", "code_row")
 
 
@@ -72,8 +76,11 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
         rows, columns = 1, len(places)
     else:
         rows, columns = _size(content)
-        surface, pitch = _regular(content, shape, rows, columns)
         places = nodes_of_grid(content, rows, columns, wiring.first_row)
+        if shape == _MESH:
+            surface, pitch = _projected(content, path.parent, rows, columns, places)
+        else:
+            surface, pitch = _regular(content, shape, rows, columns)
     nodes, masked, unplaced = check_nodes(content, places, wiring)
     across_m, down_m = across_and_down(pitch)
     _check_apart(content, surface, min(across_m, down_m), places)
@@ -111,12 +118,74 @@ def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surfac
         surface = _SHAPES[shape](rows, columns, pitch, *radius_m)
     except SpecError as error:
         raise content["radius_mm"].refuse(str(error)) from None
+    return _with_area(content, surface), pitch
+
+
+def _with_area(content: Keys, surface: Surface) -> Surface:
+    """With the area of each taxel that the file gives."""
     if content.get("area_mm2"):
         cell_mm2 = float(surface.areas_m2.min()) * 1e6
         most_mm2 = float(f"{cell_mm2 * 1.001:.4g}")  # admits a rounded cell area
         area_m2 = content.number("area_mm2", _LEAST_MM2, most_mm2, "mm²") * 1e-6
         surface = replace(surface, areas_m2=np.full_like(surface.areas_m2, area_m2))
-    return surface, pitch
+    return surface
+
+
+def _projected(
+    content: Keys, folder: Path, rows: int, columns: int, places: list[TaxelNode]
+) -> tuple[Surface, Pitch]:
+    """Rows and columns on a rectangle, seen against its normal on a mesh; and the pitch, m."""
+    pitch, triangles = _pitch_m(content), _triangles(content, folder)
+    out = _direction(content, "out")
+    right = _direction(content, "right")
+    right -= (right @ out) * out
+    if not np.linalg.norm(right) > 1e-3:
+        raise content["right"].refuse("right is the direction of columns, and out is across it")
+    right /= np.linalg.norm(right)
+    grid = plane(rows, columns, pitch)
+    at_m = np.array(_vector(content["at_mm"], "at_mm", _MOST_MM, "mm")) * 1e-3
+    on_it_m = at_m + grid.flat_m @ np.stack([right, np.cross(out, right)])
+    far_m = float((triangles @ out).max() - at_m @ out) + 1e-3  # from beyond the mesh
+    distance_m, normals = first_hits(triangles, on_it_m + far_m * out, -out)
+    facing = np.abs(normals @ out)
+    normals *= np.where(normals @ out < 0, -1.0, 1.0)[:, None]
+    for taxel in np.flatnonzero([place.node for place in places]).tolist():
+        if not np.isfinite(distance_m[taxel]):
+            raise content["at_mm"].refuse(f"{places[taxel].taxel} is beside the mesh")
+        if facing[taxel] < _LEAST_FACING:
+            raise content["at_mm"].refuse(
+                f"{places[taxel].taxel} is where the mesh is too steep, "
+                f"{math.degrees(math.acos(facing[taxel])):.0f}° from the rectangle"
+            )
+    empty = ~np.isfinite(distance_m)
+    distance_m[empty], facing[empty], normals[empty] = far_m, 1.0, out
+    positions_m = on_it_m + (far_m - distance_m)[:, None] * out
+    areas_m2 = grid.areas_m2 / np.maximum(facing, _LEAST_FACING)
+    surface = Surface.of(grid.flat_m.astype(np.float64), positions_m, normals, areas_m2)
+    return _with_area(content, surface), pitch
+
+
+def _triangles(content: Keys, folder: Path) -> Floats:
+    """(n, 3, 3) corners of the mesh, or of the link, m; paths are relative to the layout file."""
+    mesh, urdf = content.get("mesh"), content.get("urdf")
+    source = mesh or urdf
+    if source is None or (mesh and urdf):
+        raise content["shape"].refuse("shape mesh needs a mesh, or a urdf and a link, and not both")
+    path = folder / content.text("mesh" if mesh else "urdf")
+    try:
+        if urdf:
+            return read_link(path, content.text("link"))
+        scale = content.number("scale", 1e-9, 1e9) if content.get("scale") else 1.0
+        return read_triangles(path) * scale
+    except (ValueError, OSError) as error:
+        raise source.refuse(str(error)) from None
+
+
+def _direction(content: Keys, key: str) -> Floats:
+    direction = np.array(_vector(content[key], key, _MOST_NORMAL))
+    if not np.linalg.norm(direction) > 1e-9:
+        raise content[key].refuse(f"{key} has no direction: its length is 0")
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNode]]:

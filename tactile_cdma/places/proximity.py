@@ -16,7 +16,7 @@ skin; a grid has 20 per taxel. More mean that positions are piled up or the radi
 _CELL_BITS = 21
 """Bits of a cell's key per axis: three of them fill an int64. Cells with the same key only cost
 time, as distances are checked anyway."""
-_FACING_AWAY = -1e-3
+FACING_AWAY = -1e-3
 """Cosine between normals below which two positions are on opposite sides of a fold: 90°, with room
 for the rounding of float32 normals."""
 
@@ -36,7 +36,7 @@ def beside(
     first, second = _candidates(np.floor(places_m / radius_m).astype(np.int64), radius_m)
     distance_m = np.linalg.norm(places_m[first] - places_m[second], axis=1)
     facing = np.einsum("ij,ij->i", normals[first], normals[second])
-    kept = (distance_m <= radius_m) & (facing >= _FACING_AWAY) & (first != second)
+    kept = (distance_m <= radius_m) & (facing >= FACING_AWAY) & (first != second)
     first, second, distance_m = first[kept], second[kept], distance_m[kept]
     order = np.lexsort((second, first))
     return first[order], second[order], distance_m[order]

@@ -12,10 +12,11 @@ from bisect import bisect
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from ..base.arrays import Floats
+from ..base.arrays import Floats, Indices
 from ..config.skin_config import SkinConfig
-from ..driver.clock import RECENT, SURE_INTERVALS, DeviceClock, line_below
+from ..driver.clock import RECENT, STEP_S, SURE_INTERVALS, DeviceClock, line_below
 from ..driver.pipeline import Pipeline
 
 SPACING_S = 0.25
@@ -76,34 +77,36 @@ class _ObservedClock(DeviceClock):
         elif t_host - t_device < self._y_s[-1] - self._x_s[-1]:
             self._x_s[-1], self._y_s[-1] = t_device, t_host
 
-    def knots(self) -> tuple[list[float], list[float]]:
-        """Device times, rising, and their host times, s; between them the map is linear."""
+    def knots(self) -> tuple[list[float], list[float], list[float]]:
+        """Device times, rising, and their host times, s; between them the map is linear.
+
+        Also the device times, of these, after which the clock has stood still until the next.
+        """
         x, y = np.array(self._x_s), np.array(self._y_s)
         x, first = np.unique(x, return_index=True)
         y = y[first]
-        if not _keeps_real_time(x, y):
-            return x.tolist(), np.maximum.accumulate(y).tolist()
-        last = len(x) - 1
-        places = np.linspace(0, last, 1 + -(-last // REACH)).round().astype(int)
-        hosts = []
-        for place in places:
-            near = slice(max(0, place - REACH), place + REACH + 1)
-            # Differences to the knot keep the precision over weeks of device time.
-            _, offset_s = line_below(x[near] - x[place], y[near] - y[place], SURE_INTERVALS)
-            hosts.append(float(y[place]) + offset_s)
-        return x[places].tolist(), hosts
+        halts = _halts(x, y)
+        parts = zip(np.split(x, halts), np.split(y, halts), strict=True)
+        knots = [_knots_of(*part) for part in parts]
+        x_s, y_s = (
+            [value for values in lists for value in values] for lists in zip(*knots, strict=True)
+        )
+        return x_s, y_s, x[halts - 1].tolist()
 
 
 class _FittedClock(DeviceClock):
     """Learns as any clock, by which the timeline tells restarts, and stamps by knots."""
 
-    def __init__(self, x_s: list[float], y_s: list[float]) -> None:
+    def __init__(self, x_s: list[float], y_s: list[float], halts_s: list[float]) -> None:
+        """See _ObservedClock.knots."""
         super().__init__()
-        self._x_s, self._y_s = x_s, y_s
+        self._x_s, self._y_s, self._halts_s = x_s, y_s, set(halts_s)
 
-    @property
-    def error_s(self) -> float:
-        return 0.0
+    def error_s(self, t_device: float) -> float:
+        knot = bisect(self._x_s, t_device)  # the one after it
+        if knot in (0, len(self._x_s)) or self._x_s[knot - 1] not in self._halts_s:
+            return 0.0
+        return self._y_s[knot] - self._y_s[knot - 1]
 
     def to_host(self, t_device: float) -> float:
         x_s, y_s = self._x_s, self._y_s
@@ -112,6 +115,38 @@ class _FittedClock(DeviceClock):
         i = min(max(bisect(x_s, t_device), 1), len(x_s) - 1)  # the knot after it
         rate = (y_s[i] - y_s[i - 1]) / (x_s[i] - x_s[i - 1])
         return y_s[i] + (t_device - x_s[i]) * rate
+
+
+def _halts(x: Floats, y: Floats) -> Indices:
+    """Places from which on all arrivals within REACH are later than those before by STEP_S.
+
+    There the device's clock has stood still, with the device; a bus soon delivers promptly again.
+    Not looked for within RECENT arrivals of either end, nor where the device has a pace of its own.
+    """
+    if len(x) < 2 * RECENT:
+        return np.empty(0, np.intp)
+    pace = float(np.median(np.diff(y) / np.diff(x)))
+    if abs(pace - 1) > REAL_TIME:
+        return np.empty(0, np.intp)
+    late_s = np.pad(y - y[0] - pace * (x - x[0]), (0, REACH - 1), constant_values=np.inf)
+    earliest_s = sliding_window_view(late_s, REACH).min(axis=1)
+    halts: Indices = np.flatnonzero(np.diff(earliest_s) > STEP_S) + 1
+    return halts[(halts >= RECENT) & (halts <= len(x) - RECENT)]
+
+
+def _knots_of(x: Floats, y: Floats) -> tuple[list[float], list[float]]:
+    """See _ObservedClock.knots, of a clock that does not stand still; x, y: (m,) s, arrivals."""
+    if not _keeps_real_time(x, y):
+        return x.tolist(), np.maximum.accumulate(y).tolist()
+    last = len(x) - 1
+    places = np.linspace(0, last, 1 + -(-last // REACH)).round().astype(int)
+    hosts = []
+    for place in places:
+        near = slice(max(0, place - REACH), place + REACH + 1)
+        # Differences to the knot keep the precision over weeks of device time.
+        _, offset_s = line_below(x[near] - x[place], y[near] - y[place], SURE_INTERVALS)
+        hosts.append(float(y[place]) + offset_s)
+    return x[places].tolist(), hosts
 
 
 def _keeps_real_time(x: Floats, y: Floats) -> bool:

@@ -91,7 +91,7 @@ class RestKeeper:
         self._lock, self._drops = Lock(), 0  # of _kept; how often hear() dropped it
         self._told_drift_v: NDArray[np.float32] | None = None
         self._told_s = self._saved_s = 0.0
-        self._is_writable = True
+        self._is_writable, self._has_new_curves = True, False
         self._read()
 
     @property
@@ -160,8 +160,7 @@ class RestKeeper:
             if not recalibrated:
                 return
             self._tell()
-        name = config.calibration.identity or "by default"
-        self._log.info(f"calibration {name} is in force; tare and drift stay, by its curves")
+        self._has_new_curves = True
         if self._kept is not None and self._store.path is not None:
             self._save()  # on file they are with the curves that they are used with
 
@@ -169,6 +168,10 @@ class RestKeeper:
         """Report and save drift if that is due; call it about once a second."""
         if self._driver is None or self._told_drift_v is None:
             return
+        if self._has_new_curves:  # perhaps by several parameters, one after the other
+            self._has_new_curves = False
+            name = self.config.calibration.identity or "by default"
+            self._log.info(f"calibration {name} is in force; tare and drift stay, by its curves")
         now_s, lsb_v = time.monotonic(), self.config.adc.lsb_v
         moved_v = np.abs(self._driver.pipeline.taxels.baseline.drift_v - self._told_drift_v).max()
         if moved_v > _TOLD_LSB * lsb_v and now_s - self._told_s >= TELL_S:

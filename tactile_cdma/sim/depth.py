@@ -10,7 +10,6 @@ Newton's method, which finds its kinks, too.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -64,7 +63,7 @@ def at_force(
             step_m = (light_m + heavy_m) / 2 - shift_m
         shift_m += step_m
         before_m = height_m
-        moved = replace(thing, position_m=tuple((thing.position_m + shift_m * way).tolist()))
+        moved = thing.moved(shift_m * way)
         if abs(step_m) < SOUGHT_M:
             break
     pressed = height_m < share * step_m

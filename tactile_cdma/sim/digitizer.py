@@ -31,6 +31,7 @@ from ..wire.messages import (
     GetInfo,
     Groups,
     Info,
+    Number,
     Pack,
     Packed,
     Packet,
@@ -237,7 +238,7 @@ class VirtualDigitizer:
                 self._packs = True
             case Configure():
                 result = self._configure(command)
-            case Touch() | Bootsel():
+            case Touch() | Bootsel() | Number():
                 result = Result.UNKNOWN_COMMAND
         self.commands_refused += result != Result.OK
         self._send(command.ack(result))

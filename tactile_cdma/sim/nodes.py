@@ -5,11 +5,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Bools, Floats
+from ..base.arrays import Bools, Floats, Indices
 from ..clocks.node_clocks import NodeClocks
 from ..code.frame import FrameSpec
 from ..readings.calibration import AdcScale
@@ -113,6 +114,16 @@ class NodeRules:
     threshold: int = 1
     heartbeat: int = 78
 
+    def has_news(self, codes: Any, rest: Any, last_sent: Any) -> Any:
+        """Which nodes have something to tell; arrays of any kind, of integers and of one shape."""
+        if self.threshold == 0:
+            return codes == codes
+        return (abs(codes - rest) > self.threshold) | (abs(codes - last_sent) > self.threshold)
+
+    def beat(self, nodes: int) -> Indices:
+        """(n,) in which frame of every heartbeat's period a node talks."""
+        return np.arange(nodes) * self.heartbeat // nodes
+
 
 def node_frames(
     spec: FrameSpec,
@@ -131,14 +142,10 @@ def node_frames(
     sensors = sensors or SensorModel()
     sensor = Sensor(sensors, spec.nodes)
     adc = AdcScale(spec.bits)
-    rest = adc.code(sensor.rest_v)
-    dead, stuck = (
-        np.array([number - 1 for number in numbers if number <= spec.nodes], dtype=int)
-        for numbers in (sensors.dead, sensors.stuck)
-    )
-    rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << spec.bits, size=len(stuck))
+    rest = rest_codes(sensors, adc, spec.nodes)
+    dead, stuck = (sensors.indices(each, spec.nodes) for each in (sensors.dead, sensors.stuck))
     last_sent = rest.copy()
-    beat = np.arange(spec.nodes) * rules.heartbeat // spec.nodes
+    beat = rules.beat(spec.nodes)
     owed = np.zeros(spec.nodes, bool)  # heartbeats that came out of turn
     nodes = np.arange(1, spec.nodes + 1)
     for number in count():
@@ -147,14 +154,11 @@ def node_frames(
         voltage_v = sensor.step(pressure_pa, start_s)
         codes = adc.code(voltage_v)
         codes[stuck] = rest[stuck]
-        active = np.abs(codes - rest) > rules.threshold
-        active |= np.abs(codes - last_sent) > rules.threshold
+        active = rules.has_news(codes, rest, last_sent)
         due = np.zeros(spec.nodes, bool)
         if rules.heartbeat:
             due = beat == number % rules.heartbeat
         active |= due | owed
-        if rules.threshold == 0:
-            active[:] = True
         speaker = roll_calls.speaker(number, spec.nodes) if roll_calls else None
         turn = roll_calls.turn(number) if roll_calls else 0
         if speaker is not None:
@@ -169,6 +173,14 @@ def node_frames(
         last_sent[active] = codes[active]
         called = speaker is not None
         yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called, turn)
+
+
+def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> NDArray[np.int64]:
+    """What the nodes measure at power-up, before anything touches the skin, (n,)."""
+    rest = adc.code(Sensor(sensors, nodes).rest_v)
+    stuck = sensors.indices(sensors.stuck, nodes)
+    rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << adc.bits, size=len(stuck))
+    return rest
 
 
 def frame_start_s(spec: FrameSpec, number: int, start_phase: float = 0.0) -> float:

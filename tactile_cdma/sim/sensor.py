@@ -13,11 +13,13 @@ load, and almost nothing remains at zero.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Floats
+from ..base.arrays import Floats, Indices
 from ..readings.calibration import Curves, PressureCurve
 
 IDEAL, PAPER, FSR = "ideal", "paper", "fsr"
@@ -104,6 +106,11 @@ class SensorModel:
             weights=tuple(weight * root for weight in PAPER_DYNAMICS.weights),
         )
 
+    @staticmethod
+    def indices(numbers: Sequence[int], nodes: int) -> Indices:
+        """Of the nodes with these numbers, without those beyond the skin."""
+        return np.array([number - 1 for number in numbers if number <= nodes], dtype=np.intp)
+
     def curves(self, nodes: int) -> Curves:
         """The true static curves.
 
@@ -167,26 +174,23 @@ class Hysteresis:
     """A Prandtl–Ishlinskii operator for n sensors; it starts as if pressures had only risen."""
 
     def __init__(self, dynamics: Dynamics, sensors: int) -> None:
-        self._widths = np.array(dynamics.widths)[:, None]
-        self._weights = np.array(dynamics.weights)
-        self._plays = np.zeros((len(self._weights), sensors))
+        self._dynamics = dynamics
+        self._plays: tuple[Floats, ...] = (np.zeros(sensors),) * len(dynamics.widths)
 
     def update(self, pressure_pa: Floats) -> Floats:
         """Apparent pressures (n,), Pa, for pressures (n,), Pa, ≥ 0; whatever the time.
 
         Repeating or subdividing a step changes nothing.
         """
-        level = np.log1p(pressure_pa / SCALE_PA)
-        self._plays = np.maximum(level, np.minimum(level + self._widths, self._plays))
-        value = (1 - self._weights.sum()) * level + self._weights @ self._plays
-        return np.asarray(SCALE_PA * np.expm1(value))
+        self._plays, apparent_pa = followed(self._plays, pressure_pa, self._dynamics, np)
+        return np.asarray(apparent_pa)
 
 
 class Lag:
     """A first-order lag of n sensors, with separate time constants for rise and fall."""
 
     def __init__(self, dynamics: Dynamics) -> None:
-        self._rise_s, self._fall_s = dynamics.rise_s, dynamics.fall_s
+        self._dynamics = dynamics
         self._delayed_pa: Floats | None = None
 
     def update(self, pressure_pa: Floats, passed_s: float) -> Floats:
@@ -196,7 +200,31 @@ class Lag:
         """
         if self._delayed_pa is None:
             self._delayed_pa = np.array(pressure_pa, dtype=np.float64)
-        missing_pa = pressure_pa - self._delayed_pa
-        constant_s = np.where(missing_pa > 0, self._rise_s, self._fall_s)
-        self._delayed_pa = self._delayed_pa - missing_pa * np.expm1(-passed_s / constant_s)
+        self._delayed_pa = delayed(self._delayed_pa, pressure_pa, passed_s, self._dynamics, np)
         return self._delayed_pa
+
+
+def followed(
+    plays: Sequence[Any], pressure_pa: Any, dynamics: Dynamics, xp: Any
+) -> tuple[tuple[Any, ...], Any]:
+    """One step of hysteresis: the plays after it, and apparent pressures, Pa.
+
+    plays: one for each of the widths, of the pressures' shape; 0 at first. xp: the arrays'
+    namespace, by the array API standard.
+    """
+    level = xp.log1p(pressure_pa / SCALE_PA)
+    value = (1 - sum(dynamics.weights)) * level
+    moved = []
+    for play, width, weight in zip(plays, dynamics.widths, dynamics.weights, strict=True):
+        moved.append(xp.maximum(level, xp.minimum(level + width, play)))
+        value = value + weight * moved[-1]
+    return tuple(moved), SCALE_PA * xp.expm1(value)
+
+
+def delayed(before_pa: Any, pressure_pa: Any, passed_s: float, dynamics: Dynamics, xp: Any) -> Any:
+    """One step of lag: from before_pa, with pressure_pa, both Pa, applied for passed_s."""
+    rise, fall = (
+        -math.expm1(-passed_s / constant_s) for constant_s in (dynamics.rise_s, dynamics.fall_s)
+    )
+    missing_pa = pressure_pa - before_pa
+    return before_pa + xp.where(missing_pa > 0, rise * missing_pa, fall * missing_pa)

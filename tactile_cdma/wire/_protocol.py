@@ -22,6 +22,10 @@ SYNC_LEAD = 4
 SYNC_DIGIT = 8
 TURN_SHIFT = 3
 TURN_MOST_LOG2 = 4
+TURN_NUMBERS = 1
+TURN_NUMBER_SHIFT = 5
+TURN_NUMBER_BITS = 10
+TURN_FORGET = 32768
 NODE_MAGIC = 1314145108
 NODE_VERSION = 3
 NODE_LEARN_REST = 65535
@@ -51,6 +55,7 @@ class PacketType(IntEnum):
     PACK = 0x86
     TOUCH = 0x87
     BOOTSEL = 0x88
+    NUMBER = 0x8A
     GROUPS = 0x89
 
 
@@ -167,6 +172,7 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "Pack": (),
     "Touch": (Field("scene", "B", Scene), Field("node", "H", U16), Field("code", "H", U16),),
     "Bootsel": (),
+    "Number": (Field("number", "H", range(0, 1024)), Field("forget", "B", bool),),
     "Groups": (Field("log2_groups", "B", range(0, 5)),),
 }
 # fmt: on

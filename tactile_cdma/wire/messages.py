@@ -476,6 +476,17 @@ class Groups(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Number(Command):
+    """Has a node that is pressed take a number, or (forget) the nodes of a number lose it.
+
+    number: 0: none; with forget: all nodes lose theirs.
+    """
+
+    number: int
+    forget: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class OtherVersion:
     """An Info of another protocol version; its text is for people."""
 
@@ -568,6 +579,7 @@ PACKETS: dict[int, type[Packet]] = {
     PacketType.TOUCH: Touch,
     PacketType.BOOTSEL: Bootsel,
     PacketType.GROUPS: Groups,
+    PacketType.NUMBER: Number,
 }
 """Packets by the first byte of their body."""
 for _type, _kind in PACKETS.items():

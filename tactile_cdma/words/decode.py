@@ -20,6 +20,7 @@ from ..code.amplitude import (
     FAINT_SHARE,
     HIDDEN,
     MOVED_SHARE,
+    SILENT_RHO,
     pooled_noise,
     rises,
     usual_amplitude,
@@ -46,6 +47,9 @@ OFF, OFF_HIT, OFF_OTHERS, MOST_BROKEN = 2.0, 5.0, 4.0, 0.25
 """A level is uncertain below OFF times the typical deviation of that bit's levels, of all nodes but
 MOST_BROKEN; below OFF_HIT times that where it is OFF_OTHERS times that of most bits: something has
 hit this bit, and that is not alike for all nodes. Chosen on disturbed lines (make torture)."""
+LEAST_ALIKE = 8
+"""Levels that are not all turned by what shows in none as another one. Chosen: a spike has the same
+sign in so many rows once in 100."""
 UNLIKE_OTHERS = 5.0
 """A level is also uncertain if it is off by more than UNLIKE of the word's amplitude, and by more
 than UNLIKE_OTHERS times the typical deviation of its bit and of most bits: something else is on
@@ -283,6 +287,8 @@ def _silent_elsewhere(frame: _Frame) -> Bools:
     codes the certificate says what noise may hide.
     """
     levels, spec, active = frame.levels, frame.spec, frame.active
+    if not spec.sparse and levels.noise_v * SILENT_RHO > frame.expected_v:
+        return ~active  # as faint as words may be
     may_hide = frame.noise_v * math.sqrt(spec.order) > HIDDEN * frame.expected_v
     if spec.sparse or not (may_hide or frame.hidden.any() or not active.any()):
         return nobody(len(active))
@@ -396,7 +402,10 @@ def _disturbed(frame: _Frame) -> Bools:
     rows = slice(None) if levels.spoke is None else np.sort(levels.spoke)
     active, amplitude = frame.active[rows], frame.measures.amplitude[rows]
     level, nodes = np.abs(levels.values[:, rows]), len(active)
-    off, rank = np.abs(level - amplitude * active), round((1 - MOST_BROKEN) * (nodes - 1))
+    off, rank = level - amplitude * active, round((1 - MOST_BROKEN) * (nodes - 1))
+    if nodes >= LEAST_ALIKE:  # what lowers all levels, as clipping does, turns none of them
+        off -= off.max(axis=1, keepdims=True).clip(max=0)
+    off = np.abs(off)
     unit = _middle(amplitude[active])
     # A node counts for its amplitude at most: a single one that is broken hits no bit.
     most_off = np.minimum(off, unit)
@@ -409,6 +418,8 @@ def _disturbed(frame: _Frame) -> Bools:
         return frame.active
     usual = np.partition(off, rank, axis=1)[:, rank]
     of_most = _middle(usual)
+    if levels.spoke is not None:  # of few words what is usual is not known, but noise is
+        of_most = np.maximum(of_most, np.float32(levels.noise_v))
     least = np.where(usual > OFF_OTHERS * of_most, np.float32(OFF_HIT), np.float32(OFF)) * usual
     most = np.maximum(UNLIKE * amplitude, UNLIKE_OTHERS * np.maximum(usual, of_most)[:, None])
     found[rows] = active & ((level < least[:, None]) | (off > most)).any(axis=0)

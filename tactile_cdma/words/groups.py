@@ -14,7 +14,8 @@ OVERLOADS = 2
 """Frames in a row beyond the capacity that divide the nodes. Chosen: one is a disturbed frame."""
 FULL, CALM = 0.8, 0.5
 """Share of the capacity that a group may fill; and that all nodes together have to stay below for
-CALM_S until they speak at once again. Chosen: how many spoke is an estimate, and no to and fro."""
+CALM_S until groups are joined, two and two and with a round in between: what nodes kept until their
+turn, heartbeats too, they say at once. Chosen: how many spoke is an estimate, and no to and fro."""
 CALM_S = 1.0
 
 
@@ -52,7 +53,8 @@ class Groups:
         """Take in how many spoke in a frame of this turn, and as far as is known, who, (n,)."""
         log2 = groups_of(turn).bit_length() - 1
         if log2 != self.now_log2:
-            self.now_log2, self._over, self._calm = log2, 0, 0
+            self._calm = self._calm if log2 < self.now_log2 else 0
+            self.now_log2, self._over = log2, 0
             self._round = deque(maxlen=1 << log2)
         if log2:
             again = int(np.count_nonzero(active & self._spoke))
@@ -62,11 +64,11 @@ class Groups:
             self._round.append(speakers)
         is_over = speakers > self._capacity
         is_whole = len(self._round) == self._round.maxlen
-        is_calm = is_whole and sum(self._round) <= CALM * self._capacity
         self._over = self._over + 1 if is_over else 0
-        self._calm = self._calm + 1 if is_calm else 0
+        if is_whole:
+            self._calm = self._calm + 1 if sum(self._round) <= CALM * self._capacity else 0
         if self._over >= OVERLOADS and log2 < TURN_MOST_LOG2:
             more = math.ceil(math.log2(speakers / (FULL * self._capacity)))
             self.wanted_log2 = min(max(log2 + max(more, 1), self.wanted_log2), TURN_MOST_LOG2)
-        elif self._calm >= self._calm_frames:
-            self.wanted_log2 = 0
+        elif is_whole and self._calm >= self._calm_frames:
+            self.wanted_log2 = max(log2 - 1, 0)

@@ -191,20 +191,30 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
     signs, meant, left = _taken_apart(levels, amplitude, active, spec)
     chips = _without_leakage(chips_of(left, spec), chips_of(meant, spec))
     earlier, later = signs[:-1], signs[1:]
-    alike = np.einsum("kn,kn->n", earlier, later) / np.float32(len(earlier))
-    # How much of each word there is in the chips next to its bits, beside what is due to the bits
-    # that own these chips: linear regression on both.
-    scale = 1 / np.maximum(len(earlier) * (1 - np.square(alike)), np.float32(1e-3))
-
     variance = np.square(chips[:, EDGE:-EDGE]).mean(axis=1)
     most_by_chance = by_chance_of(spec)
 
-    def found(word: Floats32, owner: Floats32, edge: Floats32, noise: Floats32) -> Bools:
+    def shows(word: Floats32, owner: Floats32, edge: Floats32, noise: Floats32) -> Bools:
+        # How much of each word there is in the chips next to its bits, beside what is due to the
+        # bits that own these chips: linear regression on both.
+        alike = np.einsum("kn,kn->n", word, owner) / np.float32(len(word))
+        scale = 1 / np.maximum(len(word) * (1 - np.square(alike)), np.float32(1e-3))
         weights = word - alike * owner
         each = np.abs(edge.T @ weights) * scale
         most = np.maximum(each.max(axis=0), np.hypot(*each) * np.float32(1 / OF_TWO))
         by_chance = most_by_chance * scale * np.sqrt(noise @ np.square(weights))
-        is_found: Bools = most > np.maximum(LATE_SHARE * amplitude, by_chance)
+        is_shown: Bools = most > np.maximum(LATE_SHARE * amplitude, by_chance)
+        return is_shown
+
+    def found(word: Floats32, owner: Floats32, edge: Floats32, noise: Floats32) -> Bools:
+        is_found, height = shows(word, owner, edge, noise), np.abs(edge).max(axis=1)
+        others = np.arange(len(edge)) != height.argmax()
+        if height.max() < BY_CHANCE * math.sqrt(noise[~others].item()):
+            return is_found
+        # A late word shows wherever its bits change, what has hit one chip in one place.
+        rest = word[others], owner[others], edge[others]
+        changes_once = (rest[0] == rest[1]).all(axis=0)
+        is_found &= changes_once | shows(*rest, np.zeros(others.sum(), np.float32))
         return is_found
 
     are_late: Bools = found(earlier, later, chips[1:, :EDGE], variance[1:])

@@ -64,9 +64,9 @@ bool shim_discipline(const struct tp_node_record *record, uint32_t ticks_per_us,
     return believed;
 }
 
-uint8_t shim_turn_digit(uint32_t ticks, uint16_t unit_ticks)
+uint16_t shim_turn_digit(uint32_t ticks, uint16_t digit_ticks)
 {
-    return turn_digit(ticks, unit_ticks);
+    return turn_digit(ticks, digit_ticks);
 }
 
 uint8_t shim_pulse(uint32_t ticks, uint16_t unit_ticks)

@@ -270,11 +270,11 @@ def test_what_is_said_out_of_turn_is_said_in_turn(core: ctypes.CDLL) -> None:
 
 def test_digits_of_a_turn_are_where_the_page_says(core: ctypes.CDLL) -> None:
     """(d + 1) · 128 µs before the frame's pulse, within 32 µs."""
-    core.shim_turn_digit.restype = ctypes.c_uint8
-    for us in range(-1000, 2000):
-        places = [d for d in range(5) if abs(us - (d + 1) * 128) <= 32]
+    core.shim_turn_digit.restype = ctypes.c_uint16
+    for us in range(-1000, 3000):
+        places = [d for d in range(16) if abs(us - (d + 1) * 128) <= 32]
         expected = 1 << places[0] if places else 0
-        assert core.shim_turn_digit(ctypes.c_uint32(us * 8), 128) == expected, us
+        assert core.shim_turn_digit(ctypes.c_uint32(us * 8), 1024) == expected, us
 
 
 def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:

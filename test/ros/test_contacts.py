@@ -119,6 +119,14 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
             for kind, topic in ((Image, "pressure_image"), (PointCloud2, "points"))
         )
         wait_for(lambda: sum(m.taxels_valid == valid for m in lists) > 4 / 0.0128)  # on and off
+        assert client.set(publish_unknown_wrench=False) == (True, "")
+
+        def has_ended() -> bool:
+            known, before = len(wrenches), len(lists)
+            wait_for(lambda: len(lists) > before + 20)
+            return len(wrenches) == known  # none is on its way any more
+
+        wait_for(has_ended)
     for message in lists:
         assert not message.touched and not message.untouched and not message.contacts
         assert message.taxels_in_service == 16
@@ -134,6 +142,14 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
     of_taxels = np.array([(c.r, c.g, c.b) for c in surface.colors]).reshape(16, 6, 3)
     grey = np.isclose(of_taxels * 255, NO_READING_RGB).all(axis=(1, 2))
     assert np.flatnonzero(grey).tolist() == unread.tolist()
+
+
+def test_a_wrench_is_published_as_soon_as_it_is_known() -> None:
+    given = {"port": "sim://?scene=idle&heartbeat=20", "publish_unknown_wrench": False}
+    with running(**given) as (_, client):
+        wrenches = subscribed(client, WrenchStamped, "wrench")
+        wait_for(lambda: len(wrenches) > 5)
+    assert all(components(message.wrench.force).tolist() == [0.0] * 3 for message in wrenches)
 
 
 class Lossy(VirtualDigitizer):

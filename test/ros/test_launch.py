@@ -22,11 +22,13 @@ from ament_index_python.packages import (
     PackageNotFoundError,
     get_package_prefix,
 )
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch import LaunchContext
+from launch.actions import IncludeLaunchDescription, LogInfo
+from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch_ros.actions import Node
 from launch_ros.utilities import evaluate_parameters
 
+from tactile_cdma.config.arguments import launch_values
 from test.support.programs import run_python
 from test.support.waiting import PATIENCE_S
 
@@ -45,23 +47,29 @@ def load() -> Any:
     return module
 
 
-def actions(**arguments: str) -> tuple[list[Any], LaunchContext]:
-    """The actions that launch would execute with these arguments."""
-    context = LaunchContext()
-    context.launch_configurations.update(arguments)
-    found: list[Any] = []
-    description: LaunchDescription = load().generate_launch_description()
-    for entity in description.entities:
-        if isinstance(entity, DeclareLaunchArgument):
-            entity.execute(context)
-        elif isinstance(entity, OpaqueFunction):
-            found += entity.execute(context) or []
+def actions(
+    within: LaunchContext | None = None, **arguments: str
+) -> tuple[list[Any], LaunchContext]:
+    """The actions that launch would execute with these arguments; within: what it was before."""
+    context, found = within or LaunchContext(), list[Any]()
+    source = PythonLaunchDescriptionSource(str(LAUNCH_FILE))
+
+    def visit(entity: Any) -> None:
+        for inner in entity.visit(context) or ():
+            if isinstance(inner, Node | LogInfo):
+                found.append(inner)
+            else:
+                visit(inner)
+
+    visit(IncludeLaunchDescription(source, launch_arguments=arguments.items()))
     return found, context
 
 
-def driver(**arguments: str) -> tuple[Node, Path, dict[str, object]]:
+def driver(
+    within: LaunchContext | None = None, **arguments: str
+) -> tuple[Node, Path, dict[str, object]]:
     """The driver's action, its parameter file and the parameters that override it."""
-    (node,), context = actions(**arguments)
+    (node,), context = actions(within, **arguments)
     params_file, overrides = evaluate_parameters(context, node._Node__parameters)
     node._perform_substitutions(context)
     return node, Path(params_file), dict(overrides)
@@ -83,6 +91,15 @@ def test_without_arguments_the_parameter_file_rules() -> None:
         ({"port": "sim://?scene=hand", "sim": "true"}, {"port": "sim://?scene=hand"}),
         ({"port": "7"}, {"port": "7"}),  # a text, though YAML would make a number of it
         ({"frame_id": "left_palm"}, {"frame_id": "left_palm"}),
+        ({"sim": "True", "body": "False"}, {"port": "sim://"}),
+        (
+            {"nodes": "64", "chip_us": "20", "timing": "gap"},
+            {"nodes": 64, "chip_us": 20.0, "timing": "gap"},
+        ),
+        ({"mount_xyz_m": "[0, 0.1, 1e-2]"}, {"mount_xyz_m": (0.0, 0.1, 0.01)}),
+        ({"use_sim_time": "True"}, {"use_sim_time": True}),
+        ({"namespace": "left"}, {"frame_id": "left/skin"}),  # not that of the right one
+        ({"namespace": "left", "frame_id": "skin"}, {"frame_id": "skin"}),
     ],
 )
 def test_arguments_override_the_file(arguments: dict[str, str], overrides: dict[str, str]) -> None:
@@ -97,25 +114,35 @@ def test_parameter_file_and_namespace(tmp_path: Path) -> None:
     assert node.node_name == "/left/skin"
 
 
-def test_arguments_are_checked() -> None:
-    with pytest.raises(RuntimeError, match="sim"):
-        actions(sim="perhaps")
+def test_arguments_of_the_file_that_includes_it_neither_leak_in_nor_are_lost() -> None:
+    robot = LaunchContext()
+    theirs = dict.fromkeys(
+        ("params_file", "port", "namespace", "rviz", "sim", "body", "nodes"), "x"
+    )
+    robot.launch_configurations.update(theirs | {"ros_namespace": "/robot/left"})
+    node, params_file, overrides = driver(robot, frame_id="palm")
+    assert (params_file.name, overrides) == ("skin.yaml", {"frame_id": "palm"})
+    assert node.node_name == "/robot/left/skin"
+    own = {name: value for name, value in robot.launch_configurations.items() if name in theirs}
+    assert own == theirs
+    assert not {"only", "patches"} & robot.launch_configurations.keys()
+    node, _, overrides = driver(robot, namespace="hand")
+    assert (node.node_name, overrides["frame_id"]) == (
+        "/robot/left/hand/skin",
+        "robot/left/hand/skin",
+    )
+    with pytest.raises(RuntimeError, match="those of the body file: no /robot/left around"):
+        actions(robot, patches=str(BODY_FILE))
 
 
-@pytest.mark.parametrize("file", ["skin.launch.py", "/opt/ws/launch/skin.launch.py"])
-def test_an_argument_that_does_not_exist_is_refused(
-    file: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["ros2", "launch", file, "prot:=/dev/ttyACM0"])
-    with pytest.raises(RuntimeError, match="'prot'; did you mean 'port'"):
-        actions()
-
-
-def test_arguments_of_a_launch_file_that_includes_this_one_are_its_own(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "robot", "robot.launch.py", "prot:=x"])
-    assert driver()[2] == {}
+def test_a_parameter_file_is_looked_for_in_the_package_too(tmp_path: Path) -> None:
+    with contextlib.chdir(tmp_path):
+        assert driver(params_file="config/wired_skin.yaml")[1].samefile(
+            ROOT / "config" / "wired_skin.yaml"
+        )
+        (tmp_path / "config").mkdir()
+        (tmp_path / "config" / "wired_skin.yaml").write_text("skin: {ros__parameters: {nodes: 9}}")
+        assert driver(params_file="config/wired_skin.yaml")[1].is_relative_to(tmp_path)
 
 
 def test_rviz_is_started_or_its_absence_told() -> None:
@@ -130,14 +157,10 @@ def test_rviz_is_started_or_its_absence_told() -> None:
 
 def displays(**arguments: str) -> tuple[str, Any]:
     """The fixed frame, and what rviz would be given: a path, or the content made for it."""
-    launch_file, context = load(), LaunchContext()
-    context.launch_configurations.update(arguments)
-    for entity in launch_file.generate_launch_description().entities:
-        if isinstance(entity, DeclareLaunchArgument):
-            entity.execute(context)
-    get = context.launch_configurations
-    of = launch_file.body_displays if get["patches"] else launch_file.skin_displays
-    frame_id, view = of(get)
+    launch_file = load()
+    given = launch_file.Given(*launch_values(arguments, launch_file.OWN), "")
+    of = launch_file.body_displays if "patches" in arguments else launch_file.skin_displays
+    frame_id, view = of(given)
     return frame_id, view if isinstance(view, Path) else yaml.safe_load(view)
 
 
@@ -217,7 +240,7 @@ def test_a_body_is_a_driver_per_patch_and_the_node_that_gathers() -> None:
     assert Path(file) == ROOT / "config" / "skin.yaml"
     assert given == {
         "frame_id": "left_palm",
-        "port": "sim://?scene=press&pitch_mm=15",
+        "port": "sim://?scene=press",
         "pitch_mm": 15.0,
         "parent_frame": "body",
         "mount_xyz_m": (0.31, 0.15, 0.22),
@@ -240,6 +263,10 @@ def test_a_computer_may_have_a_share_of_the_body() -> None:
         ({"params_file": "none.yaml"}, "no parameter file .*/none.yaml"),
         ({"params_file": str(ROOT / "config" / "skn.yaml")}, r"did you mean .*config/skin\.yaml\?"),
         ({"params_file": "nowhere/wired_skin.yaml"}, r"did you mean .*config/wired_skin\.yaml\?"),
+        ({"prot": "/dev/ttyACM0"}, "unknown launch argument 'prot'; did you mean 'port'"),
+        ({"sim": "perhaps"}, "sim is 'perhaps'; it must be true or false"),
+        ({"nodes": "many"}, "nodes must be an integer, got 'many'"),
+        ({"patches": str(BODY_FILE), "nodes": "9"}, "nodes is for a single patch"),
         ({"rviz": "tru"}, "unknown value of rviz 'tru'; did you mean 'true'?"),
         ({"rviz": "body"}, "also set patches"),
         ({"rviz": "curved", "patches": str(BODY_FILE)}, "set rviz:=body"),

@@ -9,6 +9,7 @@ import threading
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import pytest
 import rclpy
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -189,6 +190,28 @@ def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: P
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_ACTIVATE)
         wait_for(lambda: client.arrays)
+
+
+def test_a_manager_learns_why_a_node_cannot_start_and_then_starts_and_ends_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As nav2's does: transitions by their number, and after each a look at the state."""
+    with running(autostart=False, port=str(tmp_path / "none")) as (_, client):
+        for _ in range(2):
+            assert not client.change(Transition.TRANSITION_CONFIGURE)
+        assert not client.change(Transition.TRANSITION_ACTIVATE)
+        said = capfd.readouterr().err
+        assert said.count("cannot configure: ") == said.count("/none: no such port") == 2
+        assert (
+            f"transition {Transition.TRANSITION_ACTIVATE} is not possible: the node is un" in said
+        )
+        assert client.set(port="sim://") == (True, "")
+        state = UNCONFIGURED
+        life = ("configure", "activate", "deactivate", "cleanup")
+        for name in (*life, *life, "shutdown"):
+            assert client.change(transition_id(state, name))
+            state = TRANSITIONS[state, name]
+            assert client.state() == getattr(State, f"PRIMARY_STATE_{state.upper()}")
 
 
 def test_a_destroyed_node_leaves_no_services_behind() -> None:

@@ -8,7 +8,8 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
-from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.time import Time
 from sensor_msgs.msg import Image
 
@@ -17,6 +18,7 @@ from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.status import Status
 from tactile_cdma.ros.common.qos import PICTURE
+from tactile_cdma.ros.driver.node import REVIEW_S
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from test.support.skin_client import running
@@ -127,6 +129,33 @@ def test_wrong_values_are_refused_with_a_reason_and_streaming_goes_on() -> None:
             assert reason in why
         before = len(client.arrays)
         wait_for(lambda: len(client.arrays) > before + 20)
+
+
+def test_all_parameters_can_be_set_to_what_they_are_as_by_param_dump_and_load() -> None:
+    overrides = {"qos_overrides./skin/tactile.publisher.depth": 7}
+    with running(**overrides) as (node, client):
+        wait_for(lambda: client.arrays)
+        parameters = node.get_parameters_by_prefix("").values()
+        assert len(parameters) > len(PARAMETERS) + 30
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
+        results = client.call(SetParameters, "set_parameters", request).results
+        assert len(results) == len(parameters)
+        assert [result.reason for result in results if not result.successful] == []
+        assert "counts only when the node starts" in client.set(autostart=False)[1]
+
+
+@pytest.mark.parametrize(("last", "told"), [(("bits", 12), 1), (("nodes", 16), 0)])
+def test_a_combination_that_cannot_be_is_announced_once_all_are_set(
+    last: tuple[str, int], told: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with running(autostart=False) as (_, client):
+        given = [("order", 24), ("nodes", 900), ("chip_us", 60.0), last]  # for 23 at most
+        parameters = [RosParameter(name, value=v).to_parameter_msg() for name, v in given]
+        request = SetParameters.Request(parameters=parameters)
+        results = client.call(SetParameters, "set_parameters", request).results
+        assert all(result.successful for result in results)
+        time.sleep(2 * REVIEW_S)
+    assert capfd.readouterr().err.count("not configurable as it is now: ") == told
 
 
 def test_live_parameters_take_effect_at_once() -> None:

@@ -18,6 +18,8 @@ from zlib import crc32
 
 import numpy as np
 
+from tactile_cdma.config.parameters import Value
+
 from ..outcome import Outcome, Plan, Tally
 from .damage import KINDS, LOST, OF_BYTES, Kind, flipped
 from .man_in_the_middle import Counted, Schedule
@@ -26,6 +28,10 @@ from .rig import Rig, Stream
 ALWAYS = {"threshold": 0}
 """Every node speaks in every frame."""
 MANY = {"nodes": 256, "samples_per_chip": 1, "chip_us": 5.0, "frame_period_ms": 20.0}
+FEW_SPEAK: dict[str, Value] = {
+    **{"codes": "sparse", "nodes": 400, "order": 96, "chip_us": 5.0, "samples_per_chip": 1},
+    **{"frame_period_ms": 8.0, "resync_chips": 96, "guard_chips": 20, "nodes_repeat": True},
+}
 STREAMS = {
     Stream("chips", {"samples_per_chip": 1}, ALWAYS): 500,
     Stream("samples", {}, ALWAYS): 150,
@@ -35,6 +41,7 @@ STREAMS = {
     Stream("gaps", {"timing": "gap"}, ALWAYS): 25,
     Stream("silent gaps", {"timing": "gap"}, {"scene": "press"}): 25,
     Stream("256 nodes", MANY, {"scene": "hand"}): 40,
+    Stream("sparse", FEW_SPEAK, {"scene": "moving"}): 40,
 }
 """The streams, and how many faults of each kind are put into each in a full run."""
 QUICK = 2

@@ -14,6 +14,7 @@ from functools import partial
 
 from tactile_cdma.config.parameters import Value
 
+from ..line.campaign import FEW_SPEAK
 from ..outcome import Outcome, Plan
 from . import faulty_line as line
 from . import faulty_nodes as nodes
@@ -37,6 +38,8 @@ LARGE = [
     Skin(GAP, NODES_256 | {"parity": True}, ALWAYS),
     Skin(LINE, NODES_1024, ALWAYS),
 ]
+SPARSE = Skin(CHIPS, FEW_SPEAK, {"scene": "moving"})
+"""A full run tries it where no node has to be found out: they speak too seldom here."""
 QUICK_KINDS = 3
 """A quick run tries one in three kinds, by the seed."""
 LARGE_IN_TURN = 2
@@ -125,6 +128,8 @@ def run(plan: Plan) -> Iterator[Outcome]:
         )
         turn = (plan.seed + place) % len(large)
         skins = small + (large[turn:] + large[:turn])[:LARGE_IN_TURN]
+        if CHIPS in kind.timings and not (kind.nodes and kind.flagged):
+            skins.append(SPARSE)
         if plan.quick:
             skins = [small[place % len(small)]]
         yield trials(kind, skins, FRAMES, plan.seed)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tactile_cdma.code.codes import row_signs, smallest_order
 from tactile_cdma.code.encode import frame_levels, with_parity, word_bits
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from tactile_cdma.code.transform import chips_of
 from tactile_cdma.sim.line import Waveform
 
 Floats = NDArray[np.float64]
@@ -71,8 +72,9 @@ def spoken(spec: FrameSpec, code: int, row: int, gain: float = 1.0) -> Level:
     """Levels (span_chips,) V of a word on a code row, row sign and amplifier's polarity applied."""
     bits = word_bits(np.array([code]), spec.bits)
     bits = with_parity(bits) if spec.parity else bits
-    sign = row_signs(np.array([row]), spec.sign_seed)[0]
-    chips = np.outer(2.0 * bits[0] - 1.0, sign * spec.book.rows([row])[0])
+    rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
+    rows[:, row] = (2.0 * bits[0] - 1.0) * row_signs(np.array([row]), spec.sign_seed)[0]
+    chips = chips_of(rows, spec).astype(np.float64)
     chips = (chips + 1) / 2 if spec.drive == UNIPOLAR else chips
     volts = gain * (spec.amplitude_v or DEFAULT_AMPLITUDE_V) * spec.polarity
     return frame_levels((volts * chips).astype(np.float32), spec)

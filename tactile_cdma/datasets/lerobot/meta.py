@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from ...base.errors import CaptureError
 from ..samples import CONTACT_NAMES, WRENCH_NAMES, Kind, PatchInfo, SampleStream
-from ..touch import MODES, POLICIES
+from ..touch import MODES, POLICIES, slots
 from . import ABOUT, INFO
 from .features import Feature, column, features_of
 
@@ -41,18 +42,37 @@ class DatasetMeta:
     about: dict[str, dict[str, Any]]
 
     @classmethod
+    def of(
+        cls, patches: Iterable[PatchInfo], contacts: bool, fps: int, mode: str, policy: str
+    ) -> DatasetMeta:
+        """That of a dataset of these skins and nothing else; contacts: which find contacts."""
+        by_name = {patch.name: patch for patch in patches}
+        streams = []
+        for name, patch in by_name.items():
+            key = f"observation.{Kind.TACTILE}.{name}"
+            streams.append(SampleStream(key, Kind.TACTILE, name, (len(patch),), patch=patch))
+            for kind, names in _GROUPS.items() if contacts else ():
+                key = f"observation.{kind}.{name}"
+                streams.append(SampleStream(key, kind, name, (len(names),), names))
+        counts = {name: slots(patch, fps, mode) for name, patch in by_name.items()}
+        found = {stream.key: stream for stream in streams}
+        features = features_of(streams, counts, mode)
+        path = Path("skins")
+        return cls(path, fps, mode, policy, by_name, found, counts, features, [], {})
+
+    @classmethod
     def read(cls, folder: Path) -> DatasetMeta:
         """Raises CaptureError for a folder that `tactile-cdma export --lerobot` did not write."""
         info, tactile = (_content(folder / name) for name in (INFO, ABOUT))
         try:
             patches = {name: _patch(name, taxels) for name, taxels in tactile["taxels"].items()}
-            slots = {name: int(taxels["samples"]) for name, taxels in tactile["taxels"].items()}
+            counts = {name: int(taxels["samples"]) for name, taxels in tactile["taxels"].items()}
             streams = [_stream(name, patches, info["features"]) for name in info["features"]]
             found = {column(stream): stream for stream in streams if stream is not None}
             mode, policy, fps = tactile["samples"], tactile["nan"], int(info["fps"])
             if mode not in MODES or policy not in POLICIES:
                 raise ValueError(f"samples {mode!r}, nan {policy!r}")
-            features = features_of(found.values(), slots, mode)
+            features = features_of(found.values(), counts, mode)
             for feature in features:
                 if info["features"].get(feature.name) != feature.content():
                     raise ValueError(f"another {feature.name}")
@@ -62,7 +82,7 @@ class DatasetMeta:
         made = {feature.name for feature in features}
         others = [name for name in info["features"] if name.startswith("observation.")]
         others = [name for name in others if name not in made]
-        return cls(folder, fps, mode, policy, patches, found, slots, features, others, about)
+        return cls(folder, fps, mode, policy, patches, found, counts, features, others, about)
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -12,8 +12,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock, ClockType
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
@@ -27,11 +30,18 @@ from ...messages.cdr import Heading, TaxelArray
 from ...messages.rounds import Rounds
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
-from ..common.convert import nanoseconds, point_cloud, wrench_stamped
+from ..common.convert import (
+    UNKNOWN_WRENCH,
+    is_known,
+    nanoseconds,
+    point_cloud,
+    wrench_stamped,
+)
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.touches import Touches
 from ..common.transforms import TransformListener
+from ..common.unchanged import TAKEN, changing
 from .contacts import body_contacts
 from .names import body_names
 from .parameters import body_setup, declared
@@ -77,6 +87,8 @@ class BodyNode(Node):
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
         self._are_points_due = False
         self._cloud = b""
+        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
+        self._watch = self.get_clock().create_jump_callback(back, post_callback=self._step_back)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
@@ -131,6 +143,15 @@ class BodyNode(Node):
         self._faults.pop(feed.node_name, None)
         return pose
 
+    def set_parameters_atomically(self, changes: list[Parameter]) -> SetParametersResult:
+        """Take what changes nothing; all else is read when the node starts."""
+        changes = changing(self, changes)
+        return super().set_parameters_atomically(changes) if changes else TAKEN
+
+    def _step_back(self, _: TimeJump) -> None:
+        for feed in self._feeds.values():
+            feed.step_back()
+
     # Contacts and wrench
 
     def _take_contacts(self, feed: PatchFeed, message: Touches) -> None:
@@ -161,7 +182,9 @@ class BodyNode(Node):
         found = body_contacts(parts, absent, heading, self._sequence)
         self._sequence += 1
         self._contacts.publish(found.message)
-        if self._wrench.get_subscription_count():
+        if self._wrench.get_subscription_count() and (
+            self._values[UNKNOWN_WRENCH] or is_known(found.force_n, found.torque_nm)
+        ):
             self._wrench.publish(wrench_stamped(heading, found.force_n, found.torque_nm))
 
     def _heading(self, stamps_ns: list[int]) -> Heading:

@@ -13,11 +13,13 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from ...base.errors import ParameterError
 from ...config.body_file import read_body
 from ...config.parameters import BY_NAME, Parameter, Value, Values
+from ..common.convert import UNKNOWN_WRENCH
 
 _TABLE = (
     Parameter("body_file", "", "body file with the patches' names and frame_id; empty: patches"),
     Parameter("frame_id", "body", "tf frame of what is published; a body file's goes before it"),
     Parameter("stale_after_s", 1.0, "a patch silent for longer is absent", "s", (0.05, 86_400.0)),
+    BY_NAME[UNKNOWN_WRENCH],
     BY_NAME["visual_rate_hz"],
     BY_NAME["colour_max_kpa"],
     BY_NAME["colour_gamma"],

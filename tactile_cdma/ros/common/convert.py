@@ -58,6 +58,15 @@ def wrench_stamped(heading: Heading, force_n: Floats, torque_nm: Floats) -> byte
     return writer.message
 
 
+UNKNOWN_WRENCH = "publish_unknown_wrench"
+"""The parameter without which wrenches that are unknown, NaN, are not published."""
+
+
+def is_known(force_n: Floats, torque_nm: Floats) -> bool:
+    """Whether a wrench, (3,) and (3,), has no NaN."""
+    return bool(np.isfinite(force_n).all() and np.isfinite(torque_nm).all())
+
+
 def skin_info(
     config: SkinConfig, source: Source, baseline: Baseline, heading: Heading, info_id: int
 ) -> TactileSkinInfo:

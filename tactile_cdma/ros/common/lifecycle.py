@@ -33,7 +33,13 @@ def reported(transition: Transition) -> Transition:
 
 
 class ManagedNode(LifecycleNode):
-    """Refuses impossible transitions, and leaves nothing behind when destroyed."""
+    """Refuses impossible transitions, and leaves nothing behind when destroyed.
+
+    is_asked: somebody has requested the transition that is under way. Answers have no room for a
+    reason: then a failure has to be logged, even if it is not the first of its kind.
+    """
+
+    is_asked = False
 
     def __init__(self, name: str, **node_options: Any) -> None:
         """Raises ParameterError for an override without a value, or an empty list."""
@@ -48,13 +54,17 @@ class ManagedNode(LifecycleNode):
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
         """Answer a request; in rclpy one that is impossible in this state ends the executor."""
+        self.is_asked = True
         try:
             return self._change_state(request, response)
         except RCLError:
             name = request.transition.label or request.transition.id
-            self.get_logger().error(f"transition {name} is not possible now")
+            state = self._state_machine.current_state[1]
+            self.get_logger().error(f"transition {name} is not possible: the node is {state}")
             response.success = False
             return response
+        finally:
+            self.is_asked = False
 
     def destroy_node(self) -> None:
         """End the lifecycle's services too: rclpy leaves them to the garbage collector."""

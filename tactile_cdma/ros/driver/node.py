@@ -33,6 +33,7 @@ from ...wire.port_failures import is_remote
 from ..common.lifecycle import ManagedNode, reported
 from ..common.process import run_node
 from ..common.qos import LATCHED
+from ..common.unchanged import TAKEN, changing
 from .diagnostics import SkinReport
 from .frames import FramePublishers
 from .mount import TF_STATIC, Mount, transform_of
@@ -45,6 +46,9 @@ from .stamps import Stamps
 APART_NODES = 256
 """Nodes from which on a calibration file is read in another process; see recalibrated. Chosen:
 fewer curves are read in less time than it takes to start a process."""
+REVIEW_S = 0.2
+"""Time after a change of parameters at which they are looked at together, s. Chosen: `ros2 param
+load` sets all of a file within it, and a person does not yet type the next command."""
 RETRY_S = 2.0
 """Time between attempts to start, s. Chosen: short for whoever has just plugged in a cable."""
 
@@ -86,6 +90,8 @@ class SkinNode(ManagedNode):
         RestServices(self, lambda: self._rest)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self._review_timer = self.create_timer(REVIEW_S, self._review, clock=steady)
+        self._review_timer.cancel()
         self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
         if self._live["autostart"]:
             self._start()
@@ -103,7 +109,8 @@ class SkinNode(ManagedNode):
     def set_parameters_atomically(self, changes: list[RosParameter]) -> SetParametersResult:
         """Take all of them or none; this is what the parameter services call."""
         try:
-            return super().set_parameters_atomically(self._declared.checked(changes))
+            changes = self._declared.checked(changing(self, changes))
+            return super().set_parameters_atomically(changes) if changes else TAKEN
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
 
@@ -116,15 +123,22 @@ class SkinNode(ManagedNode):
             self._rest.adjust(config)
             self._frames.change(config.contact)
             self._mount.show(values, config.layout)
-        elif not self._declared.faults:
-            # Several parameters may have to change one by one: a combination that is impossible
-            # is refused by configure, and only announced here.
+        else:
+            self._review_timer.reset()
+        self._pictures.change(values)
+
+    def _review(self) -> None:
+        """Announce what configure would refuse: a combination, once all that was set is there.
+
+        Several parameters may have to change one by one, through impossible combinations.
+        """
+        self._review_timer.cancel()
+        if self._rest is None and not self._declared.faults:
             try:
-                SkinConfig.of(values)
-                transform_of(values)
+                SkinConfig.of(self._live)
+                transform_of(self._live)
             except TactileError as error:
                 self.get_logger().warning(f"not configurable as it is now: {error}")
-        self._pictures.change(values)
 
     # Lifecycle
 
@@ -146,7 +160,7 @@ class SkinNode(ManagedNode):
                 self._port = Port(url, int(self._live["baud"]), config.layout)
             self._objects.configure(self._port)
         except TactileError as error:
-            if str(error) != self._last_failure:
+            if self.is_asked or str(error) != self._last_failure:
                 self._last_failure = str(error)
                 self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE

@@ -13,7 +13,15 @@ from tactile_cdma.msg import SimObject, SimObjects
 from ...base.errors import ParameterError, TactileError
 from ...config.parameters import Values
 from ...driver.driver import Driver
-from ...sim.indenters import STIFFNESS_PA_PER_M, Box, Cylinder, Indenter, Sphere
+from ...sim.indenters import (
+    STIFFNESS_PA_PER_M,
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Indenter,
+    Sphere,
+)
 from ...sim.pressing import is_pressable, press
 from ...wire.port import Port
 from ..common.qos import RELIABLE
@@ -23,6 +31,8 @@ _SIZES = {
     SimObject.SPHERE: ("a sphere", ("radius",)),
     SimObject.CYLINDER: ("a cylinder", ("radius", "length")),
     SimObject.BOX: ("a box", ("x", "y", "z")),
+    SimObject.CAPSULE: ("a capsule", ("radius", "length")),
+    SimObject.ELLIPSOID: ("an ellipsoid", ("x", "y", "z")),
 }
 
 
@@ -71,12 +81,12 @@ class ObjectsInput:
 
 def indenter(message: SimObject) -> Indenter:
     """An object of a message; raises ParameterError for one that cannot be."""
-    kind, names = _SIZES.get(message.shape, ("", ()))
-    if not kind:
+    what, names = _SIZES.get(message.shape, ("", ()))
+    if not what:
         raise ParameterError(f"shape is {message.shape}; SimObject has {sorted(_SIZES)}")
     size = [float(edge) for edge in message.size]
     if len(size) != len(names):
-        raise ParameterError(f"{kind} has the size ({', '.join(names)}), not {len(size)} values")
+        raise ParameterError(f"{what} has the size ({', '.join(names)}), not {len(size)} values")
     where, turned = message.pose.position, message.pose.orientation
     common: dict[str, Any] = {
         "position_m": (where.x, where.y, where.z),
@@ -85,9 +95,10 @@ def indenter(message: SimObject) -> Indenter:
     }
     if message.shape == SimObject.SPHERE:
         return Sphere(radius_m=size[0], **common)
-    if message.shape == SimObject.CYLINDER:
-        return Cylinder(radius_m=size[0], length_m=size[1], **common)
-    return Box(size_m=size, **common)
+    if message.shape in (SimObject.CYLINDER, SimObject.CAPSULE):
+        kind = Cylinder if message.shape == SimObject.CYLINDER else Capsule
+        return kind(radius_m=size[0], length_m=size[1], **common)
+    return (Box if message.shape == SimObject.BOX else Ellipsoid)(size_m=size, **common)
 
 
 def sim_objects(objects: Sequence[Indenter]) -> SimObjects:
@@ -103,11 +114,12 @@ def _message(thing: Indenter) -> SimObject:
     match thing:
         case Sphere():
             message.shape, message.size = SimObject.SPHERE, [thing.radius_m]
-        case Cylinder():
-            message.shape = SimObject.CYLINDER
-            message.size = [thing.radius_m, thing.length_m]
-        case Box():
-            message.shape, message.size = SimObject.BOX, [float(edge) for edge in thing.size_m]
+        case Cylinder() | Capsule():
+            kind = SimObject.CYLINDER if isinstance(thing, Cylinder) else SimObject.CAPSULE
+            message.shape, message.size = kind, [thing.radius_m, thing.length_m]
+        case Box() | Ellipsoid():
+            kind = SimObject.BOX if isinstance(thing, Box) else SimObject.ELLIPSOID
+            message.shape, message.size = kind, [float(edge) for edge in thing.size_m]
         case _:
             raise ParameterError(f"SimObject has no shape for a {type(thing).__name__}")
     return message

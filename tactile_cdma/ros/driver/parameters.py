@@ -138,7 +138,9 @@ class NodeParameters:
 
 
 def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=parameter.description, read_only=read_only)
+    descriptor = ParameterDescriptor(
+        description=parameter.description, read_only=read_only, dynamic_typing=parameter.pair
+    )
     if parameter.choices:
         descriptor.additional_constraints = "one of " + ", ".join(map(str, parameter.choices))
     elif read_only:

@@ -6,6 +6,7 @@ import numpy as np
 
 from tactile_cdma.msg import TactileSkinInfo
 
+from ...base.arrays import Floats32
 from ...base.errors import MessageError
 from ...config.body_file import NODE_NAME as NODE_NAME  # viewers take it from here
 from ...places.layout import Layout
@@ -44,6 +45,9 @@ def layout_of(info: TactileSkinInfo) -> Layout:
         raise MessageError("the info has positions, normals or areas that no skin has")
     irregular = info.height == 1 and info.width > 1
     pitch_m = usual_distance_m(positions_m, normals) if irregular else None
+    size = info.height, info.width
+    across_m, down_m = (_usual_step_m(positions_m, normals, size, axis) for axis in (1, 0))
+    two = min(across_m, down_m) > 0 and not irregular
     return Layout(
         name=info.header.frame_id,
         rows=info.height,
@@ -55,4 +59,18 @@ def layout_of(info: TactileSkinInfo) -> Layout:
         nodes=np.array(info.node, dtype=np.int32),
         pitch_m=pitch_m or float(np.sqrt(np.median(areas_m2))),
         irregular=irregular,
+        aspect=across_m / down_m if two else 1.0,
     )
+
+
+def _usual_step_m(
+    positions_m: Floats32, normals: Floats32, size: tuple[int, int], axis: int
+) -> float:
+    """Median distance of neighbours in rows (axis 1) or columns along the surface, m; 0: none."""
+    if size[axis] < 2:
+        return 0.0
+    apart_m = np.linalg.norm(np.diff(positions_m.reshape(*size, 3), axis=axis), axis=2)
+    ends = normals.reshape(*size, 3)
+    turned = np.linalg.norm(np.diff(ends, axis=axis), axis=2) / 2  # the sine of half the angle
+    arc = np.arcsin(np.minimum(turned, 1.0)) / np.maximum(turned, 1e-9)
+    return float(np.median(apart_m * np.where(turned > 1e-6, arc, 1.0)))

@@ -23,6 +23,24 @@ def test_a_layout_is_told_in_numbers(capsys: pytest.CaptureFixture[str]) -> None
         assert words in said
 
 
+def test_a_skin_in_pieces_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    head = "schema: tactile_cdma/layout\nversion: 1\nshape: list\n"
+    places = [(x, y) for x in (0, 8, 16) for y in (0, 2, 4, 6)]
+    taxels = "".join(
+        f"  - {{position_mm: [{x}, {y}, 0], node: {n}}}\n" for n, (x, y) in enumerate(places, 1)
+    )
+    path = tmp_path / "tip.yaml"
+    path.write_text(f"{head}taxels:\n{taxels}")
+    assert main(["layout", str(path)]) == 0
+    assert "in 3 pieces of 4, 4, 4 taxels" in capsys.readouterr().out
+    path.write_text(f"{head}pitch_mm: [8, 2]\ntaxels:\n{taxels}")
+    assert main(["layout", str(path), "--png", str(tmp_path / "tip.png")]) == 0
+    said = capsys.readouterr().out
+    assert "pieces of" not in said
+    assert "pitch 8 × 2 mm" in said
+    assert "area 1.92 cm², 16…16 mm² each" in said
+
+
 def test_a_layout_is_checked_against_the_parameters(tmp_path: Path, refused: Refused) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("/**:\n  ros__parameters:\n    nodes: 24\n")

@@ -15,8 +15,8 @@ import yaml
 
 from tactile_cdma.base.errors import ParameterError, SpecError
 from tactile_cdma.config.arguments import (
-    check_launch_arguments,
     check_params_are_for,
+    launch_values,
 )
 from tactile_cdma.config.parameters import (
     BY_NAME,
@@ -31,32 +31,44 @@ from test.support.calibrations import write_calibration
 ROOT = Path(__file__).resolve().parents[3]
 
 
-ARGUMENTS = ["port", "params_file", "sim", "namespace"]
+ARGUMENTS = {"port": "", "params_file": "skin.yaml", "sim": "false", "namespace": ""}
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("given", "message"),
     [
-        (
-            ["prot:=/dev/ttyACM0"],
-            "unknown launch argument 'prot'; did you mean 'port'? (there are ",
-        ),
-        (["sim:=true", "param_file:=a.yaml"], "did you mean 'params_file'"),
-        (["PORT:=x:=y"], "unknown launch argument 'PORT'; did you mean 'port'"),
-        (["xyz:="], "'xyz' (there are namespace, params_file, port, sim)"),
+        ({"prot": "/dev/x"}, "unknown launch argument 'prot'; did you mean 'port'? (there are "),
+        ({"sim": "true", "param_file": "a.yaml"}, "did you mean 'params_file'"),
+        ({"PORT": "x:=y"}, "unknown launch argument 'PORT'; did you mean 'port'"),
+        ({"xyz": ""}, "'xyz' (there are namespace, params_file, port, sim, and the parameters"),
+        ({"node": "9"}, "did you mean 'nodes'"),
+        ({"threshold": "9"}, "the launch argument threshold is called active_share now"),
+        ({"nodes": "many"}, "nodes must be an integer, got 'many'"),
+        ({"nodes": "0"}, "nodes is 0; it must lie within"),
+        ({"mount_xyz_m": "1, 2"}, "it must be 3 numbers"),
+        ({"use_sim_time": "often"}, "use_sim_time is 'often'; it must be true or false"),
     ],
 )
-def test_a_launch_argument_that_does_not_exist_is_refused(words: list[str], message: str) -> None:
+def test_a_launch_argument_that_is_none_is_refused(given: dict[str, str], message: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        check_launch_arguments(
-            ["ros2", "launch", "tactile_cdma", "skin.launch.py", *words], ARGUMENTS
-        )
+        launch_values(given, ARGUMENTS)
     assert message in str(caught.value)
 
 
-def test_launch_arguments_that_exist_are_taken() -> None:
-    words = ["/usr/bin/ros2", "launch", "-d", "a/skin.launch.py", "port:=socket://a:1", "sim:="]
-    check_launch_arguments(words, ARGUMENTS)
+def test_launch_takes_its_own_arguments_and_every_parameter_by_its_name() -> None:
+    given = {"port": "socket://a:1", "nodes": "64", "chip_us": "20", "skin": "7", "parity": "Yes"}
+    given |= {"mount_xyz_m": "[0, 0.1, 1e-2]", "use_sim_time": "True"}
+    own, values = launch_values(given, ARGUMENTS)
+    assert own == ARGUMENTS | {"port": "socket://a:1"}
+    assert values == {
+        "nodes": 64,
+        "chip_us": 20.0,
+        "skin": "7",
+        "parity": True,
+        "mount_xyz_m": (0.0, 0.1, 0.01),
+        "use_sim_time": True,
+    }
+    assert type(values["chip_us"]) is float
 
 
 def test_nothing_shipped_asks_for_a_simulator_without_naming_it() -> None:

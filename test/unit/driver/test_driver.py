@@ -146,19 +146,35 @@ def test_a_digitizer_that_restarts_is_started_again() -> None:
         watch = Watch()
         with watch.driver(name):
             for _ in range(2):  # the second one was just powered up: nobody told it to start
-                digitizer, seen = VirtualDigitizer(SimOptions()), len(watch.frames)
-
-                def serve_until(count: int, digitizer: VirtualDigitizer = digitizer) -> bool:
-                    digitizer.advance(4096)
-                    with suppress(BlockingIOError):
-                        digitizer.receive(os.read(host, 4096))
-                    with suppress(BlockingIOError):
-                        os.write(host, digitizer.take(1024))
-                    return len(watch.frames) >= count
-
-                wait_for(lambda seen=seen, step=serve_until: step(seen + 20))
+                serve(host, VirtualDigitizer(SimOptions()), watch, len(watch.frames) + 20)
         sequence = [frame.sequence for frame in watch.frames]
         assert sequence == sorted(set(sequence))
+
+
+def test_silence_is_told_when_patience_ends_however_long_a_read_may_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tactile_cdma.driver.driver.READ_TIMEOUT_MS", round(2e3 * PATIENCE_S))
+    with raw_pty() as (host, name):
+        os.set_blocking(host, False)
+        watch = Watch()
+        with watch.driver(name):
+            serve(host, VirtualDigitizer(SimOptions()), watch, 20)
+            wait_for(lambda: "fallen silent" in (watch.problems[-1] or ""))
+
+
+def serve(host: int, digitizer: VirtualDigitizer, watch: Watch, count: int) -> None:
+    """Be a digitizer on a pty until so many frames were seen."""
+
+    def are_seen() -> bool:
+        digitizer.advance(4096)
+        with suppress(BlockingIOError):
+            digitizer.receive(os.read(host, 4096))
+        with suppress(BlockingIOError):
+            os.write(host, digitizer.take(1024))
+        return len(watch.frames) >= count
+
+    wait_for(are_seen)
 
 
 @pytest.mark.parametrize(

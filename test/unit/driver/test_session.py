@@ -57,6 +57,19 @@ class Line:
         return bool(self.session.watch(self.pipeline, now_s))
 
 
+def test_patience_begins_with_the_last_frame() -> None:
+    """Not when the driver next looks, which may be later."""
+    talk = Talk("")
+    talk.open()
+    talk.go_on(0.5)
+    heard_s = talk.now_s + 0.01
+    talk.now_s += 0.3
+    talk.digitizer.advance()
+    assert talk.pipeline.feed(talk.digitizer.take(1 << 20), talk.now_s)
+    assert not talk.session.watch(talk.pipeline, talk.now_s, heard_s)
+    assert talk.session.deadline_s == heard_s + PATIENCE_S
+
+
 STARTED = Ack(command=Start.TYPE, command_sequence=2)
 IDLE = Status(uptime_us=5)
 

@@ -96,12 +96,25 @@ def test_frames_are_certain_and_right_up_to_their_capacity(share: float) -> None
         assert told(read) == words
 
 
-def test_noise_makes_no_word_uncertain_beside_rows_that_are_told_to_be_empty() -> None:
+@pytest.mark.parametrize(("speakers", "frames"), [(1, 300), (20, 30)])
+def test_noise_makes_no_word_uncertain_beside_rows_that_are_told_to_be_empty(
+    speakers: int, frames: int
+) -> None:
     rig = Rig(rho=15.0)
-    for _ in range(30):
-        words = rig.some(20)
+    for _ in range(frames):
+        words = rig.some(speakers)
         read = rig.read(rig.sent(words))
         assert certain(read)[read.active].all() and told(read) == words
+
+
+def test_bits_that_are_mistaken_in_pairs_are_turned() -> None:
+    """Of 29 equal words on 64 chips turns of all words end in such, once in 20 frames."""
+    rig, found = Rig(replace(SPEC, nodes=256, order=64, bits=8), rho=15.0), 0
+    for _ in range(200):
+        words = dict.fromkeys(rig.some(29), int(rig.rng.integers(256)))
+        read = rig.read(rig.sent(words))
+        found += certain(read)[read.active].all() and told(read) == words
+    assert found >= 198
 
 
 def test_equal_words_and_neighbours_are_told_apart() -> None:

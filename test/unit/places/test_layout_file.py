@@ -167,7 +167,7 @@ def test_the_examples_are_for_skins_that_exist(path: Path) -> None:
 
 
 def test_there_is_an_example_of_every_shape() -> None:
-    assert {path.stem for path in EXAMPLES} == {"grid", "cylinder", "sphere", "list"}
+    assert {path.stem for path in EXAMPLES} == {"grid", "cylinder", "sphere", "mesh", "list"}
 
 
 ONE = "position_mm: [0, 0, 0], node: 1"
@@ -179,7 +179,7 @@ REFUSED = {
     "newer": (GRID.replace("version: 1", "version: 2"), ["line 2", "version is 2", "update"]),
     "no mapping": ("- 1\n", ["line 1", "is a list"]),
     "another skin": (GRID + "skin: left\n", ["line 7", "'left'", "'right'"]),
-    "shape": (HEAD + "shape: cube\n", ["line 3", "'cube'", "grid, cylinder, sphere, list"]),
+    "shape": (HEAD + "shape: cube\n", ["line 3", "'cube'", "grid, cylinder, sphere, mesh, list"]),
     "no shape": (HEAD, ["has no 'shape'"]),
     "misspelt": (GRID + "node: []\n", ["line 7", "'node'", "did you mean 'nodes'"]),
     "key of another shape": (GRID + "radius_mm: 3\n", ["line 7", "unknown key 'radius_mm'"]),

@@ -100,13 +100,13 @@ def test_make_has_the_target_and_the_variables(command: str) -> None:
 def test_the_launch_file_has_the_arguments(command: str) -> None:
     package, file, *arguments = shlex.split(command)[2:]
     tree = ast.parse((ROOT / "launch" / file).read_text(encoding="utf-8"))
-    declared = {
-        ast.literal_eval(call.args[0])
-        for call in ast.walk(tree)
-        if isinstance(call, ast.Call)
-        and isinstance(call.func, ast.Name)
-        and call.func.id == "DeclareLaunchArgument"
-    }
+    [table] = [
+        statement.value
+        for statement in tree.body
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "ARGUMENTS"
+    ]
+    assert isinstance(table, ast.Dict)
+    declared = {ast.literal_eval(key) for key in table.keys if key} | SKIN_PARAMETERS
     assert package == "tactile_cdma"
     assert len(declared) > 5
     assert {argument.partition(":=")[0] for argument in arguments} <= declared

@@ -150,6 +150,26 @@ def test_a_digitizer_that_starts_over_is_stamped_on(tmp_path: Path, renumbered: 
     assert np.abs(wall_s - WALL_S - true_s * (1 + drift)).max() < 2e-3
 
 
+@pytest.mark.parametrize("halts_s", [(5.0,), (0.5, 0.02)])
+def test_a_clock_that_stood_still_is_stamped_right_before_and_after(
+    tmp_path: Path, halts_s: tuple[float, ...]
+) -> None:
+    """With its device: nothing is missing, and only arrivals tell."""
+    reads, begins = session(1200, drift=2e-5), []
+    for halt, halt_s in enumerate(halts_s):
+        begins.append(next(t for _, t in reads if t > 4.0 + 5.0 * halt))
+        reads = [(packet, t + halt_s * (t > begins[-1])) for packet, t in reads]
+    path = write(tmp_path / "a.skin", reads, late_s=usb(5))
+    found = [(f.t_middle, w, f.stamp_uncertainty_s) for f, w in RawCapture(path, {}).timed_frames()]
+    device_s, wall_s, claimed_s = np.array(found).T
+    true_s = device_s * (1 + 2e-5)
+    for begin_s, halt_s in zip(begins, halts_s, strict=True):
+        true_s = true_s + halt_s * (true_s > begin_s)
+    off_s = np.abs(wall_s - WALL_S - true_s)
+    assert (off_s < claimed_s + 1e-3).all(), "a bus is late by something"
+    assert (off_s < 2e-3).mean() > 0.95
+
+
 @pytest.mark.parametrize("pace", [0.1, 2.0])
 def test_a_stream_at_another_pace_is_stamped_as_it_came(tmp_path: Path, pace: float) -> None:
     """As a simulation at speed=10, or a replay at half of it."""

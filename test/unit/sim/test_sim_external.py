@@ -83,6 +83,35 @@ def test_a_url_of_another_skin_than_the_drivers_is_refused(
         pass
 
 
+@pytest.mark.parametrize("shape", ["grid", "list"])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_slip_is_felt_across_columns_as_across_rows(shape: str, axis: int, tmp_path: Path) -> None:
+    """A fingertip with columns 6.0 mm and rows 3.6 mm apart; the ball moves at 20 mm/s."""
+    tip = Layout.grid(24, 6, 4, (6e-3, 3.6e-3), 3e-3)
+    parameters = {"rows": 6, "columns": 4, "pitch_mm": [6.0, 3.6], "taxel_mm": 3.0}
+    if shape == "list":
+        places = (1e3 * tip.positions_m).round(2).tolist()
+        taxels = [f"  - {{position_mm: {place}, node: {n}}}" for n, place in enumerate(places, 1)]
+        path = tmp_path / "tip.yaml"
+        head = ["schema: tactile_cdma/layout", "version: 1", "shape: list", "taxels:"]
+        path.write_text("\n".join(head + taxels))
+        parameters = {"layout_file": str(path)}
+    with Skin(
+        f"{STEPPED}&threshold=0", nodes=24, frame_period_ms=16.0, contacts=True, **parameters
+    ) as skin:
+        assert skin.layout.areas_m2.sum() == pytest.approx(24 * 21.6e-6)
+        skin.step()
+        speeds_mm_s = []
+        for frame in range(32):
+            place_m = np.roll([(frame - 16) * 20e-3 * 16e-3, 0.0], axis)
+            ball = Sphere(radius_m=0.01, position_m=(*place_m, 9e-3))
+            found = skin.step(ball).contacts
+            assert found is not None
+            assert len(found.ids) == 1
+            speeds_mm_s.append(1e3 * found.velocity_m_s[0, axis])
+    assert np.mean(speeds_mm_s[8:]) == pytest.approx(20, rel=0.1)
+
+
 @pytest.mark.parametrize("period_ms", [14.0, 14.05, 15.0])
 def test_a_step_returns_though_its_frame_fills_the_period(
     period_ms: float, caplog: pytest.LogCaptureFixture

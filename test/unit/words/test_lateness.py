@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.code.encode import line_chips
-from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.code.separate import separate
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
@@ -99,3 +99,22 @@ def test_words_on_time_are_not_called_late(others: int) -> None:
         words = heard(codes, active, int(nodes[0]), 0.1, rng)
         assert words is not None and np.array_equal(words.active, active)
         assert not words.doubtful.any()
+
+
+@pytest.mark.parametrize("chip", [0, 1, 7, 18, 19])
+def test_a_chip_that_was_clipped_is_no_late_word_nor_turns_any(chip: int) -> None:
+    """All nodes agree in it, and the sum ends at 3·√n·A."""
+    rng, everybody = np.random.default_rng(chip), np.ones(SPEC.nodes, bool)
+    nodes = np.eye(SPEC.nodes, dtype=bool)
+    for bit in range(1, 9):
+        codes = rng.integers(0, 1024, SPEC.nodes)
+        sent = np.array([line_chips(SPEC, codes, node)[bit, chip] for node in nodes])
+        codes ^= (sent < 0) << (9 - bit)
+        chips = line_chips(SPEC, codes, everybody) + rng.normal(0, 0.01, (10, 20))
+        assert chips[bit, chip] > 15 * DEFAULT_AMPLITUDE_V, "it has something to lose"
+        words = decode(
+            separate(chips.clip(max=12 * DEFAULT_AMPLITUDE_V).astype(np.float32), SPEC), SPEC
+        )
+        assert np.array_equal(words.codes, codes)
+        changes = np.bitwise_count((codes ^ codes >> 1) & 0x1FF)
+        assert not words.doubtful[changes > 1].any(), "of others only that place tells"

@@ -12,11 +12,17 @@ frames without doubt, of sound ones of ρ ≥ 15 in which up to 0.45 of the chip
 "false" and `unflagged` are words and silences that are claimed without doubt and were not sent.
 
 `capacity_912`: nodes that may speak in a frame of 912 chips. Times are those of detection in the
-kernel, per frame of 4,000 nodes at 912 chips; `cpu_ratio_900` is what all of the decoder costs for
-4,000 nodes of which 8 % speak, over what it costs for 900 orthogonal ones that all speak, in as
-many chips; `cpu_ratio_idle` the same of 1.3 %, as many as beat their hearts in a frame. Both are of
-recorded bytes, without the first frames, in which the noise is learnt, and without pauses: a driver
-on a port costs more for reading and waking up, which is the same for both.
+kernel, per frame of 4,000 nodes at 912 chips. `cpu_ratio_900` is the CPU time of the driver node's
+process on a port, with 4,000 nodes of which 8 % speak, over that with 900 orthogonal ones that all
+speak, in as many chips (`thousand_skin.yaml`), with one subscriber each, as bench-ros measures it;
+so are `p50_ms`, from the last byte of a frame to the subscriber's callback, and `p50_ms_floor`.
+`decoder_ratio_900` is that of decoding alone, of recorded bytes without the first frames, in which
+the noise is learnt, and without pauses; `decoder_ratio_idle` the same of 1.3 %, as many as beat
+their hearts in a frame.
+
+`words`: of 4,000 nodes of which 8 % speak, at several ρ; `words_wrong`: claims of these frames, of
+words or silence, that are false. `hug_ms`: from the touch of all 4,000 nodes at once until every
+taxel has its new value, by turns; `release_ms`: from their release until all are certain; see hug.
 """
 
 from __future__ import annotations
@@ -30,14 +36,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
-from benchmarks.report import QUICK, ROOT, Report, medians_s
+from benchmarks import ros
+from benchmarks.report import QUICK, Report, be_alone, medians_s
 from benchmarks.skip import record
+from benchmarks.sparse.hug import Hug, hug
 from tactile_cdma.base.arrays import Bools, Floats, Floats32
 from tactile_cdma.code.detect import Detector
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels
 from tactile_cdma.code.transform import chips_of
-from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
@@ -60,6 +67,8 @@ RHOS = (15, 100) if QUICK else (5, 15, 50, 100, 1000)
 FRAMES = {912: 12, 2048: 6} if QUICK else {912: 40, 2048: 15}
 """By chips per bit, of every condition; of shorter codes OTHERS."""
 OTHERS = 60 if QUICK else 200
+WORDS = 10**5 if QUICK else 10**7
+"""Words of which none may be wrong."""
 CONDITIONS = (
     *("random", "equal words", "neighbours", "weak nodes", "tone", "late node", "late frame"),
     *("lost sample", "doubled sample", "clipping", "other seed", "everybody"),
@@ -217,11 +226,14 @@ def main() -> None:
             ["condition", "frames", "certain", "claims", "false"],
             [[name, t.frames, t.share, t.claims, t.false] for name, t in by_condition.items()],
         )
+        words = many_words()
         took = times()
-        busy, idle = cpu_ratios()
+        busy, idle = decoder_ratios()
+    drivers, floor = live()
+    hugged = hug(ros.CASES[4000])
     report.table(["speak", "µs"], [[speakers, 1e6 * each] for speakers, each in took.items()])
     report.finish(
-        figure(by_load, took),
+        figure(by_load, took, hugged),
         frames=everything.frames,
         claims=everything.claims,
         certified_share=sound.share,
@@ -229,8 +241,16 @@ def main() -> None:
         capacity_912=capacity(Skin(4000, 912, 10, 100).spec),
         us_20=1e6 * took[20],
         us_320=1e6 * took[320],
-        cpu_ratio_900=busy,
-        cpu_ratio_idle=idle,
+        cpu_ratio_900=drivers[4000].cpu / drivers[900].cpu,
+        decoder_ratio_900=busy,
+        decoder_ratio_idle=idle,
+        words=WORDS,
+        words_wrong=words.false,
+        hug_ms=1e3 * hugged.touched_s,
+        release_ms=1e3 * hugged.released_s,
+        hug_false=hugged.false,
+        p50_ms=drivers[4000].p50_ms,
+        p50_ms_floor=floor.p50_ms,
     )
 
 
@@ -240,6 +260,17 @@ def add(tally: Tally, other: Tally) -> None:
     tally.certain += other.certain
     tally.claims += other.claims
     tally.false += other.false
+
+
+def many_words() -> Tally:
+    """Frames of 4,000 nodes of which 8 % speak."""
+    found, speakers = Tally(), 320
+    for rho in RHOS:
+        if rho >= 15:
+            skin = Skin(4000, 912, 10, rho)
+            for _ in range(-(-WORDS // speakers // sum(rho >= 15 for rho in RHOS))):
+                skin.frame("random", speakers, found)
+    return found
 
 
 def times() -> dict[int, float]:
@@ -258,15 +289,18 @@ def times() -> dict[int, float]:
     return {int(speakers): each for speakers, each in found.items()}
 
 
-def cpu_ratios() -> tuple[float, float]:
+def live() -> tuple[dict[int, ros.Result], ros.Result]:
+    """A driver node's process by its number of nodes; and the floor of 4,000."""
+    be_alone()
+    drivers = {nodes: ros.measure(ros.DRIVER, nodes) for nodes in (4000, 900)}
+    return drivers, ros.measure(ros.FLOOR, 4000)
+
+
+def decoder_ratios() -> tuple[float, float]:
     """CPU time of all of the decoder, busy and idle, over that of 900 orthogonal nodes."""
     recordings = []
-    for name, share in (("sparse_skin", 0.08), ("sparse_skin", 1 / 78), ("thousand_skin", 1.0)):
-        values = read_file(ROOT / "config" / f"{name}.yaml")
-        values = {
-            key: value for key, value in values.items() if key not in ("port", "amplitude_mv")
-        }
-        recording = record(SkinConfig.of(values), share, False, 150)
+    for nodes, share in ((4000, ros.PRESSED[4000]), (4000, 1 / 78), (900, 1.0)):
+        recording = record(SkinConfig.of(ros.CASES[nodes]), share, False, 150)
         chunks = [(data, t_host) for t_host, data in recording.reads]
         recordings.append((recording.config, chunks))
     spent = [[replay(*each) for each in recordings] for _ in range(5 if QUICK else 15)]
@@ -286,17 +320,29 @@ def replay(config: SkinConfig, chunks: list[tuple[bytes, float]]) -> float:
 
 
 def figure(
-    by_load: dict[tuple[int, int, int], dict[float, Tally]], took: dict[int, float]
+    by_load: dict[tuple[int, int, int], dict[float, Tally]], took: dict[int, float], hugged: Hug
 ) -> Figure:
-    drawing = Figure(figsize=(11, 4))
-    left, right = drawing.subplots(1, 2)
+    drawing = Figure(figsize=(11, 8), layout="constrained")
+    (loads, detection), (shares, groups) = drawing.subplots(2, 2)
     for (nodes, chips, bits), tallies in by_load.items():
-        loads, shares = list(tallies), [tally.share for tally in tallies.values()]
-        left.plot(loads, shares, "o-", label=f"{nodes} on {chips}, {bits} bits")
-    left.set(xlabel="nodes that speak / chips per bit", ylabel="share of frames that are certain")
-    left.legend(fontsize="small")
-    right.plot(list(took), [1e6 * each for each in took.values()], "o-")
-    right.set(xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="detection, µs per frame")
+        certain = [tally.share for tally in tallies.values()]
+        loads.plot(list(tallies), certain, "o-", label=f"{nodes} on {chips}, {bits} bits")
+    loads.set(xlabel="nodes that speak / chips per bit", ylabel="share of frames that are certain")
+    loads.legend(fontsize="small")
+    detection.plot(list(took), [1e6 * each for each in took.values()], "o-")
+    detection.set(
+        xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="detection, µs per frame"
+    )
+    shares.plot(hugged.t_s, 100 * hugged.right, label="that have their present value")
+    shares.plot(hugged.t_s, 100 * hugged.certain, label="whose value is certain now")
+    shares.set(ylabel="taxels, %")
+    shares.legend(fontsize="small")
+    groups.step(hugged.t_s, hugged.groups)
+    groups.set(ylabel="groups that transmit by turns")
+    for axes in (shares, groups):
+        axes.set(
+            xlim=(-0.1, 2.5), xlabel="s after 4,000 nodes were touched at once; released at 1 s"
+        )
     return drawing
 
 

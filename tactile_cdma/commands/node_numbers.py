@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""`tactile-cdma node --enumerate PORT`: asks which taxel to press, until all nodes have numbers."""
+
+import queue
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ..base.errors import LayoutError, PortError
+from ..base.named_file import naming
+from ..config.skin_config import SkinConfig
+from ..driver.pipeline import Pipeline
+from ..driver.session import Session
+from ..hardware.numbering import Numbering
+from ..places.layout import Layout
+from ..places.layout_file import SCHEMA, VERSION
+from ..wire._protocol import PacketType
+from ..wire.discovery import leave_alone_if_open
+from ..wire.messages import Number
+from ..wire.port import Port
+
+AGAIN_S = 0.5
+"""s after which a request is repeated: a digitizer that was restarted announces nothing. Chosen."""
+UNREAD_S, SILENT_S = 0.7, 5.0
+"""s without a frame after which many nodes may speak on one row; and after which it ends. Chosen,
+the latter as skin.TIMEOUT_S."""
+KEYS = "b: the last one was wrong   s: leave this one out   q: end   (then Enter)"
+
+
+class Bytes(Protocol):
+    """What a port is read and written by."""
+
+    def read(self) -> tuple[bytes, float]:
+        """What has arrived, and when, s."""
+
+    def write(self, data: bytes) -> None:
+        """Send."""
+
+
+def run(url: str, baud: int, config: SkinConfig, layout_file: Path | None) -> int:
+    """Number the nodes at a port with a person at the terminal; returns the exit code."""
+    leave_alone_if_open(url)
+    typed: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=_type, args=(typed,), daemon=True).start()
+    with Port(url, baud) as port:
+        numbering = enumerate_nodes(port, config, typed, lambda text: print(text, flush=True))
+    if layout_file is not None:
+        write_numbered(layout_file, config.layout, numbering.skipped)
+        print(f"written: {layout_file}")
+    return int(numbering.asked is not None)
+
+
+def _type(typed: "queue.Queue[str]") -> None:
+    for line in sys.stdin:
+        typed.put(line)
+
+
+def enumerate_nodes(
+    port: Bytes, config: SkinConfig, typed: "queue.Queue[str]", tell: Callable[[str], None]
+) -> Numbering:
+    """Number the nodes at a port, until all were asked for, or q was typed.
+
+    Raises PortError where the digitizer sends no frames or does not announce numbers.
+    """
+    numbering, session, pipeline = Numbering(config.spec.nodes), Session(config), Pipeline(config)
+    announced, said_s, heard_s, prompted = Number(0), -np.inf, np.inf, 0
+    tell(KEYS)
+    port.write(session.open())
+    try:
+        while numbering.asked is not None or numbering.forgets:
+            data, now_s = port.read()
+            heard_s = min(heard_s, now_s)
+            for frame in pipeline.feed(data, now_s):
+                heard_s = now_s
+                if text := numbering.take(frame.words):
+                    tell(text)
+            if now_s - heard_s > SILENT_S:
+                why = pipeline.problem or session.problem or "the digitizer sends no frames"
+                raise PortError(f"no frame for {SILENT_S:g} s: {why}")
+            if now_s - heard_s > UNREAD_S and numbering.waits:
+                tell(numbering.unclear())
+            _check(pipeline)
+            if not typed.empty():
+                match typed.get().strip().lower():
+                    case "b":
+                        tell(numbering.back())
+                    case "s":
+                        tell(numbering.skip())
+                    case "q":
+                        break
+                    case _:
+                        tell(KEYS)
+                prompted = 0
+            if not numbering.waits:
+                prompted = 0
+            elif numbering.asked and numbering.asked != prompted:
+                prompted = numbering.asked
+                tell(prompt(config.layout, prompted))
+            if request := session.watch(pipeline, now_s):
+                port.write(request)
+            if pipeline.counters.frames and (
+                numbering.request != announced or now_s - said_s > AGAIN_S
+            ):
+                announced, said_s = numbering.request, now_s
+                port.write(session.encoded(announced))
+    finally:
+        pipeline.close()
+        port.write(session.encoded(Number(0)) + session.close())
+    return numbering
+
+
+def _check(pipeline: Pipeline) -> None:
+    refusal = pipeline.digitizer.refusal
+    if refusal is not None and refusal.command == PacketType.NUMBER:
+        raise PortError(
+            f"the digitizer announces no numbers ({refusal.result.name.lower()}): its firmware is "
+            "older, it is a demonstrator or simulated, or the pause between frames is below 2.2 ms"
+        )
+
+
+def prompt(layout: Layout, number: int) -> str:
+    """Which taxel to press."""
+    [taxel, *_] = [*np.flatnonzero(layout.nodes == number), -1]
+    if taxel < 0:
+        return f"node {number} has no place in the layout: press it, or leave it out"
+    x_mm, y_mm, z_mm = layout.positions_m[taxel] * 1e3
+    where = f"x {x_mm:.1f}, y {y_mm:.1f}, z {z_mm:.1f} mm"
+    if not layout.irregular:
+        where = f"row {taxel // layout.columns + 1}, column {taxel % layout.columns + 1} ({where})"
+    return f"press the taxel of node {number}: {where}"
+
+
+def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
+    """Write the layout file of a flat grid, without the nodes that nobody has.
+
+    Raises LayoutError for another shape, whose file the user has.
+    """
+    if layout.irregular or np.ptp(layout.positions_m[:, 2]) > 0:
+        raise LayoutError(f"{path}: not written, the skin is no flat grid; unplaced: {skipped}")
+    nodes = np.where(np.isin(layout.nodes, skipped), 0, layout.nodes)
+    rows = nodes.reshape(layout.rows, layout.columns).tolist()
+    head = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "name": layout.name,
+        "shape": "grid",
+        "rows": layout.rows,
+        "columns": layout.columns,
+        "pitch_mm": round(layout.pitch_m * 1e3, 6),
+        "unplaced": sorted({*layout.unplaced, *skipped}),
+    }
+    lines = [f"{key}: {value}" for key, value in head.items()]
+    with naming(path, LayoutError):
+        path.write_text("\n".join([*lines, "nodes:", *(f"  - {row}" for row in rows), ""]))

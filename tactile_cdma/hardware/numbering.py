@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Gives nodes their numbers: asks for one taxel after the other to be pressed. No I/O.
+
+All nodes have one image (node_image.py). The digitizer announces a number (docs/protocol.md,
+numbers); the node that is pressed keeps it, and from then on speaks whenever it is announced.
+Nobody else speaks: so what is heard tells whether it was taken, and by how many.
+"""
+
+from ..wire.messages import Number
+from ..words.decode import Words
+
+TAKEN_FRAMES = 5
+"""Frames in a row with a clear word of the number's node. Chosen."""
+UNCLEAR_FRAMES = 25
+"""Frames in a row with words that are not clear, as of two nodes at once. Chosen: 0.3 s at 78
+frames/s, more than a disturbance."""
+FORGET_FRAMES = 40
+"""For which nodes are told to forget; they want 9 alike, and a node that talks may miss some."""
+
+
+class Numbering:
+    """Which number is announced, and what is known of those before.
+
+    asked: the number that a pressed node takes next; None: all have theirs. skipped: numbers of
+    nodes that nobody has.
+    """
+
+    def __init__(self, nodes: int) -> None:
+        self.asked: int | None = 1
+        self.skipped: list[int] = []
+        self._nodes = nodes
+        self._forgets, self._left = 0, FORGET_FRAMES  # all of them, first
+        self._clear = self._unclear = 0
+
+    @property
+    def request(self) -> Number:
+        """What the digitizer has to announce now."""
+        if self._left:
+            return Number(self._forgets, forget=True)
+        return Number(self.asked or 0)
+
+    @property
+    def forgets(self) -> bool:
+        """Whether nodes are being told to forget a number."""
+        return self._left > 0
+
+    @property
+    def waits(self) -> bool:
+        """Whether somebody has to press a taxel, once the digitizer announces that."""
+        return not self._left and self.asked is not None
+
+    def take(self, words: Words) -> str | None:
+        """Take in a frame of the present request. Returns what to tell about it, if anything."""
+        if self._left:
+            self._left = FORGET_FRAMES if words.active.any() else self._left - 1
+            return None
+        if self.asked is None:
+            return None
+        node = self.asked - 1
+        heard = bool(words.active[node] or words.doubtful[node])
+        clear = bool(words.active[node] and not words.doubtful[node] and not words.doubled[node])
+        self._clear = self._clear + 1 if clear else 0
+        self._unclear = self._unclear + 1 if heard and not clear else 0
+        if self._unclear >= UNCLEAR_FRAMES:
+            return self.unclear()
+        if self._clear < TAKEN_FRAMES:
+            return None
+        self._ask(self.asked + 1)
+        return f"node {node + 1} has its number"
+
+    def unclear(self) -> str:
+        """More than one took the number: they lose it. Returns what to tell."""
+        self._forget(self.asked or 0)
+        return f"node {self.asked} is not clear: several taxels at once? Let go, press only one"
+
+    def back(self) -> str:
+        """The last number went to a wrong taxel: that node loses it. Returns what to tell."""
+        last = self._nodes if self.asked is None else self.asked - 1
+        if not last:
+            return "there is no number before 1"
+        self._ask(last)
+        if last in self.skipped:
+            self.skipped.remove(last)
+        self._forget(last)
+        return f"node {last} has lost its number"
+
+    def skip(self) -> str:
+        """Nobody has the number that is asked for. Returns what to tell."""
+        if self.asked is None:
+            return "there is no number left"
+        skipped = self.asked
+        self.skipped.append(skipped)
+        self._ask(skipped + 1)
+        self._forget(skipped)  # whoever took it meanwhile
+        return f"node {skipped} is left out"
+
+    def _ask(self, number: int) -> None:
+        self.asked = number if number <= self._nodes else None
+        self._clear = self._unclear = 0
+
+    def _forget(self, number: int) -> None:
+        self._forgets, self._left = number, FORGET_FRAMES
+        self._clear = self._unclear = 0

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Triangles of a robot's part, from an STL or OBJ file or a link of a URDF, and rays on them."""
+
+import re
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ..base.arrays import Floats
+from .poses import Pose
+
+MOST_TRIANGLES = 1 << 20
+"""Chosen: far beyond the meshes of robots, whose file may be another one by mistake."""
+_STL_HEADER, _STL_FACET = 84, 50
+_AT_ONCE = 1 << 18
+"""Pairs of ray and triangle that are intersected at once."""
+_SIDES = 96
+"""Sides of a polygon that stands for a circle, so that normals are off by 2° at most; chosen."""
+
+
+def read_triangles(path: Path) -> Floats:
+    """Corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
+
+    Raises ValueError where it is neither an STL nor an OBJ file, OSError where it is not readable.
+    """
+    data = path.read_bytes()
+    if path.suffix.lower() == ".obj":
+        triangles = _obj(data.decode("utf-8", "replace"))
+    elif path.suffix.lower() == ".stl":
+        triangles = _stl(data)
+    else:
+        raise ValueError(f"{path}: a mesh is an .stl or .obj file; convert others")
+    if not 0 < len(triangles) <= MOST_TRIANGLES:
+        raise ValueError(f"{path}: has {len(triangles)} triangles; 1…{MOST_TRIANGLES} are taken")
+    return _finite(triangles, path)
+
+
+def read_link(urdf: Path, link: str) -> Floats:
+    """Triangles of a link's collision geometry, or of its visual one, m, in the link's frame.
+
+    Raises ValueError where there is none that can be read, OSError as read_triangles.
+    """
+    try:
+        robot = ElementTree.parse(urdf).getroot()  # noqa: S314  (their own robot)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{urdf}: no URDF: {error}") from None
+    links = {element.get("name"): element for element in robot.iter("link")}
+    if link not in links:
+        names = ", ".join(sorted(name for name in links if name)) or "no links"
+        raise ValueError(f"{urdf}: has no link {link!r}; it has {names}")
+    for kind in ("collision", "visual"):
+        parts = [_part(element, urdf, link) for element in links[link].iter(kind)]
+        if parts:
+            return _finite(np.concatenate(parts), urdf)
+    raise ValueError(f"{urdf}: link {link!r} has no geometry")
+
+
+def first_hits(triangles: Floats, starts: Floats, way: Floats) -> tuple[Floats, Floats]:
+    """Where parallel rays first meet triangles: distance (m,), ∞ if nowhere, and normal (m, 3).
+
+    triangles: (n, 3, 3). starts: (m, 3). way: unit vector. (Möller & Trumbore, Fast, minimum
+    storage ray/triangle intersection, 1997.)
+    """
+    corner = triangles[:, 0]
+    one, other = triangles[:, 1] - corner, triangles[:, 2] - corner
+    across = np.cross(way, other)
+    det = np.einsum("ni,ni->n", one, across)
+    usable = np.abs(det) > 1e-12 * np.maximum(np.linalg.norm(np.cross(one, other), axis=1), 1e-30)
+    corner, one, other, across, det = (x[usable] for x in (corner, one, other, across, det))
+    distance, normals = np.full(len(starts), np.inf), np.zeros((len(starts), 3))
+    if not len(corner):
+        return distance, normals
+    out = np.cross(one, other)
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    step = max(1, _AT_ONCE // len(corner))
+    for begin in range(0, len(starts), step):
+        offset = starts[begin : begin + step, None] - corner
+        u = np.einsum("mni,ni->mn", offset, across) / det
+        turned = np.cross(offset, one)
+        v = turned @ way / det
+        reach = np.einsum("mni,ni->mn", turned, other) / det
+        hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (reach >= 0)
+        reach = np.where(hit, reach, np.inf)
+        nearest = reach.argmin(axis=1)
+        distance[begin : begin + step] = reach[np.arange(len(nearest)), nearest]
+        normals[begin : begin + step] = out[nearest]
+    return distance, normals
+
+
+def _finite(triangles: Floats, path: Path) -> Floats:
+    if not np.isfinite(triangles).all():
+        raise ValueError(f"{path}: has sizes or corners that are not finite")
+    return triangles
+
+
+def _part(element: ElementTree.Element, urdf: Path, link: str) -> Floats:
+    """Triangles of one geometry, in the link's frame."""
+    origin, shape = element.find("origin"), element.find("geometry/*")
+    if shape is None:
+        raise ValueError(f"{urdf}: link {link!r} has a geometry without a shape")
+    xyz, rpy = ([0.0] * 3, [0.0] * 3)
+    if origin is not None:
+        xyz, rpy = _numbers(origin.get("xyz", "0 0 0")), _numbers(origin.get("rpy", "0 0 0"))
+    return Pose.of_rpy(xyz, rpy).apply(_shape(shape, urdf, link))
+
+
+def _shape(shape: ElementTree.Element, urdf: Path, link: str) -> Floats:
+    if shape.tag == "mesh":
+        scale = _numbers(shape.get("scale", "1 1 1"))
+        triangles = read_triangles(_mesh_path(shape.get("filename", ""), urdf))
+        return np.asarray(triangles * scale)
+    if shape.tag == "box":
+        return _box(np.array(_numbers(shape.get("size", ""))) / 2)
+    radius = float(shape.get("radius", "nan"))
+    if shape.tag == "sphere":
+        angle = np.linspace(-np.pi / 2, np.pi / 2, _SIDES // 2 + 1)
+        return _turned(radius * np.cos(angle), radius * np.sin(angle))
+    if shape.tag == "cylinder":
+        half = float(shape.get("length", "nan")) / 2
+        return _turned(radius * np.array([0.0, 1, 1, 0]), half * np.array([-1.0, -1, 1, 1]))
+    raise ValueError(
+        f"{urdf}: link {link!r} has a {shape.tag}, not a mesh, box, sphere or cylinder"
+    )
+
+
+def _mesh_path(name: str, urdf: Path) -> Path:
+    """A mesh's file: relative to the URDF, or, of package://, to a folder above that has it."""
+    plain = re.sub(r"^(package|file)://", "", name)
+    tails = [plain] if not name.startswith("package://") else [plain, plain.partition("/")[2]]
+    for folder in (urdf.parent, *urdf.resolve().parents):
+        for tail in tails:
+            if (path := folder / tail).is_file():
+                return path
+    raise ValueError(f"{urdf}: its mesh {name!r} is not found beside it or in a folder above")
+
+
+def _box(half: Floats) -> Floats:
+    right, up = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]).T
+    faces = []
+    for axis in range(3):
+        for side in (-1, 1):
+            face = np.full((6, 3), float(side))
+            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = right, side * up
+            faces.append((face * half).reshape(2, 3, 3))
+    return np.concatenate(faces)
+
+
+def _turned(radius: Floats, height: Floats) -> Floats:
+    """A profile, upwards, turned about z."""
+    angle = np.linspace(0, 2 * np.pi, _SIDES + 1)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    flat = radius[:, None, None] * ring
+    place = np.dstack([flat, np.broadcast_to(height[:, None], flat.shape[:2])])
+    low, low_next, top, top_next = place[:-1, :-1], place[:-1, 1:], place[1:, :-1], place[1:, 1:]
+    halves = np.stack([low, low_next, top_next], axis=2), np.stack([low, top_next, top], axis=2)
+    return np.concatenate(halves).reshape(-1, 3, 3)
+
+
+def _stl(data: bytes) -> Floats:
+    count = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEADER else 0
+    if len(data) == _STL_HEADER + _STL_FACET * count:
+        facets = np.frombuffer(data, np.uint8, offset=_STL_HEADER).reshape(count, _STL_FACET)
+        corners = np.ascontiguousarray(facets[:, 12:48]).view("<f4")
+        return corners.reshape(-1, 3, 3).astype(np.float64)
+    words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
+    if len(words) % 3:
+        raise ValueError("an STL file that ends within a triangle")
+    return np.array(words, dtype=np.float64).reshape(-1, 3, 3)
+
+
+def _obj(text: str) -> Floats:
+    corners, faces = [], []
+    for line in text.splitlines():
+        kind, *words = line.split() or [""]
+        if kind == "v":
+            corners.append([float(word) for word in words[:3]])
+        elif kind == "f":
+            # From 1, or from the end: v, v/vt, v//vn.
+            number = [int(word.partition("/")[0]) for word in words]
+            place = [n - 1 if n > 0 else len(corners) + n for n in number]
+            faces += [[place[0], *pair] for pair in pairwise(place[1:])]
+    try:
+        return np.array(corners, dtype=np.float64)[np.array(faces, dtype=np.intp).reshape(-1, 3)]
+    except IndexError:
+        raise ValueError("an OBJ file with a face of a corner that it does not have") from None
+
+
+def _numbers(text: str) -> list[float]:
+    numbers = [float(word) for word in text.split()]
+    if len(numbers) != 3:
+        raise ValueError(f"{text!r} is not three numbers")
+    return numbers

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Objects pressed into many equal skins at once: the elastic cover of sim/indenters.py, batched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Floats
+from ...base.errors import ParameterError
+from ...places.layout import Layout
+from ..indenters import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    Foundation,
+    Indenter,
+    Spans,
+    Sphere,
+    round_spans,
+    slab_spans,
+    within_all,
+)
+from .standard import Array, array_api
+
+
+class BatchCover:
+    """The elastic cover of e equal skins of t taxels.
+
+    >>> import numpy as np
+    >>> from tactile_cdma import Skin
+    >>> from tactile_cdma.sim import Sphere
+    >>> from tactile_cdma.sim.batch import BatchCover
+    >>> cover = BatchCover(Skin("sim://", nodes=16).layout)
+    >>> ball = Sphere(radius_m=0.02, position_m=(0.0, 0.0, 0.0))
+    >>> places_m = np.array([[0.0, 0.0, 0.019], [0.007, 0.0, 0.05]])
+    >>> cover.pressure_pa(ball, places_m).shape
+    (2, 16)
+    >>> pressed_pa = cover.pressure_pa(ball, places_m, force_n=np.array([2.0, 0.5]))
+    >>> np.round(pressed_pa @ cover.areas_m2, 6).tolist()
+    [2.0, 0.5]
+
+    areas_m2: (t,) float64, m².
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.areas_m2 = layout.areas_m2.astype(np.float64)
+        places = layout.positions_m, layout.normals, layout.areas_m2
+        points_m = Foundation(*places, layout.aspect).points_m
+        self._per_taxel = points_m.shape[1]
+        self._points_m = points_m.reshape(-1, 3)
+        self._normals = layout.normals.astype(np.float64).repeat(self._per_taxel, axis=0)
+        self._point_m2 = (self.areas_m2 / self._per_taxel).repeat(self._per_taxel)
+        self._is_flat = bool((np.ptp(self._normals, axis=0) == 0).all())
+        self._is_even = bool(np.allclose(self.areas_m2, self.areas_m2[0], rtol=1e-6))
+
+    def pressure_pa(
+        self,
+        thing: Indenter,
+        position_m: Array,
+        orientation_xyzw: Array | None = None,
+        force_n: Array | None = None,
+    ) -> Array:
+        """Mean pressure on every taxel under one object in each environment, (e, t), Pa.
+
+        thing: its shape, size and stiffness, not its pose; no HeightMap. position_m: (e, 3), m, and
+        orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
+        N: each object is moved along the normal of the skin, which has to be flat, from wherever it
+        is until the cover answers with this force; with none where it is beside the skin.
+        """
+        api = array_api()
+        xp, where = api.array_namespace(position_m), api.device(position_m)
+
+        def here(array: Any) -> Array:
+            return xp.asarray(array, dtype=position_m.dtype, device=where)
+
+        enters_m, leaves_m = self._spans(thing, position_m, orientation_xyzw, xp, here)
+        if force_n is None:
+            depth_m = xp.where((leaves_m > 0) & (enters_m < 0), -enters_m, 0.0)
+        else:
+            if not self._is_flat:
+                raise ParameterError("objects are pressed with a force on flat skins only")
+            volume_m3 = force_n / thing.stiffness_pa_per_m
+            shift_m = self._shift_m(enters_m, volume_m3, xp, here)[:, None]
+            depth_m = xp.where(enters_m < shift_m, shift_m - enters_m, 0.0)
+        by_taxel = xp.reshape(depth_m, (depth_m.shape[0], -1, self._per_taxel))
+        return thing.stiffness_pa_per_m * xp.mean(by_taxel, axis=-1)
+
+    def _spans(
+        self, thing: Indenter, position_m: Array, turned: Array | None, xp: Any, here: Any
+    ) -> Spans:
+        """Where the normals at all points enter and leave the objects, (e, m) each."""
+        points_m, normals = self._points_m, self._normals
+        # Coordinates along the object's axes, each (e, m): R.T @ (point − position).
+        axes = _axes(turned, xp) if turned is not None else None
+
+        def along(axis: int) -> tuple[Array, Array]:
+            if axes is None:  # what is the same at all points is taken once
+                place_m, normal = _once(points_m[:, axis]), _once(normals[:, axis])
+                return here(place_m)[None, :] - position_m[:, axis, None], here(normal)[None, :]
+            row = axes[axis]  # (e, 3)
+            offset_m = xp.sum(row * position_m, axis=-1)[:, None]
+            return row @ here(points_m.T) - offset_m, row @ here(_once(normals).T)
+
+        x, y, z = map(along, range(3))
+        match thing:
+            case Sphere():
+                return _round(thing.radius_m, (x, y, z), xp)
+            case Cylinder():
+                length = slab_spans(*z, thing.length_m / 2, xp)
+                return within_all(_round(thing.radius_m, (x, y), xp), length, xp=xp)
+            case Box():
+                pairs = zip((x, y, z), thing.size_m, strict=True)
+                return within_all(*(slab_spans(*each, size / 2, xp) for each, size in pairs), xp=xp)
+            case Ellipsoid():
+                pairs = zip((x, y, z), thing.size_m, strict=True)
+                return _round(1.0, [(p * 2 / size, n * 2 / size) for (p, n), size in pairs], xp)
+            case Capsule():
+                half_m, radius_m = thing.length_m / 2, thing.radius_m
+                middle = within_all(_round(radius_m, (x, y), xp), slab_spans(*z, half_m, xp), xp=xp)
+                ends = (
+                    _round(radius_m, (x, y, (z[0] - z_m, z[1])), xp) for z_m in (-half_m, half_m)
+                )
+                all_enter_m, all_leave_m = zip(middle, *ends, strict=True)
+                return reduce(xp.minimum, all_enter_m), reduce(xp.maximum, all_leave_m)
+        raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
+
+    def _shift_m(self, enters_m: Array, volume_m3: Array, xp: Any, here: Any) -> Array:
+        """By how much to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
+
+        With the points in the order in which the skin is reached, Σ aᵢ·max(s − eᵢ, 0) is the
+        greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ), so that s is the least of their solutions. −∞
+        where no point is below the object.
+        """
+        point_m2 = here(self._point_m2)
+        if self._is_even:
+            enters_m = xp.sort(enters_m, axis=-1)
+        else:
+            order = xp.argsort(enters_m, axis=-1)
+            enters_m, point_m2 = xp.take_along_axis(enters_m, order, axis=-1), point_m2[order]
+        lifted_m3 = xp.cumulative_sum(point_m2 * enters_m, axis=-1)
+        area_m2 = xp.cumulative_sum(point_m2, axis=-1)
+        shift_m = xp.min((volume_m3[:, None] + lifted_m3) / area_m2, axis=-1)
+        return xp.where(shift_m < np.inf, shift_m, -np.inf)
+
+
+def _once(values: Floats) -> Floats:
+    """The first of values that are all the same, else all; (m, …)."""
+    return values[:1] if (values == values[0]).all() else values
+
+
+def _round(radius_m: float, axes: Sequence[tuple[Array, Array]], xp: Any) -> Spans:
+    """Spans of a ball, or of an endless cylinder about the third axis."""
+    a, b = sum(n * n for _, n in axes), sum(p * n for p, n in axes)
+    return round_spans(a, b, sum(p * p for p, _ in axes) - radius_m**2, xp)
+
+
+def _axes(quaternion: Array, xp: Any) -> tuple[Array, Array, Array]:
+    """The axes of objects, (e, 3) each, of their orientations (e, 4), x, y, z, w of any length."""
+    q = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, axis=-1, keepdims=True))
+    x, y, z, w = (q[:, i] for i in range(4))
+    return (
+        xp.stack((1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)), axis=-1),
+        xp.stack((2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)), axis=-1),
+        xp.stack((2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)), axis=-1),
+    )

@@ -1,0 +1,348 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""SkinBatch: what the drivers of many equal skins would publish, computed without the line.
+
+On a line without faults the driver hears every word that a node sends. So all between the nodes'
+words and the driver's is left out; what is before it, sensors, converters and the rule by which
+nodes speak, is computed as in the simulator, and what is after it is looked up in a table of all
+codes, which the driver's own Taxels has filled. test_batch.py compares both ways code by code.
+
+Every function of arrays is one of the array API standard, so that numpy, torch and JAX do, on any
+device; nothing depends on values, so that it can be compiled (jax.jit, torch.compile).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.arrays import Floats32
+from ...base.errors import ParameterError, SpecError
+from ...config.skin_config import SkinConfig
+from ...readings.baseline import Baseline
+from ...readings.calibration import AdcScale
+from ...readings.drift import DriftTracker, nodes_beside
+from ...readings.pressure import PressureChain
+from ...readings.taxels import Taxels
+from ...wire._protocol import TAIL_CHIPS
+from ...words.decode import silent
+from ...words.health import NodeHealth
+from ..nodes import rest_codes
+from ..options import Setup, SimOptions
+from ..sensor import delayed, followed
+from .standard import Array, array_api
+
+PUBLISHING_S = 1e-3
+"""From a frame's last sample to a subscriber, s: more than the median of make bench-ros."""
+MOST_READINGS = 1 << 26
+"""Codes × taxels of the table. Chosen: 0.6 GB; words of 16 bits of 1,024 taxels."""
+_NEVER = -(1 << 30)
+"""Number of the frame in which a node spoke that was never heard."""
+
+
+class BatchFrame(NamedTuple):
+    """One frame of e skins of t taxels, as the driver's; arrays of the kind that was given.
+
+    pressure_pa: (e, t) float32, Pa, NaN without a valid reading. status: (e, t) uint8, bits of
+    Status. active: (e, t) bool, whether the taxel's node spoke. codes: (e, t) integers, the word
+    that it sent last.
+    """
+
+    pressure_pa: Array
+    status: Array
+    active: Array
+    codes: Array
+
+
+class BatchState(NamedTuple):
+    """What e skins remember from frame to frame; a tuple, so that JAX can pass it through jit.
+
+    number: (e, 1) integers, frames since the start. codes: (e, t) integers, sent last. heard:
+    (e, t) integers, the frame in which that was. lagged_pa: (e, t), Pa, behind the lag. plays: each
+    (e, t), of the hysteresis. late: frames that are not published yet, the oldest first.
+    """
+
+    number: Array
+    codes: Array
+    heard: Array
+    lagged_pa: Array
+    plays: tuple[Array, ...]
+    late: tuple[BatchFrame, ...]
+
+
+class SkinBatch:
+    """As many equal skins as there are environments, each with a driver, without the line.
+
+    >>> import numpy as np
+    >>> from tactile_cdma import Skin
+    >>> from tactile_cdma.sim.batch import SkinBatch
+    >>> skin = Skin("sim://?scene=external&speed=0&sensor=paper", nodes=24, rows=4, columns=6)
+    >>> batch = SkinBatch(skin.config, 1000, skin.port)
+    >>> state = batch.begin(np.zeros(()))
+    >>> state, frame = batch.step(state, np.full((1000, 24), 20e3))
+    >>> frame.pressure_pa.shape
+    (1000, 24)
+
+    config: of the driver. envs: number of skins. simulator: sim:// URL whose options say what the
+    sensors and nodes are like: sensor, hysteresis, mismatch, sensor_noise, dead, dead_after, stuck,
+    threshold, heartbeat, seed. delay_frames: steps by which frames come late; None: as many as pass
+    from measuring to publishing, 0: as Skin.step, for which the world waits. tared: the drivers
+    were tared while nothing touched the skins.
+
+    What a driver does about drift is left out, and so is all that the line, the transport and the
+    computer may do wrong. Raises ParameterError, or SpecError for options that do not fit.
+    """
+
+    def __init__(
+        self,
+        config: SkinConfig,
+        envs: int,
+        simulator: str = "sim://",
+        delay_frames: int | None = None,
+        tared: bool = False,
+    ) -> None:
+        array_api()  # where it is missing this is told first
+        options, spec = SimOptions.from_url(simulator), config.spec
+        _check(config, options)
+        if envs < 1:
+            raise ParameterError(f"envs is {envs}; it must be 1 or more")
+        least = math.ceil(delay_s(config) / spec.frame_period_s)
+        self.delay_frames = least if delay_frames is None else delay_frames
+        if self.delay_frames < 0:
+            raise ParameterError(f"delay_frames is {delay_frames}; it must be 0 or more")
+        self.config, self.envs, self.taxels = config, envs, len(config.layout)
+        self._sensors, self._rules = options.sensors, options.rules(spec)
+        self._stale_frames = math.floor(config.stale_after_s / spec.frame_period_s + 1e-6)
+        self._tables = _Tables.of(config, options, tared)
+        self._here: _Tables | None = None  # the same as arrays of the kind that begin was given
+        self._xp: Any = None
+
+    def begin(self, like: Array, heard: bool = True) -> BatchState:
+        """The state of untouched skins, and from now on arrays of like's kind, device and type.
+
+        like: any array of real floating numbers; float64 gives the codes of the simulator, float32
+        a few in 10⁵ that differ by one. heard: every node has been heard before, as a second after
+        a driver's start. Not to be called inside of jit.
+        """
+        xp = self._xp = array_api().array_namespace(like)
+        if not xp.isdtype(like.dtype, "real floating"):
+            raise ParameterError(f"SkinBatch takes arrays of floating numbers, not {like.dtype}")
+        here = self._here = self._tables.moved(xp, like)
+        shape = self.envs, self.taxels
+        nothing_pa = xp.zeros(shape, dtype=like.dtype, device=array_api().device(like))
+        codes = xp.zeros_like(nothing_pa, dtype=here.rest.dtype) + here.rest
+        number = xp.zeros_like(codes[:, :1])
+        never = xp.full_like(codes, _NEVER)
+        since = never
+        if heard:
+            since = xp.where(here.dies <= 0, never, xp.full_like(codes, -1))
+        dynamics = self._sensors.dynamics
+        plays = (nothing_pa,) * len(dynamics.widths) if dynamics else ()
+        late = (self._published(number, codes, codes != codes, since),) * self.delay_frames
+        return BatchState(number, codes, since, nothing_pa, plays, late)
+
+    def step(
+        self, state: BatchState, pressure_pa: Array, deviates: Array | None = None
+    ) -> tuple[BatchState, BatchFrame]:
+        """One frame later: the state, and the frame that is published by then.
+
+        pressure_pa: (e, t), Pa, on every taxel when the nodes measure; where it is NaN the node is
+        dead in this frame. deviates: (e, t), standard normal, for sensor_noise; drawn by the
+        caller, as each library does that its own way.
+        """
+        xp, here, rules = self._xp, self._here, self._rules
+        if here is None:
+            raise ParameterError("call SkinBatch.begin before SkinBatch.step")
+        self._check_array("pressure_pa", pressure_pa)
+        is_dead = xp.isnan(pressure_pa) | (here.dies <= state.number)
+        pressure_pa = xp.where(pressure_pa > 0, pressure_pa, here.zero)
+        lagged_pa, plays = state.lagged_pa, state.plays
+        if dynamics := self._sensors.dynamics:
+            passed_s = self.config.spec.frame_period_s
+            lagged_pa = delayed(lagged_pa, pressure_pa, passed_s, dynamics, xp)
+            plays, pressure_pa = followed(plays, lagged_pa, dynamics, xp)
+        measured = self._measured(pressure_pa, deviates)
+        active = rules.has_news(measured, here.rest, state.codes)
+        if rules.heartbeat:
+            active = active | (here.beat == state.number % rules.heartbeat)
+        active = active & ~is_dead
+        codes = xp.where(active, measured, state.codes)
+        heard = xp.where(active, state.number, state.heard)
+        late = (*state.late, self._published(state.number, codes, active, heard))
+        return BatchState(state.number + 1, codes, heard, lagged_pa, plays, late[1:]), late[0]
+
+    def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
+        """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave."""
+        where, done = self._xp.where, done[:, None]
+
+        def chosen(new: Any, old: Any) -> Any:
+            if isinstance(old, tuple):
+                pairs = zip(new, old, strict=True)
+                parts = [chosen(*pair) for pair in pairs]
+                return type(old)(*parts) if hasattr(old, "_fields") else tuple(parts)
+            return where(done, new, old)
+
+        return BatchState(*chosen(tuple(fresh), tuple(state)))
+
+    def _measured(self, pressure_pa: Array, deviates: Array | None) -> Array:
+        """What the converters read, (e, t) integers."""
+        xp, here, noise_v = self._xp, self._here, self._sensors.noise_v
+        assert here is not None
+        voltage_v = here.rest_v
+        for low_pa, width_pa, rise_v in here.pieces:
+            voltage_v = voltage_v + xp.clip((pressure_pa - low_pa) / width_pa, 0.0, 1.0) * rise_v
+        if noise_v:
+            if deviates is None:
+                raise ParameterError(f"sensor_noise is {noise_v:g} V: give `deviates`, too")
+            self._check_array("deviates", deviates)
+            voltage_v = voltage_v + noise_v * deviates
+        adc = AdcScale(self.config.spec.bits)  # the simulated nodes'
+        counts = xp.clip(xp.floor(voltage_v / adc.lsb_v + 0.5), 0.0, float((1 << adc.bits) - 1))
+        return xp.where(here.is_stuck, here.rest, xp.astype(counts, here.rest.dtype))
+
+    def _published(self, number: Array, codes: Array, active: Array, heard: Array) -> BatchFrame:
+        """What Taxels makes of these words."""
+        xp, here = self._xp, self._here
+        assert here is not None
+        place = xp.reshape(codes * self.taxels + here.column, (-1,))
+        stale = number - heard > self._stale_frames
+        pressure_pa = xp.reshape(xp.take(here.pressure_pa, place), codes.shape)
+        status = xp.reshape(xp.take(here.status, place), codes.shape)
+        status = xp.where(active, status, status | here.silent)
+        return BatchFrame(
+            xp.where(stale, here.nan, pressure_pa),
+            xp.where(stale, here.unheard, status),
+            active,
+            codes,
+        )
+
+    def _check_array(self, name: str, array: Array) -> None:
+        """Raises ParameterError unless it is one of those that begin prepared for."""
+        assert self._here is not None
+        shape, kind = (self.envs, self.taxels), self._here.zero.dtype
+        same = array_api().array_namespace(array) is self._xp and array.dtype == kind
+        if not same or tuple(array.shape) != shape:
+            raise ParameterError(
+                f"{name} is {tuple(array.shape)} of {array.dtype}; as begun, it must be {shape} of "
+                f"{kind}, of the same library"
+            )
+
+
+def delay_s(config: SkinConfig) -> float:
+    """From the moment when the nodes measure until the frame is published, s."""
+    spec = config.spec
+    return spec.frame_s + TAIL_CHIPS * spec.chip_s + PUBLISHING_S
+
+
+class _Tables(NamedTuple):
+    """What does not change, for every taxel, (t,): of its node and of the readings of its codes.
+
+    rest: code of the untouched sensor. beat: as NodeRules.beat. dies: the frame from which the node
+    is dead. is_stuck: bool. rest_v: V; pieces: start, Pa, width, Pa, and rise, V, of the pieces of
+    the sensor's curve. column: the taxel's index.
+    pressure_pa, status: (codes · t,) of the taxels whose nodes spoke. silent: bits besides where
+    they did not; unheard: status of those unheard for too long. zero, nan: of the pressures' types.
+    """
+
+    rest: Array
+    beat: Array
+    dies: Array
+    is_stuck: Array
+    rest_v: Array
+    pieces: tuple[tuple[Array, Array, Array], ...]
+    column: Array
+    pressure_pa: Array
+    status: Array
+    silent: Array
+    unheard: Array
+    zero: Array
+    nan: Array
+
+    @classmethod
+    def of(cls, config: SkinConfig, options: SimOptions, tared: bool) -> _Tables:
+        """As arrays of numpy."""
+        spec, sensors, rules = config.spec, options.sensors, options.rules(config.spec)
+        node = np.maximum(config.layout.nodes - 1, 0)  # of what has none nothing is seen
+        curves = sensors.curves(spec.nodes)
+        rest = rest_codes(sensors, AdcScale(spec.bits), spec.nodes)
+        low_pa, low_v = curves.pressure_pa[:, node], curves.voltage_v[:, node]
+        widths_pa, rises_v = np.diff(low_pa, axis=0), np.diff(low_v, axis=0)
+        widths_pa[widths_pa == 0] = 1.0
+        dies = np.full(spec.nodes, 1 << 30)
+        first = math.ceil(sensors.dead_after_s / spec.frame_period_s + options.start_phase - 1e-9)
+        dies[sensors.indices(sensors.dead, spec.nodes)] = first
+        is_stuck = np.zeros(spec.nodes, bool)
+        is_stuck[sensors.indices(sensors.stuck, spec.nodes)] = True
+        pressure_pa, status, silent_bits, unheard = _readings(config)
+        taxels = np.arange(len(node))
+        if tared:
+            pressure_pa -= pressure_pa[rest[node], taxels]
+        return cls(
+            rest[node], rules.beat(spec.nodes)[node], dies[node], is_stuck[node], low_v[0],
+            tuple(zip(low_pa[:-1], widths_pa, rises_v, strict=True)), taxels,
+            pressure_pa.ravel(), status.ravel(), silent_bits, unheard,
+            np.zeros(()), np.full((), np.nan, np.float32),
+        )  # fmt: skip
+
+    def moved(self, xp: Any, like: Array) -> _Tables:
+        """As arrays of the kind and on the device of `like`, whose type the floating ones take."""
+        where = array_api().device(like)
+        kinds = {"i": xp.arange(1).dtype, "f": like.dtype}
+
+        def move(array: Any) -> Any:
+            if isinstance(array, tuple):
+                return tuple(map(move, array))
+            kind = {"float32": xp.float32, "uint8": xp.uint8, "bool": xp.bool}.get(array.dtype.name)
+            return xp.asarray(array, dtype=kind or kinds[array.dtype.kind], device=where)
+
+        return _Tables(*map(move, self))
+
+
+def _check(config: SkinConfig, options: SimOptions) -> None:
+    """Raises SpecError for what is not modelled, or for a simulator of another skin."""
+    spec, readings = config.spec, len(config.layout) << config.spec.bits
+    theirs = options.setup(Setup(spec)).spec
+    for name in ("nodes", "bits", "frame_period_s"):
+        mine, its = getattr(spec, name), getattr(theirs, name)
+        if mine != its:
+            raise SpecError(f"{name} is {mine}, but {its} in the options of the simulator")
+    if spec.sparse:
+        raise SpecError(
+            "SkinBatch has orthogonal codes only: how many nodes may speak at once is not modelled"
+        )
+    if options.warming:
+        raise SpecError("SkinBatch leaves drift out: leave out warming, too")
+    if readings > MOST_READINGS:
+        raise SpecError(
+            f"{len(config.layout)} taxels of {spec.bits} bits have {readings} readings; the table "
+            f"holds {MOST_READINGS}: lower bits or nodes"
+        )
+
+
+def _readings(
+    config: SkinConfig,
+) -> tuple[Floats32, NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+    """What a driver publishes, by its own code: of every code, and of silence.
+
+    Returns pressures, Pa, and status of every code, (codes, t) each; (t,) the bits that silence
+    adds, and (t,) the status of taxels whose nodes were unheard for too long.
+    """
+    spec, layout = config.spec, config.layout
+    tracker = DriftTracker(config.adc, nodes_beside(layout, spec.nodes), config.rest)
+    chain = PressureChain(config.calibration, Baseline(spec.nodes), tracker)
+    taxels = Taxels(spec.nodes, config.adc, chain, layout, config.stale_after_s)
+    nobody, health = silent(spec.nodes, 0.0), NodeHealth(spec)
+    all_speak = np.ones(spec.nodes, bool)
+    unheard = taxels.update(nobody, 0.0, health).status
+    pressure_pa = np.empty((1 << spec.bits, len(layout)), np.float32)
+    status = np.empty(pressure_pa.shape, np.uint8)
+    for code in range(1 << spec.bits):
+        codes = np.full(spec.nodes, code, np.int32)
+        read = taxels.update(replace(nobody, active=all_speak, codes=codes), 0.0, health)
+        pressure_pa[code], status[code] = read.pressure_pa, read.status
+    held = taxels.update(nobody, 0.0, health).status
+    return pressure_pa, status, held & ~status[-1], unheard

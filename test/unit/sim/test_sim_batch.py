@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""SkinBatch against the whole chain: simulated nodes, line, digitizer, decoder, frame by frame."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactile_cdma import ParameterError, SpecError
+from tactile_cdma.base.errors import MissingPackageError
+from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
+from tactile_cdma.places.layout import Layout
+from tactile_cdma.sim import Box, Capsule, Cylinder, Ellipsoid, Foundation, Indenter, Sphere
+from tactile_cdma.sim.batch import BatchCover, BatchFrame, SkinBatch
+from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.options import Setup, SimOptions
+
+pytest.importorskip("array_api_compat", reason="the extra [batch] is not installed")
+array_api_strict = pytest.importorskip("array_api_strict")
+
+LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
+SCENES = "presses", "cycles"
+STALE = 1 | 8
+
+
+def chain(options: SimOptions, config: SkinConfig, count: int) -> list[TactileFrame]:
+    """What a driver decodes of the first frames of a noise-free line."""
+    digitizer, pipeline = VirtualDigitizer(options), Pipeline(config)
+    digitizer.receive(Session(config).open())
+    frames: list[TactileFrame] = []
+    while len(frames) < count:
+        digitizer.advance(1 << 16)
+        frames += pipeline.feed(digitizer.take(1 << 20), 0.0)
+    assert [frame.sequence for frame in frames] == list(range(len(frames)))
+    return frames[:count]
+
+
+def pressures(options: SimOptions, config: SkinConfig, count: int) -> np.ndarray:
+    """What touches the taxels in these frames, (count, t), Pa."""
+    node = np.maximum(config.layout.nodes - 1, 0)
+    frames = islice(truth(options, options.setup(Setup(config.spec))), count)
+    return np.array([frame.pressure_pa[node] for frame in frames])
+
+
+CASES = {
+    "the paper's": ({}, ""),
+    "lag and hysteresis": (
+        {"nodes": 24, "rows": 4, "columns": 6, "chip_us": 20.0, "frame_period_ms": 10.0},
+        "sensor=paper&heartbeat=11",
+    ),
+    "a part of a cylinder, dead and stuck nodes": (
+        {"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"), "frame_period_ms": 40.0,
+         "stale_after_s": 0.5},
+        "dead=3,17&dead_after=1&stuck=5&mismatch=0.05&threshold=2&heartbeat=9",
+    ),
+    "rising voltages of 12 bits, by the wrong curve": (
+        {"nodes": 12, "bits": 12, "rows": 3, "columns": 4},
+        "sensor=fsr&threshold=20",
+    ),
+    "in the gap, all talk": (
+        {"nodes": 9, "timing": "gap", "samples_per_chip": 4, "frame_period_ms": 14.0},
+        "threshold=0&dead=1",
+    ),
+    "no heartbeats, integrated chips": (
+        {"nodes": 30, "samples_per_chip": 1, "frame_period_ms": 25.0, "stale_after_s": 0.79},
+        "heartbeat=0&threshold=3",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("parameters", "url"), CASES.values(), ids=CASES)
+def test_the_same_frames_as_the_whole_chain(parameters: dict[str, object], url: str) -> None:
+    count, url = 120, f"sim://?noise=0&{url}"
+    config = SkinConfig.of({"drift_pa_per_min": 0.0, "stale_after_s": 1.0} | parameters)
+    batch = SkinBatch(config, len(SCENES), url, delay_frames=0)
+    options = [SimOptions.from_url(f"{url}&speed=0&scene={scene}") for scene in SCENES]
+    pressed_pa = np.stack([pressures(each, config, count) for each in options], axis=1)
+    published = [chain(each, config, count) for each in options]
+    # The simulator's sensors have felt what they feel first since ever.
+    state = batch.begin(np.zeros(()), heard=False)._replace(lagged_pa=pressed_pa[0])
+    node = np.maximum(config.layout.nodes - 1, 0)
+    unseen = int(config.timing == "gap")  # no gap is seen before the first frame
+    said = silent = 0
+    for number in range(count):
+        state, frame = batch.step(state, pressed_pa[number])
+        for env, frames in enumerate(published if number >= unseen else ()):
+            readings, words = frames[number - unseen].readings, frames[number - unseen].words
+            assert np.array_equal(frame.active[env], words.active[node]), (env, number)
+            # Without marks a frame of equal words may be in doubt, until the raster is learnt.
+            sure = readings.status & 4 == 0
+            assert sure.all() or unseen
+            spoke = frame.active[env] & sure
+            assert np.array_equal(frame.codes[env][spoke], words.codes[node][spoke])
+            assert np.array_equal(frame.status[env][sure], readings.status[sure]), (env, number)
+            theirs_pa = readings.pressure_pa[sure]
+            assert np.array_equal(frame.pressure_pa[env][sure], theirs_pa, equal_nan=True)
+            said, silent = said + spoke.sum(), silent + (~spoke).sum()
+    assert said > 500
+    assert silent > 200 or "threshold=0" in url
+
+
+def course(batch: SkinBatch, kind: object, envs: int = 3, frames: int = 40) -> list[BatchFrame]:
+    """The frames of random loads, in arrays of a kind."""
+    rng, state, seen = np.random.default_rng(1), batch.begin(kind), []
+    asarray = np.asarray if isinstance(kind, np.ndarray) else array_api_strict.asarray
+    for _ in range(frames):
+        pressed_pa = rng.uniform(-1e4, 1.6e5, (envs, batch.taxels))
+        deviates = rng.standard_normal(pressed_pa.shape)
+        state, frame = batch.step(state, asarray(pressed_pa), asarray(deviates))
+        seen.append(frame)
+    return seen
+
+
+def test_any_library_of_the_standard_gives_the_same_arrays() -> None:
+    config = SkinConfig.of({"nodes": 24, "rows": 4, "columns": 6, "frame_period_ms": 16.0})
+    batch = SkinBatch(config, 3, "sim://?sensor=paper&mismatch=0.05&sensor_noise=0.01&dead=2")
+    kinds = np.zeros(()), array_api_strict.zeros(())
+    for ours, theirs in zip(*(course(batch, kind) for kind in kinds), strict=True):
+        assert all(isinstance(array, array_api_strict.asarray(0).__class__) for array in theirs)
+        for mine, other in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(mine, np.asarray(other))
+
+
+def test_frames_come_late_by_what_the_line_takes_and_environments_end_alone() -> None:
+    config = SkinConfig.of({"frame_period_ms": 12.8})
+    batch = SkinBatch(config, 2, "sim://?threshold=0")
+    assert batch.delay_frames == 1, "10 ms of code, the tail of a frame and publishing"
+    assert SkinBatch(SkinConfig.of({"frame_period_ms": 10.0}), 1).delay_frames == 2
+    fresh = state = batch.begin(np.zeros(()))
+    loads_pa = 10e3 * np.arange(1.0, 6.0)
+    felt_pa = []
+    for load_pa in loads_pa:
+        if load_pa == 40e3:
+            state = batch.reset(state, fresh, np.array([False, True]))
+        state, frame = batch.step(state, np.full((2, 16), load_pa))
+        felt_pa.append(frame.pressure_pa.mean(axis=1))
+    assert np.abs(np.array(felt_pa)[:, 0] - [0, 10e3, 20e3, 30e3, 40e3]).max() < 50
+    assert np.abs(np.array(felt_pa)[:, 1] - [0, 10e3, 20e3, 0, 40e3]).max() < 50
+    assert state.number.tolist() == [[5], [2]]
+
+
+def test_a_dead_node_is_no_zero() -> None:
+    """Dead from the start, and where the pressure of a frame is NaN, under a load."""
+    config = SkinConfig.of({"stale_after_s": 0.1})
+    batch = SkinBatch(config, 1, "sim://?dead=3&threshold=0", delay_frames=0)
+    state = batch.begin(np.zeros(()))
+    load_pa = np.full((1, 16), 20e3)
+    load_pa[0, 7] = np.nan
+    for number in range(20):
+        state, frame = batch.step(state, load_pa)
+        gone = [2, 7] if number > 6 else [2]
+        assert np.flatnonzero(np.isnan(frame.pressure_pa[0])).tolist() == gone
+        assert (frame.status[0, gone] == STALE).all()
+    assert not frame.active[0, [2, 7]].any()
+
+
+def test_tared_skins_read_nothing_at_rest() -> None:
+    options = "sim://?mismatch=0.05&threshold=0"
+    idle = np.zeros((1, 16))
+    for tared in (False, True):
+        batch = SkinBatch(SkinConfig.of({}), 1, options, delay_frames=0, tared=tared)
+        _, frame = batch.step(batch.begin(np.zeros(())), idle)
+        assert (frame.pressure_pa == 0).all() == tared
+
+
+def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config = SkinConfig.of({"nodes": 16})
+    with monkeypatch.context() as missing:
+        missing.setitem(sys.modules, "array_api_compat", None)
+        with pytest.raises(MissingPackageError, match="pip install array_api_compat"):
+            SkinBatch(config, 1)
+    with pytest.raises(SpecError, match="leave out warming"):
+        SkinBatch(config, 1, "sim://?warming=20")
+    with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):
+        SkinBatch(config, 1, "sim://?nodes=12")
+    with pytest.raises(ParameterError, match="envs is 0"):
+        SkinBatch(config, 0)
+    batch = SkinBatch(config, 2, "sim://?sensor_noise=0.01")
+    with pytest.raises(ParameterError, match="begin before"):
+        batch.step(None, np.zeros((2, 16)))  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="floating numbers, not int64"):
+        batch.begin(np.zeros((), np.int64))
+    state = batch.begin(np.zeros(()))
+    for wrong in (
+        np.zeros((2, 15)),
+        np.zeros((2, 16), np.float32),
+        array_api_strict.zeros((2, 16)),
+    ):
+        with pytest.raises(ParameterError, match=r"must be \(2, 16\) of float64"):
+            batch.step(state, wrong)
+    with pytest.raises(ParameterError, match="give `deviates`"):
+        batch.step(state, np.zeros((2, 16)))
+
+
+THINGS = [
+    Sphere(radius_m=0.02, position_m=(0, 0, 0), stiffness_pa_per_m=2e7),
+    Cylinder(radius_m=0.006, length_m=0.03, position_m=(0, 0, 0)),
+    Box(size_m=(0.01, 0.02, 0.012), position_m=(0, 0, 0)),
+    Ellipsoid(size_m=(0.01, 0.02, 0.014), position_m=(0, 0, 0)),
+    Capsule(radius_m=0.006, length_m=0.02, position_m=(0, 0, 0)),
+]
+
+
+@pytest.mark.parametrize("layout", ["grid", "cylinder"])
+@pytest.mark.parametrize("thing", THINGS, ids=lambda thing: type(thing).__name__)
+def test_the_cover_is_that_of_single_objects(thing: Indenter, layout: str) -> None:
+    skin = Layout.grid(24, 4, 6, 5e-3, 4e-3)
+    if layout == "cylinder":
+        skin = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
+                              "frame_period_ms": 40.0}).layout  # fmt: skip
+    rng = np.random.default_rng(2)
+    taxels = rng.integers(len(skin), size=40)
+    height_m = rng.uniform(-0.002, 0.018, (40, 1))
+    places_m = skin.positions_m[taxels] + height_m * skin.normals[taxels]
+    turned = rng.standard_normal((40, 4))
+    turned[:8] = 0, 0, 0, 3
+    turned[8:10] = 1, 0, 0, 1
+    felt_pa = BatchCover(skin).pressure_pa(thing, places_m, turned)
+    foundation = Foundation(skin.positions_m, skin.normals, skin.areas_m2, skin.aspect)
+    for env, (place_m, quaternion) in enumerate(zip(places_m, turned, strict=True)):
+        unit = quaternion / np.linalg.norm(quaternion)
+        each = replace(thing, position_m=place_m.tolist(), orientation_xyzw=unit.tolist())
+        np.testing.assert_allclose(felt_pa[env], foundation.pressure_pa([each]), atol=1e-3)
+    assert (felt_pa.max(axis=1) > 0).mean() > 0.25
+    if layout == "grid":
+        upright = BatchCover(skin).pressure_pa(thing, places_m)
+        np.testing.assert_allclose(upright[:8], felt_pa[:8], atol=1e-6)
+
+
+@pytest.mark.parametrize("asarray", [np.asarray, array_api_strict.asarray])
+def test_pressed_with_a_force_the_cover_answers_with_it(asarray: Callable[..., Any]) -> None:
+    """Also where taxels differ in area; what is beside the skin answers with nothing."""
+    even = Layout.grid(24, 4, 6, 5e-3, 5e-3)
+    areas_m2 = even.areas_m2 * np.linspace(0.3, 1, 24, dtype=np.float32)
+    for skin in (even, replace(even, areas_m2=areas_m2)):
+        rng = np.random.default_rng(3)
+        places_m, force_n = rng.uniform(-0.01, 0.01, (9, 3)), rng.uniform(0.05, 8, 9)
+        places_m[8, 0] = 0.2
+        force_n[7] = 0.0
+        cover, wanted_n = BatchCover(skin), np.append(force_n[:8], 0.0)
+        for thing in THINGS:
+            felt_pa = cover.pressure_pa(thing, asarray(places_m), force_n=asarray(force_n))
+            felt_n = np.asarray(felt_pa) @ cover.areas_m2
+            np.testing.assert_allclose(felt_n, wanted_n, atol=1e-9)
+    with pytest.raises(ParameterError, match="flat skins"):
+        layout = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
+                                "frame_period_ms": 40.0}).layout  # fmt: skip
+        BatchCover(layout).pressure_pa(THINGS[0], places_m, force_n=force_n)
+
+
+def test_the_example_grips_what_it_does_not_know(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(LAYOUTS.parents[1] / "examples")
+    example = import_module("batched_grip")
+    rng = np.random.default_rng(5)
+    worlds = example.Worlds.drawn(rng, 12)
+    rules = np.array([0.013, 0.006, 8.5e-5], np.float32)[:, None]  # as it tunes them
+    forces_n = example.gripped(rules, worlds, rng)
+    assert np.median(np.abs(forces_n[-1] - example.FORCE_N)) < 0.05 * example.FORCE_N
+    crushing = example.gripped(5 * rules, worlds, rng)
+    assert example.cost(forces_n).mean() < 0.7 * example.cost(crushing).mean()
+    monkeypatch.setattr(example, "GUESS", 3 * example.GUESS)
+    assert (example.tuned(2, 8, 4) < example.GUESS).any(), "it learns to go more slowly"
