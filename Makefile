@@ -14,7 +14,7 @@
 # make demo-test  run it in an emulator, pins wired and nothing wired; the last line has the counts
 # make spice            the analog circuit for 16, 64, 900 and 4,000 nodes, simulated, against what was computed
 # make amplifier NODES=64  resistors, op-amps and amplitude_mv of a skin; CHIP_US=2, PARAMS=file; CIRCUIT=paper: the paper's
-# make boards  schematics of the boards and the parts lists, from the computed values; checked and drawn where KiCad is
+# make boards  checks schematics and layouts, lists parts; where KiCad is, its rules, and Gerbers in firmware/build/boards
 # make scope   what an oscilloscope should show while a skin is put to work, from emulation and SPICE
 # make firmware-figures measure them: share of time awake, load of the digitizer
 # make setup   only create the environment in .venv; all other targets do this first
@@ -35,6 +35,7 @@
 PYTHON ?= python3
 DISTRO ?=
 BLIND ?=
+SPEED ?=
 VENV ?= .venv$(addprefix -,$(filter-out jazzy,$(DISTRO)))
 PORT ?=
 PARAMS ?=
@@ -57,7 +58,7 @@ export LC_ALL ?= C.UTF-8
 export PYTHONDONTWRITEBYTECODE =
 
 # Variables of the command line, without those that exist: a misspelt one would be ignored.
-VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
+VARIABLES = PYTHON DISTRO VENV PORT PARAMS PATCHES WEB BLIND SPEED SECONDS FIRMWARE ONLY NODES CHIP_US CIRCUIT SEED COUNT SINCE PYTEST QUICK LC_ALL
 UNKNOWN := $(filter-out $(VARIABLES),$(foreach v,$(.VARIABLES),$(if $(filter command%,$(origin $v)),$v)))
 MEANT = from difflib import get_close_matches as near; from sys import argv; \
         print(*(f"; did you mean {name}?" for name in near(argv[1].upper(), argv[2:], 1)))
@@ -142,7 +143,7 @@ spice: firmware-tools
 	@"$(BIN)/python" firmware/analog/spice.py $(CIRCUIT:%=--circuit %)
 
 boards: setup
-	@"$(BIN)/python" firmware/boards/generate_boards.py --draw
+	@"$(BIN)/python" firmware/boards/make_boards.py
 
 scope: firmware
 	@"$(BIN)/python" firmware/boards/scope.py

@@ -4,8 +4,8 @@
 
 MuJoCo's bodies are nearly rigid: its contacts have forces, but no depth that a soft cover would
 have. So each object that touches the skin's geoms is pressed into the cover until that answers with
-MuJoCo's normal force, and the skin reads what the physics carries. examples/mujoco_grip.py has a
-gripper, examples/mujoco_hand.py a hand with five fingers.
+MuJoCo's normal force, and the skin reads what the physics carries. examples/mujoco_grip.py and
+examples/mujoco_hand.py use examples/mujoco_skin.py.
 """
 
 from collections.abc import Sequence

@@ -323,7 +323,8 @@ static bool continues(const struct stream *stream)
     double ahead_s = (double)((int64_t)now->device_us - (int64_t)stream->last_us) * 1e-6 - counted_s;
     double slack_s = rules->slack_s + rules->slack * counted_s;
     double gap_s = now->sync ? rules->gap_s + rules->gaps * counted_s : 0;
-    return -slack_s <= ahead_s && ahead_s <= slack_s + gap_s;
+    double least_s = now->sync ? rules->least_gap_s : 0;
+    return least_s - slack_s <= ahead_s && ahead_s <= slack_s + gap_s;
 }
 
 /* Accepts the packet at hand. */

@@ -36,7 +36,7 @@ struct stream_rules {
     size_t least_rest;                  /* gap samples that an estimate takes */
     double gap_weight, rise, rise_v2;   /* as GAP_WEIGHT, Limits.rise; V² that it may rise besides */
     size_t silent_over;                 /* samples from the mark to the end of a silent frame */
-    double rate_hz, slack_s, slack, gap_s, gaps; /* device time and count may part; see Pace.fits */
+    double rate_hz, slack_s, slack, gap_s, gaps, least_gap_s; /* device time and count may part; see Pace.fits */
     uint64_t most_device_us;
     double most_quiet, most_quiet_v2; /* samples; variance, V² */
 };

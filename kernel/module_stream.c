@@ -115,7 +115,8 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
     FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
     FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
-    FIELD(stream_rules, gaps),                      FIELD(stream_rules, most_device_us),
+    FIELD(stream_rules, gaps),                      FIELD(stream_rules, least_gap_s),
+    FIELD(stream_rules, most_device_us),
     FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
 };
 

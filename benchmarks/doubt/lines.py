@@ -86,6 +86,7 @@ VOLTAGES = (
     Condition("hum of A/3", Line(hum_v=0.1)),
     Condition("hum of A/3, two nodes", Line(hum_v=0.1), TWO),
     Condition("hum of 2 A", Line(hum_v=0.6), CHURN, rough=True),
+    Condition("PWM of A/3 at half the chip rate", Line(hum_v=0.1, hum_hz=10_000), CHURN),
     Condition("100 impulses/s of 1 V", Line(impulses_hz=100), FEW),
     Condition("1000 impulses/s of 1 V", Line(impulses_hz=1000), rough=True),
     Condition("1000 impulses/s of 1 V, two nodes", Line(impulses_hz=1000), TWO, rough=True),

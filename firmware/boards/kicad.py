@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Has kicad-cli (KiCad 8 or later; Debian 13 has 9) check and draw the boards."""
+"""Has kicad-cli (KiCad 9, as in Debian 13) check and draw boards, and write what makers take."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-BOARDS = ("strip", "strip-fast", "digitizer", "digitizer-fast", "group")
+BOARDS = ("strip", "strip-fast", "digitizer", "digitizer-fast", "group", "electrodes")
+LAYOUTS = ("strip", "digitizer", "electrodes")
+"""Boards that are laid out, too."""
 PICTURES = {
     "node": ("strip", 2),
     "digitizer": ("digitizer", 1),
@@ -18,6 +21,10 @@ PICTURES = {
 }
 """Board and page of every picture."""
 DOTS_PER_INCH = 110
+MADE = "F.Cu,{inner}B.Cu,F.Mask,B.Mask,F.Paste,B.Paste,F.Silkscreen,B.Silkscreen,Edge.Cuts"
+"""What a board house gets."""
+OUTLINES = "F.Cu,F.Mask,B.Cu,Edge.Cuts"
+"""What a drawing program gets of a board, as DXF."""
 
 
 class KicadError(RuntimeError):
@@ -25,36 +32,29 @@ class KicadError(RuntimeError):
 
 
 def check(folder: Path) -> str:
-    """Run the electrical rules check on every board; returns what there is to say of it."""
+    """Run KiCad's electrical and layout rules on every board; returns what there is to say of it.
+
+    Layouts are compared with their schematics, too. Raises KicadError with the first report.
+    """
+    strict = ("--exit-code-violations", "--severity-all")
     for board in BOARDS:
-        _run(
-            "sch",
-            "erc",
-            "--exit-code-violations",
-            "--severity-all",
-            f"{board}.kicad_sch",
-            to="erc.rpt",
-            folder=folder,
-        )
-    return f"boards={len(BOARDS)} violations=0"
+        _run("sch", "erc", *strict, f"{board}.kicad_sch", to="erc.rpt", folder=folder)
+    unconnected = 0
+    for board in LAYOUTS:
+        options = (*strict, "--schematic-parity", "--format", "json")
+        report = _run("pcb", "drc", *options, f"{board}.kicad_pcb", to="drc.json", folder=folder)
+        unconnected += len(json.loads(report)["unconnected_items"])
+    return f"boards={len(BOARDS)} layouts={len(LAYOUTS)} erc=0 drc=0 unconnected={unconnected}"
 
 
 def netlist(folder: Path, board: str) -> str:
     """KiCad's netlist of a board, as XML."""
-    return _run(
-        "sch",
-        "export",
-        "netlist",
-        "--format",
-        "kicadxml",
-        f"{board}.kicad_sch",
-        to="netlist.xml",
-        folder=folder,
-    )
+    options = ("--format", "kicadxml", f"{board}.kicad_sch")
+    return _run("sch", "export", "netlist", *options, to="netlist.xml", folder=folder)
 
 
 def draw(folder: Path, pictures: Path) -> None:
-    """Draw every board, as PNG."""
+    """Draw the schematics, as PNG."""
     for name, (board, page) in PICTURES.items():
         options = ("--exclude-drawing-sheet", "--no-background-color")
         with TemporaryDirectory(dir=folder) as scratch:
@@ -65,6 +65,20 @@ def draw(folder: Path, pictures: Path) -> None:
             subprocess.run(
                 [_need("pdftoppm"), "-png", "-gray", *size, str(pdf), target], check=True
             )
+
+
+def fabricate(folder: Path, board: str, target: Path) -> None:
+    """Write Gerbers, drill and placement files and a DXF of a layout into a folder."""
+    target.mkdir(parents=True, exist_ok=True)
+    source, out = f"{board}.kicad_pcb", f"{target}/"
+    four = '"In1.Cu"' in (folder / source).read_text(encoding="utf-8")
+    layers = MADE.format(inner="In1.Cu,In2.Cu," if four else "")
+    _kicad(folder, "pcb", "export", "gerbers", "--layers", layers, source, "-o", out)
+    _kicad(folder, "pcb", "export", "drill", source, "-o", out)
+    placement = ("--format", "csv", "--units", "mm", "--exclude-dnp", "--smd-only")
+    _kicad(folder, "pcb", "export", "pos", *placement, source, "-o", f"{out}{board}-pos.csv")
+    dxf = ("--layers", OUTLINES, "--output-units", "mm", "--mode-single")
+    _kicad(folder, "pcb", "export", "dxf", *dxf, source, "-o", f"{out}{board}.dxf")
 
 
 def _run(*arguments: str, to: str, folder: Path) -> str:
@@ -81,7 +95,7 @@ def _kicad(folder: Path, *arguments: str) -> None:
     )
     if result.returncode:
         out = Path(arguments[-1])
-        report = out.read_text(encoding="utf-8") if out.exists() else result.stderr
+        report = out.read_text(encoding="utf-8") if out.is_file() else result.stderr
         raise KicadError(f"{' '.join(arguments[:3])}: {report}")
 
 

@@ -100,6 +100,13 @@ _OTHERS = {
     ),
     "Skin": _gh(6, 0.45),
     "Group": _gh(4, 0.35),
+    "Electrodes": Part(
+        "Harwin",
+        "M20-9981045",
+        0.60,
+        "Connector_PinHeader_2.54mm:PinHeader_2x10_P2.54mm_Vertical",
+        "pin header, 2 × 10",
+    ),
     "UART": _gh(3, 0.30),
     "Supply5V": Part(
         "Phoenix Contact",

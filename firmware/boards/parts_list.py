@@ -6,16 +6,40 @@ from __future__ import annotations
 
 import csv
 import io
+import sys
 from collections import Counter
-from collections.abc import Sequence
 from math import ceil
+from pathlib import Path
 
-from drawing import Sheet
-from netlist import Component, components, parse
+from netlist import Component, components, parse, read
 from parts import SENSOR_SHEET, SUPPLY_5V, Part, part
-from schematics import FEW, MANY, MORE, STRIP_NODES, front_end
+from tactile_cdma.config.skin_config import SkinConfig
 
-SKINS = (FEW, MORE, MANY)
+sys.path.append(str(Path(__file__).resolve().parents[1] / "analog"))
+import spice
+from amplifier import FrontEnd, design
+
+FEW, MORE, MANY = SKINS = (16, 64, 900)
+"""Nodes of the skins that there are boards for: the same boards for the first two."""
+STRIP_NODES = 8
+SHEETS = ("node", "node-fast", "strip", "strip-fast", "digitizer", "digitizer-fast", "group")
+"""Files of the boards of a skin."""
+Parts = dict[str, list[Component]]
+"""By file, those that one buys."""
+
+
+def front_end(nodes: int) -> FrontEnd:
+    """The front end of a skin, as `make spice` simulates it."""
+    config = SkinConfig.of({"nodes": nodes, **spice.SKINS[nodes]})
+    return design(config.spec, config.samples_per_chip)
+
+
+def read_parts(folder: Path) -> Parts:
+    """Of every sheet of a skin, by itself."""
+    trees = {name: parse((folder / f"{name}.kicad_sch").read_text("utf-8")) for name in SHEETS}
+    return {
+        name: [c for c, _ in components(tree) if "MPN" in c.fields] for name, tree in trees.items()
+    }
 
 
 def boards_of(nodes: int) -> dict[str, int]:
@@ -29,14 +53,12 @@ def boards_of(nodes: int) -> dict[str, int]:
     return {"node-fast": nodes, "strip-fast": strips, "group": len(sizes), "digitizer-fast": 1}
 
 
-def needed(sheets: Sequence[Sheet], nodes: int) -> Counter[Part]:
+def needed(parts: Parts, nodes: int) -> Counter[Part]:
     """The parts of a skin, without boards, cables and assembly."""
     counts: Counter[Part] = Counter()
-    of_board = {sheet.name: [c for c, _ in components(parse(sheet.text()))] for sheet in sheets}
     for board, number in boards_of(nodes).items():
-        for component in of_board[board]:
-            if "MPN" in component.fields:
-                counts[bought(component, nodes)] += number
+        for component in parts[board]:
+            counts[bought(component, nodes)] += number
     counts[SENSOR_SHEET] = ceil(nodes / SENSOR_SHEET_TAXELS)
     if front_end(nodes).groups > 1:
         counts[SUPPLY_5V] = 1
@@ -59,9 +81,9 @@ def bought(component: Component, nodes: int) -> Part:
     return found
 
 
-def csv_text(sheets: Sequence[Sheet]) -> str:
+def csv_text(parts: Parts) -> str:
     """All parts as CSV: a line per part, quantities and costs by number of nodes."""
-    counts = {nodes: needed(sheets, nodes) for nodes in SKINS}
+    counts = {nodes: needed(parts, nodes) for nodes in SKINS}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(
@@ -73,9 +95,32 @@ def csv_text(sheets: Sequence[Sheet]) -> str:
     return out.getvalue()
 
 
-def markdown(sheets: Sequence[Sheet]) -> str:
+def assembly_csv(schematic: Path, nodes: int = FEW) -> str:
+    """A board's parts as assemblers take them: a line per number, with its places.
+
+    nodes: of the skin; the boards of MORE have other parts in some places.
+    """
+    lines: dict[str, list[Component]] = {}
+    for component in read(schematic).components.values():
+        if "MPN" in component.fields:
+            number = component.fields.get(f"MPN{nodes}", component.fields["MPN"])
+            lines.setdefault(number, []).append(component)
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["Comment", "Designator", "Footprint", "Number", "Quantity"])
+    for number, same in sorted(lines.items()):
+        places = ",".join(sorted(component.reference for component in same))
+        footprint = same[0].fields["Footprint"].partition(":")[2]
+        value = same[0].value
+        if number != same[0].fields["MPN"]:
+            value = same[0].fields["Note"].partition(":")[0]
+        writer.writerow([value, places, footprint, number, len(same)])
+    return out.getvalue()
+
+
+def markdown(parts: Parts) -> str:
     """What they cost together, and how many boards there are, as a table."""
-    counts = {nodes: needed(sheets, nodes) for nodes in SKINS}
+    counts = {nodes: needed(parts, nodes) for nodes in SKINS}
     sums = [sum(p.cost * count for p, count in counts[n].items()) for n in SKINS]
     boards = [boards_of(n) for n in SKINS]
     rows = {

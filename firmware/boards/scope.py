@@ -23,7 +23,6 @@ sys.path[:0] = [str(ROOT / "firmware" / folder) for folder in ("analog", "sim")]
 from amplifier import FrontEnd, design  # noqa: E402
 from emulated import EmulatedNodes  # noqa: E402
 from ngspice import transient, waveform  # noqa: E402
-from schematics import SYNC_OHM  # noqa: E402
 from skin import Spread, reference_nodes  # noqa: E402
 from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
@@ -36,6 +35,9 @@ WARM_UP_FRAMES = 20
 SENSOR_V = 2.14
 """At every sensor: a code with ones and zeros."""
 LEAD_S = SYNC_LEAD * SYNC_UNIT_US * 1e-6
+SYNC_OHM, FAST_SYNC_OHM = 68.0, 33.0
+"""Between a buffer and its sync line: with that of 16 to 64 slow nodes on some metres, and of a
+group's 70 on 2 m, an edge overshoots by less than a pin stands (test_boards.py)."""
 BUFFER_OHM = 15.0
 """Of a 74LVC1G17's output at 3.3 V, by its data sheet's curves."""
 WIRE_H, WIRE_F = 600e-9, 60e-12

@@ -257,8 +257,8 @@ class CompiledStream:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        samples = np.frombuffer(volts, np.float32).astype(np.float64)
-        self._add(timing.feed(SampleBlock(start, samples)))
+        samples = np.frombuffer(volts, np.float32)
+        self._add(timing.feed(SampleBlock(start, samples, checked=True)))
         self._kernel.look(timing.due)
 
     def _conclude(self) -> None:
@@ -340,6 +340,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         slack=CLOCK_TOLERANCE,
         gap_s=pace.gap_s,
         gaps=pace.gaps,
+        least_gap_s=pace.least_gap_s,
         most_device_us=MAX_DEVICE_TIME_US,
         most_quiet=pace.longest_quiet,
         most_quiet_v2=pace.most_quiet_v2,

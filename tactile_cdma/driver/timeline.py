@@ -25,6 +25,8 @@ stream. One crystal makes both: the firmware here computes the time from the cou
 for digitizers that read the time when they begin a packet."""
 CLOCK_TOLERANCE = MAX_RATE_ERROR
 """Share by which they may part, too: the count may be a crystal's of its own."""
+LEAST_GAP = 0.5
+"""Share of the gap between two frames that lies between them at least. Chosen."""
 EARLY_S = 0.05
 """s; a packet that is read earlier than expected by more is one of another clock. Chosen: the first
 packets of a stream, by which the others are expected, may be so late on a busy host."""
@@ -92,7 +94,8 @@ class Pace:
     """What packets of samples may claim, by the digitizer's description of itself.
 
     gap_s, gaps: s, and share of the time counted, by which device time may run ahead of the count
-        where a gap may lie in between: of integrated samples, there are none in gaps.
+        where a gap may lie in between: of integrated samples, there are none in gaps. least_gap_s:
+        by which it does so from a frame to the next mark, or a packet was repeated.
     longest_quiet: samples that a Quiet may stand for. most_quiet_v2: their variance, V².
     """
 
@@ -100,6 +103,7 @@ class Pace:
         self.rate_hz = info.sample_rate_hz
         self.gap_s = spec.frame_period_s if info.integrated else 0.0
         self.gaps = self.gap_s / spec.frame_s - 1 if info.integrated else 0.0
+        self.least_gap_s = LEAST_GAP * max(self.gap_s - spec.frame_s, 0.0)
         range_v = (info.max_count - info.min_count) * info.volts_per_count
         deviation_v = 0.5 * (info.quiet_uv * 1e-6 or range_v) + info.volts_per_count
         self.most_quiet_v2, self._v2_per_count = deviation_v**2, info.volts_per_count**2
@@ -118,10 +122,12 @@ class Pace:
         """Whether device time has advanced between two packets as the count of samples says."""
         counted_s = (packet.first_index - before.first_index) / self.rate_hz
         ahead_s = (packet.device_time_us - before.device_time_us) * 1e-6 - counted_s
-        slack_s, gap_s = CLOCK_SLACK_S + CLOCK_TOLERANCE * counted_s, 0.0
+        slack_s, least_s, gap_s = CLOCK_SLACK_S + CLOCK_TOLERANCE * counted_s, 0.0, 0.0
         if packet.sync or packet.first_index != end_index(before):
             gap_s = self.gap_s + self.gaps * counted_s
-        return -slack_s <= ahead_s <= slack_s + gap_s
+        if packet.sync and packet.first_index == end_index(before):
+            least_s = self.least_gap_s
+        return least_s - slack_s <= ahead_s <= slack_s + gap_s
 
     def follows(self, before: AnySamples, packet: Samples | Quiet) -> bool:
         """Whether a packet continues the stream after another one, with at most a short loss."""

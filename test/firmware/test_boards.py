@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The schematics: pins are the firmware's, values the calculator's, parts fast enough."""
+"""The boards: pins are the firmware's, values the calculator's, parts fast, all connected."""
 
 import csv
+import math
 import re
 import shutil
 from pathlib import Path
@@ -11,12 +12,12 @@ from xml.etree import ElementTree
 import pytest
 
 from amplifier import FrontEnd, Stage, design
-from drawing import Sheet
-from kicad import BOARDS, KicadError, check
+from kicad import BOARDS, LAYOUTS, KicadError, check
 from kicad import netlist as kicads_netlist
+from layout import Copper, nets, read_board, unconnected
 from netlist import Netlist, read
 from parts import OPAMPS, TYPICAL, part
-from schematics import FAST_SYNC_OHM, SYNC_OHM
+from parts_list import assembly_csv
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.firmware import FIRMWARE
@@ -24,7 +25,7 @@ from test.support.programs import run_python
 
 ROOT = FIRMWARE.parent
 KICAD = FIRMWARE / "boards" / "kicad"
-GENERATOR = FIRMWARE / "boards" / "generate_boards.py"
+PROGRAM = FIRMWARE / "boards" / "make_boards.py"
 NODES = {"strip": "PB1", "strip-fast": "PD1"}
 """The pin of the line, by strip."""
 DIGITIZERS = ("digitizer", "digitizer-fast")
@@ -124,14 +125,15 @@ def nodes_of(board: Netlist) -> list[str]:
 # Files
 
 
-def test_generated_files_are_fresh() -> None:
-    result = run_python(GENERATOR, "--check")
+@pytest.mark.parametrize("program", [PROGRAM, PROGRAM.with_name("combs.py")])
+def test_generated_files_are_fresh(program: Path) -> None:
+    result = run_python(program, "--check")
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-def test_without_kicad_it_says_that_nothing_was_checked() -> None:
-    result = run_python(GENERATOR, "--draw", env={"PATH": "", "PYTHONPATH": str(ROOT)})
-    assert result.stdout == f"boards={len(BOARDS)} up to date; not checked: no kicad-cli\n"
+def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
+    result = run_python(PROGRAM, env={"PATH": "", "PYTHONPATH": str(ROOT)})
+    assert result.stdout == "boards=6 layouts=3 unconnected=0; no kicad-cli: no rules\n"
     assert result.returncode == 0, result.stderr
 
 
@@ -144,7 +146,7 @@ def kicad_folder(tmp_path: Path) -> Path:
 
 @needs_kicad
 def test_kicads_rules_find_nothing(kicad_folder: Path) -> None:
-    assert check(kicad_folder) == f"boards={len(BOARDS)} violations=0"
+    assert check(kicad_folder) == "boards=6 layouts=3 erc=0 drc=0 unconnected=0"
 
 
 @needs_kicad
@@ -153,6 +155,14 @@ def test_kicads_rules_find_a_wire_that_is_missing(kicad_folder: Path) -> None:
     text = file.read_text()
     file.write_text(re.sub(r"\n\(wire [^\n]*", "", text, count=1))
     with pytest.raises(KicadError, match="not connected"):
+        check(kicad_folder)
+
+
+@needs_kicad
+def test_kicads_rules_find_a_track_that_is_missing(kicad_folder: Path) -> None:
+    file = kicad_folder / "electrodes.kicad_pcb"
+    file.write_text(re.sub(r"\n\t\(segment\n.*?\n\t\)", "", file.read_text(), count=1, flags=re.S))
+    with pytest.raises(KicadError, match="unconnected_items"):
         check(kicad_folder)
 
 
@@ -412,7 +422,8 @@ def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) 
     assert count("RC0402FR-0710KL") == (16 + 2, 64 + 2, 900 + 2 * 14)
     assert count("ABM3-8.000MHZ-D2Y-T") == (0, 0, 900)
     assert count("TLV3541IDBVR") == (0, 0, 14)
-    numbers = {c.fields.get("MPN") for board in boards.values() for c in board.components.values()}
+    skins = [board for name, board in boards.items() if name != "electrodes"]
+    numbers = {c.fields.get("MPN") for board in skins for c in board.components.values()}
     assert numbers - {None} <= rows.keys()
 
 
@@ -438,31 +449,95 @@ def test_capacitors_numbers(value: str, number: str) -> None:
     assert part("C", value).number == number
 
 
-# Drawing
+# Layouts
 
 
-def test_wires_that_meet_get_a_junction_and_those_that_cross_none(tmp_path: Path) -> None:
-    sheet = Sheet("x", "x", (20, 20))
-    sheet.wire((0, 4), (8, 4))
-    sheet.wire((4, 4), (4, 8))
-    sheet.wire((6, 0), (6, 8))
-    assert sheet.text().count("(junction") == 1
+@pytest.fixture(scope="module")
+def layouts() -> dict[str, list[Copper]]:
+    return {board: read_board(KICAD / f"{board}.kicad_pcb") for board in LAYOUTS}
 
 
-def test_a_slanted_wire_is_refused() -> None:
-    with pytest.raises(ValueError, match="neither level nor upright"):
-        Sheet("x", "x", (20, 20)).wire((0, 0), (1, 2))
+@pytest.mark.parametrize("board", LAYOUTS)
+def test_copper_connects_what_the_schematic_says(
+    board: str, boards: dict[str, Netlist], layouts: dict[str, list[Copper]]
+) -> None:
+    copper = layouts[board]
+    assert nets(copper) == set(boards[board].nets)
+    assert unconnected(copper) == []
+
+
+@pytest.mark.parametrize("board", LAYOUTS)
+def test_copper_that_is_missing_is_found(board: str, layouts: dict[str, list[Copper]]) -> None:
+    """All of it, and of nets without a plane the longest track."""
+    copper = layouts[board]
+    pads = [item for item in copper if item.kind == "pad"]
+    assert {net for net, _ in unconnected(pads)} == {i.net for i in copper if i.kind == "track"} | {
+        item.net for item in copper if item.kind == "zone"
+    }
+    planes = {item.net for item in copper if item.kind == "zone"}
+    tracks = {i.net: i for i in copper if i.kind == "track" and i.net not in planes}
+    for item in copper:
+        if item.net in tracks and item.kind == "track":
+            tracks[item.net] = max(tracks[item.net], item, key=lambda i: math.dist(*i.points))
+    without = [item for item in copper if tracks.get(item.net) is not item]
+    assert {net for net, _ in unconnected(without)} == tracks.keys()
+
+
+@pytest.mark.parametrize("board", ["strip", "electrodes"])
+def test_sensors_are_a_grid_of_the_pitch_that_is_configured(
+    board: str, boards: dict[str, Netlist], layouts: dict[str, list[Copper]]
+) -> None:
+    """Numbered row by row; of the strip two rows of four."""
+    sensors = [r for r, c in boards[board].components.items() if c.symbol == "Sensor"]
+    sensors.sort(key=lambda reference: int(reference[1:]))
+    file = {"strip": "wired_skin.yaml", "electrodes": "skin.yaml"}[board]
+    pitch_mm = read_file(ROOT / "config" / file).get("pitch_mm")
+    middles = {
+        reference: tuple(
+            sum(axis) / 2 for axis in zip(*_extremes(layouts[board], reference), strict=True)
+        )
+        for reference in sensors
+    }
+    x0, y0 = middles[sensors[0]]
+    for i, reference in enumerate(sensors):
+        row, column = divmod(i, 4)
+        x, y = middles[reference]
+        assert (x - x0, y - y0) == pytest.approx((column * pitch_mm, row * pitch_mm), abs=1e-6)
+
+
+def _extremes(copper: list[Copper], reference: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Upper left and lower right of a sensor's ring."""
+    pads = [i for i in copper if i.terminal == (reference, "2")]
+    low = [min(i.points[0][axis] - i.half[axis] for i in pads) for axis in (0, 1)]
+    high = [max(i.points[0][axis] + i.half[axis] for i in pads) for axis in (0, 1)]
+    return tuple(low), tuple(high)
+
+
+def test_an_assembly_list_has_every_part_once(boards: dict[str, Netlist]) -> None:
+    rows = [*csv.DictReader(assembly_csv(KICAD / "strip.kicad_sch").splitlines())]
+    places = [place for row in rows for place in row["Designator"].split(",")]
+    bought = [r for r, c in boards["strip"].components.items() if "MPN" in c.fields]
+    assert sorted(places) == sorted(bought)
+    assert sum(int(row["Quantity"]) for row in rows) == len(places)
+    more = assembly_csv(KICAD / "strip.kicad_sch", 64)
+    assert "RC0402FR-0795K3L,8" in more and "RC0402FR-0734KL" not in more
 
 
 # Bring-up
 
 
 @needs_ngspice
-@pytest.mark.parametrize(("nodes", "ohm"), [(16, SYNC_OHM), (64, SYNC_OHM), (70, FAST_SYNC_OHM)])
-def test_a_sync_edge_is_clean_at_both_ends(nodes: int, ohm: float) -> None:
+@pytest.mark.parametrize(("nodes", "name"), [(16, "digitizer"), (64, "digitizer"), (70, "group")])
+def test_a_sync_edge_is_clean_at_both_ends(
+    nodes: int, name: str, boards: dict[str, Netlist]
+) -> None:
     """In SPICE: a pin stands half a volt above its supply, and is surely high at 0.6 of it."""
-    from scope import sync_edge
+    from scope import FAST_SYNC_OHM, SYNC_OHM, sync_edge
 
+    board = boards[name]
+    output = board.net(one(board, "74LVC1G17"), "Y")
+    ohm = across(board, "R", output, board.names["SYNC"])
+    assert ohm == (FAST_SYNC_OHM if name == "group" else SYNC_OHM)
     for node in (1, nodes):
         edge = sync_edge(nodes, node, ohm)
         assert edge.volts.max() < 3.3 + 0.5

@@ -23,6 +23,7 @@ from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock as RosClock
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
@@ -83,14 +84,14 @@ class Patch:
 class World:
     """A body's node of the patches a and b, of which a is at its origin; and who asks for it."""
 
-    def __init__(self) -> None:
+    def __init__(self, **more: object) -> None:
+        """more: parameters of the body's node."""
+        given = {"patches": ["a/skin", "b/skin"], "stale_after_s": STALE_AFTER_S, **more}
         self.body = BodyNode(
-            parameter_overrides=[
-                Parameter("patches", value=["a/skin", "b/skin"]),
-                Parameter("stale_after_s", value=STALE_AFTER_S),
-            ]
+            parameter_overrides=[Parameter(name, value=value) for name, value in given.items()]
         )
         self._client = rclpy.create_node("client")
+        self.clock = self._client.create_publisher(RosClock, "/clock", 10)
         self.a, self.b = Patch(self._client, "a"), Patch(self._client, "b")
         self.contacts: list[TactileContacts] = []
         self.clouds: list[PointCloud2] = []
@@ -167,6 +168,38 @@ def two_points(world: World) -> None:
         world.a.press([1e3, 2e3])
 
     wait(world, lambda: world.points()["pressure"].tolist() == [1e3, 2e3], again)
+
+
+def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None:
+    world, complaints, stamps = World(use_sim_time=True), set[str](), list[int]()
+
+    def play(sec: int, of_sec: int) -> None:
+        """A moment of the bag; of_sec: the stamp of a patch's message, s."""
+        world.mount(0.0)
+        world.mount(0.1, child="b")
+        world.clock.publish(RosClock(clock=Time(sec=sec)))
+        world.goes_on()
+        message = TactileContacts(untouched=True, taxels_valid=16, taxels_in_service=16)
+        for patch in (world.a, world.b):
+            message.header = Header(stamp=Time(sec=of_sec), frame_id=patch.frame_id)
+            patch.contacts.publish(message)
+        world.goes_on()
+        complaints.update(text for text in world.said.values() if "off this" in text)
+
+    try:
+        wait(world, lambda: world.contacts[-1].absent == [], lambda: play(130, 130))
+        for _ in range(2):
+            play(100, 130)  # the last message of the loop before comes late
+            world.contacts.clear()
+            for sec in range(101, 131, 2):
+                play(sec, sec)
+            stamps = [message.header.stamp.sec for message in world.contacts]
+            assert stamps[-1] >= 127 and len(stamps) > 10
+            assert [m.absent for m in world.contacts[5:]] == [[]] * len(stamps[5:])
+        wait(world, lambda: " Hz" in world.said["/a/skin"], lambda: play(130, 130))
+    finally:
+        world.end()
+    assert complaints == set()
 
 
 def test_a_patch_that_falls_silent_is_drawn_no_more_and_then_nothing_is(world: World) -> None:

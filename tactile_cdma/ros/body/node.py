@@ -13,7 +13,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -86,6 +87,8 @@ class BodyNode(Node):
         self._drawn: list[PatchFeed] = []  # patches that the last points are of
         self._are_points_due = False
         self._cloud = b""
+        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
+        self._watch = self.get_clock().create_jump_callback(back, post_callback=self._step_back)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self.create_timer(TICK_S, self._tick, clock=steady)
         self.create_timer(REPORT_S, self._report, clock=steady)
@@ -144,6 +147,10 @@ class BodyNode(Node):
         """Take what changes nothing; all else is read when the node starts."""
         changes = changing(self, changes)
         return super().set_parameters_atomically(changes) if changes else TAKEN
+
+    def _step_back(self, _: TimeJump) -> None:
+        for feed in self._feeds.values():
+            feed.step_back()
 
     # Contacts and wrench
 

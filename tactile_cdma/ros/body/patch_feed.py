@@ -94,6 +94,10 @@ class PatchFeed:
         late_s, self._late_s = self._late_s, math.inf
         return late_s if late_s < math.inf else 0.0
 
+    def step_back(self) -> None:
+        """ROS time has stepped back, as where a bag begins anew: no stamp counts as off for now."""
+        self._late_s, self._stamp_ns = math.nan, 0
+
     def underway_s(self) -> float:
         """Least time that a message took since the last call, s; NaN if that is not known.
 

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,9 @@ from ...base.errors import ParameterError
 from ...places.layout import Layout
 from ..indenters import (
     Box,
+    Capsule,
     Cylinder,
+    Ellipsoid,
     Foundation,
     Indenter,
     Spans,
@@ -64,7 +68,7 @@ class BatchCover:
     ) -> Array:
         """Mean pressure on every taxel under one object in each environment, (e, t), Pa.
 
-        thing: its shape, size and stiffness, not its pose. position_m: (e, 3), m, and
+        thing: its shape, size and stiffness, not its pose; no HeightMap. position_m: (e, 3), m, and
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin.
@@ -113,6 +117,17 @@ class BatchCover:
             case Box():
                 pairs = zip((x, y, z), thing.size_m, strict=True)
                 return within_all(*(slab_spans(*each, size / 2, xp) for each, size in pairs), xp=xp)
+            case Ellipsoid():
+                pairs = zip((x, y, z), thing.size_m, strict=True)
+                return _round(1.0, [(p * 2 / size, n * 2 / size) for (p, n), size in pairs], xp)
+            case Capsule():
+                half_m, radius_m = thing.length_m / 2, thing.radius_m
+                middle = within_all(_round(radius_m, (x, y), xp), slab_spans(*z, half_m, xp), xp=xp)
+                ends = (
+                    _round(radius_m, (x, y, (z[0] - z_m, z[1])), xp) for z_m in (-half_m, half_m)
+                )
+                all_enter_m, all_leave_m = zip(middle, *ends, strict=True)
+                return reduce(xp.minimum, all_enter_m), reduce(xp.maximum, all_leave_m)
         raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
 
     def _shift_m(self, enters_m: Array, volume_m3: Array, xp: Any, here: Any) -> Array:
@@ -139,7 +154,7 @@ def _once(values: Floats) -> Floats:
     return values[:1] if (values == values[0]).all() else values
 
 
-def _round(radius_m: float, axes: tuple[tuple[Array, Array], ...], xp: Any) -> Spans:
+def _round(radius_m: float, axes: Sequence[tuple[Array, Array]], xp: Any) -> Spans:
     """Spans of a ball, or of an endless cylinder about the third axis."""
     a, b = sum(n * n for _, n in axes), sum(p * n for p, n in axes)
     return round_spans(a, b, sum(p * p for p, _ in axes) - radius_m**2, xp)

@@ -306,12 +306,10 @@ def _check(config: SkinConfig, options: SimOptions) -> None:
     """Raises SpecError for what is not modelled, or for a simulator of another skin."""
     spec, readings = config.spec, len(config.layout) << config.spec.bits
     theirs = options.setup(Setup(spec)).spec
-    if (theirs.nodes, theirs.bits, theirs.frame_period_s) != (
-        spec.nodes,
-        spec.bits,
-        spec.frame_period_s,
-    ):
-        raise SpecError("nodes, bits or frame_period_ms of the simulator are not the driver's")
+    for name in ("nodes", "bits", "frame_period_s"):
+        mine, its = getattr(spec, name), getattr(theirs, name)
+        if mine != its:
+            raise SpecError(f"{name} is {mine}, but {its} in the options of the simulator")
     if spec.sparse:
         raise SpecError(
             "SkinBatch has orthogonal codes only: how many nodes may speak at once is not modelled"

@@ -168,13 +168,14 @@ MEANS = Pace(replace(INFO, integrated=True, sample_rate_uhz=round(1e6 / SPEC.chi
 
 @pytest.mark.parametrize(("sync", "missing"), [(False, 0), (True, 0), (False, 1)])
 def test_only_a_gap_lets_time_pass_without_samples(sync: bool, missing: int) -> None:
-    """Of integrated frames: before a mark, and perhaps in a loss."""
+    """Of integrated frames: before a mark, where it must pass, and perhaps in a loss."""
     before = Samples(0, 0, np.zeros(SPEC.order, np.int16))
     gap_s = SPEC.frame_period_s - SPEC.frame_s
     time_us = round(1e6 * ((SPEC.order + missing) * SPEC.chip_s + gap_s))
     packet = Samples(time_us, SPEC.order + missing, before.counts, sync=sync)
     assert MEANS.fits(before, packet) == (sync or missing > 0)
-    assert MEANS.fits(before, replace(packet, device_time_us=round(time_us - 1e6 * gap_s)))
+    at_once = replace(packet, device_time_us=round(time_us - 1e6 * gap_s))
+    assert MEANS.fits(before, at_once) == (not sync), "the mark is that of a repeated packet"
 
 
 @pytest.mark.parametrize("late_s", [1.9, 2.1])

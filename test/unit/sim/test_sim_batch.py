@@ -19,7 +19,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.places.layout import Layout
-from tactile_cdma.sim import Box, Cylinder, Foundation, Indenter, Sphere
+from tactile_cdma.sim import Box, Capsule, Cylinder, Ellipsoid, Foundation, Indenter, Sphere
 from tactile_cdma.sim.batch import BatchCover, BatchFrame, SkinBatch
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
@@ -183,7 +183,7 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
             SkinBatch(config, 1)
     with pytest.raises(SpecError, match="leave out warming"):
         SkinBatch(config, 1, "sim://?warming=20")
-    with pytest.raises(SpecError, match="nodes, bits or frame_period_ms of the simulator"):
+    with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):
         SkinBatch(config, 1, "sim://?nodes=12")
     with pytest.raises(ParameterError, match="envs is 0"):
         SkinBatch(config, 0)
@@ -208,6 +208,8 @@ THINGS = [
     Sphere(radius_m=0.02, position_m=(0, 0, 0), stiffness_pa_per_m=2e7),
     Cylinder(radius_m=0.006, length_m=0.03, position_m=(0, 0, 0)),
     Box(size_m=(0.01, 0.02, 0.012), position_m=(0, 0, 0)),
+    Ellipsoid(size_m=(0.01, 0.02, 0.014), position_m=(0, 0, 0)),
+    Capsule(radius_m=0.006, length_m=0.02, position_m=(0, 0, 0)),
 ]
 
 

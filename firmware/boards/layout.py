@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads KiCad boards: which pads copper connects, without KiCad.
+
+Two things of one net touch where the middle or an end of one lies in the copper of the other, as
+these boards are drawn: a track ends in a pad, a via or on a track; a zone's filling, with its
+spokes, reaches into its pads. test/firmware/test_boards.py compares the nets with the schematics'.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from netlist import Terminal, parse
+
+COPPER = ("F.Cu", "In1.Cu", "In2.Cu", "B.Cu")
+NEAR_MM = 1e-3
+"""Rounding of a board's file."""
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Copper:
+    """A piece of a net. points: ends, the middle of a pad or via, or an outline. mm.
+
+    kind: pad, via, track or zone. half: half the width of a track; half the sides of a pad.
+    terminal: of a pad.
+    """
+
+    kind: str
+    net: str
+    layers: frozenset[str]
+    points: tuple[Point, ...]
+    half: Point = (0.0, 0.0)
+    turn: float = 0.0
+    terminal: Terminal | None = None
+
+
+def read_board(path: Path) -> list[Copper]:
+    """All copper of a board that has a net."""
+    tree = parse(path.read_text(encoding="utf-8"))
+    return [*_pads(tree), *_tracks(tree), *_zones(tree)]
+
+
+def unconnected(copper: list[Copper]) -> list[tuple[str, list[set[Terminal]]]]:
+    """Nets whose pads are not all connected, each with its parts."""
+    found = []
+    for net, items in _by_net(copper).items():
+        parts = _parts(items)
+        if len(parts) > 1:
+            found.append((net, parts))
+    return found
+
+
+def nets(copper: list[Copper]) -> set[frozenset[Terminal]]:
+    """Pads by the net that the board says."""
+    found: dict[str, set[Terminal]] = {}
+    for item in copper:
+        if item.terminal:
+            found.setdefault(item.net, set()).add(item.terminal)
+    return {frozenset(pads) for pads in found.values()}
+
+
+def _by_net(copper: list[Copper]) -> dict[str, list[Copper]]:
+    found: dict[str, list[Copper]] = {}
+    for item in copper:
+        found.setdefault(item.net, []).append(item)
+    return found
+
+
+def _parts(items: list[Copper]) -> list[set[Terminal]]:
+    """Terminals of a net that are connected with each other."""
+    above = list(range(len(items)))
+
+    def root(i: int) -> int:
+        while above[i] != i:
+            above[i] = above[above[i]]
+            i = above[i]
+        return i
+
+    for i, one in enumerate(items):
+        for j in range(i):
+            if root(i) != root(j) and one.layers & items[j].layers and _touch(one, items[j]):
+                above[root(i)] = root(j)
+    by_root: dict[int, set[Terminal]] = {}
+    for i, item in enumerate(items):
+        if item.terminal:
+            by_root.setdefault(root(i), set()).add(item.terminal)
+    merged: list[set[Terminal]] = []
+    for part in by_root.values():  # pads of one number are one terminal
+        same = [other for other in merged if other & part]
+        merged = [other for other in merged if not other & part] + [part.union(*same)]
+    return merged
+
+
+def _touch(one: Copper, other: Copper) -> bool:
+    if "zone" in (one.kind, other.kind):
+        zone, item = (one, other) if one.kind == "zone" else (other, one)
+        return any(_inside(p, zone.points) for p in item.points) or (
+            item.kind == "pad" and any(_covers(item, p) for p in zone.points)
+        )
+    return any(_covers(one, p) for p in other.points) or any(_covers(other, p) for p in one.points)
+
+
+def _covers(item: Copper, point: Point) -> bool:
+    """Whether a point lies in a pad, a via or a track."""
+    if item.kind == "zone":
+        return _inside(point, item.points)
+    if item.kind == "track":
+        return _distance(point, *item.points) <= item.half[0] + NEAR_MM
+    (x, y), turn = item.points[0], math.radians(item.turn)
+    dx, dy = point[0] - x, point[1] - y
+    across = abs(dx * math.cos(turn) - dy * math.sin(turn))
+    along = abs(dx * math.sin(turn) + dy * math.cos(turn))
+    if item.kind == "via":
+        return math.hypot(dx, dy) <= item.half[0] + NEAR_MM
+    return across <= item.half[0] + NEAR_MM and along <= item.half[1] + NEAR_MM
+
+
+def _distance(point: Point, begin: Point, end: Point) -> float:
+    """From a point to a line's nearest one."""
+    dx, dy = end[0] - begin[0], end[1] - begin[1]
+    length = dx * dx + dy * dy
+    share = ((point[0] - begin[0]) * dx + (point[1] - begin[1]) * dy) / length if length else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(point[0] - begin[0] - share * dx, point[1] - begin[1] - share * dy)
+
+
+def _inside(point: Point, outline: tuple[Point, ...]) -> bool:
+    left, top, right, bottom = _box(outline)
+    x, y = point
+    if not (left <= x <= right and top <= y <= bottom):
+        return False
+    inside = False
+    for (x0, y0), (x1, y1) in zip(outline, outline[1:] + outline[:1], strict=True):
+        if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
+            inside = not inside
+    return inside
+
+
+@cache
+def _box(outline: tuple[Point, ...]) -> tuple[float, float, float, float]:
+    xs, ys = zip(*outline, strict=True)
+    return min(xs), min(ys), max(xs), max(ys)
+
+
+def _all(tree: list[Any], kind: str) -> list[list[Any]]:
+    return [item for item in tree if isinstance(item, list) and item and item[0] == kind]
+
+
+def _one(tree: list[Any], kind: str) -> list[Any]:
+    return _all(tree, kind)[0]
+
+
+def _point(item: list[Any]) -> Point:
+    return float(item[1]), float(item[2])
+
+
+def _turned(middle: Point, offset: Point, turn: float) -> Point:
+    """A place that is off a middle, turned with its part by an angle, rad."""
+    (x, y), (dx, dy) = middle, offset
+    cosine, sine = math.cos(turn), math.sin(turn)
+    return x + dx * cosine + dy * sine, y - dx * sine + dy * cosine
+
+
+def _layers(names: list[str]) -> frozenset[str]:
+    """Copper that "*.Cu" and names of layers stand for."""
+    return frozenset(COPPER if "*.Cu" in names else (name for name in names if name in COPPER))
+
+
+def _pads(tree: list[Any]) -> Iterator[Copper]:
+    for footprint in _all(tree, "footprint"):
+        fields = {field[1]: field[2] for field in _all(footprint, "property")}
+        at = _one(footprint, "at")
+        (x, y), turn = _point(at), math.radians(float(at[3]) if len(at) > 3 else 0.0)
+        for pad in _all(footprint, "pad"):
+            net = _all(pad, "net")
+            if not net:
+                continue
+            place = _one(pad, "at")
+            middle = _turned((x, y), _point(place), turn)
+            width, height = _point(_one(pad, "size"))
+            own = float(place[3]) if len(place) > 3 else 0.0
+            layers = _layers(_one(pad, "layers")[1:])
+            terminal = (fields["Reference"], pad[1])
+            yield Copper(
+                "pad", net[0][-1], layers, (middle,), (width / 2, height / 2), own, terminal
+            )
+            for primitives in _all(pad, "primitives"):  # of any shape: its box, about its middle
+                left, top, right, bottom = _box(tuple(_places(primitives)))
+                box = ((right - left) / 2, (bottom - top) / 2)
+                centre = _turned(
+                    middle, ((left + right) / 2, (top + bottom) / 2), math.radians(own)
+                )
+                yield Copper("pad", net[0][-1], layers, (centre,), box, own, terminal)
+
+
+def _places(tree: list[Any]) -> Iterator[Point]:
+    """Every place in a drawing."""
+    for item in tree[1:]:
+        if item and item[0] in ("xy", "start", "end", "center"):
+            yield _point(item)
+        elif isinstance(item, list):
+            yield from _places(item)
+
+
+def _tracks(tree: list[Any]) -> Iterator[Copper]:
+    names = {item[1]: item[2] for item in _all(tree, "net")}
+    for kind in ("segment", "via"):
+        for item in _all(tree, kind):
+            net = names.get(_one(item, "net")[1], "")
+            if kind == "via":
+                half = (float(_one(item, "size")[1]) / 2, 0.0)
+                points: tuple[Point, ...] = (_point(_one(item, "at")),)
+                yield Copper("via", net, frozenset(COPPER), points, half)
+            else:
+                half = (float(_one(item, "width")[1]) / 2, 0.0)
+                points = (_point(_one(item, "start")), _point(_one(item, "end")))
+                yield Copper("track", net, _layers([_one(item, "layer")[1]]), points, half)
+
+
+def _zones(tree: list[Any]) -> Iterator[Copper]:
+    for zone in _all(tree, "zone"):
+        net = _one(zone, "net_name")[1]
+        for filled in _all(zone, "filled_polygon"):
+            points = tuple(_point(xy) for xy in _all(_one(filled, "pts"), "xy"))
+            yield Copper("zone", net, _layers([_one(filled, "layer")[1]]), points)
