@@ -340,9 +340,7 @@ def figure(
     groups.step(hugged.t_s, hugged.groups)
     groups.set(ylabel="groups that transmit by turns")
     for axes in (shares, groups):
-        axes.set(
-            xlim=(-0.1, 2.5), xlabel="s after 4,000 nodes were touched at once; released at 1 s"
-        )
+        axes.set(xlim=(-0.1, 4), xlabel="s after 4,000 nodes were touched at once; released at 1 s")
     return drawing
 
 

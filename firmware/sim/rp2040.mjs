@@ -1,11 +1,11 @@
 // Runs the digitizer's image in an emulated RP2040, controlled by a parent process.
 //
-//     node rp2040.mjs digitizer.bin flash-id [network]
+//     node rp2040.mjs digitizer.bin flash-id network bus
 //
 // flash-id: the flash's unique number, 16 hexadecimal digits. network: JSON of resistors by which the chip's
 // own pins drive its line: `ohms` of pin 0, 1, …, null for none; `bias_ohms` to the supply and to ground
 // each; `noise_counts`, rms; `told`, whether the parent is told of these pins. Without it the parent is asked
-// for the line. Messages go over stdin and stdout:
+// for the line. bus: JSON for rp2040_usb_host.mjs. Both may be null. Messages go over stdin and stdout:
 //
 //     u8 type, u32 size, payload of this size
 //
@@ -23,8 +23,9 @@
 //
 // and gets
 //
-//     'D' time, f64, u8, f64  it has run until then; cycles awake of the CPU since power-up; 1: it has restarted
-//                          as the boot ROM's USB drive, and runs no more; packets offered too late in a USB frame
+//     'D' time, f64, u8, f64 … it has run until then; cycles awake of the CPU since power-up; 1: it has restarted
+//                          as the boot ROM's USB drive, and runs no more; packets offered too late in a USB frame;
+//                          how often the host has asked for a packet, and how often there was none: f64, f64
 //     'P' time, u8, u8     a pin (16: sync, 25: LED) is now low (0), high (1) or released (2)
 //     'U' time, bytes      UART0 has sent them, the last one at that time
 //     'S' time, bytes      USB likewise
@@ -110,8 +111,8 @@ let chip;
 try {
   const { Chip } = await import('./rp2040_chip.mjs');
   const { UsbHost } = await import('./rp2040_usb_host.mjs');
-  const [image, flashId, json] = process.argv.slice(2);
-  const network = json && JSON.parse(json);
+  const [image, flashId, ...rest] = process.argv.slice(2);
+  const [network, bus] = rest.map((json) => JSON.parse(json));
   chip = new Chip({
     image: readFileSync(image),
     flashId: Buffer.from(flashId, 'hex'),
@@ -121,6 +122,7 @@ try {
   const host = new UsbHost(chip, {
     received: (bytes) => send('S', chip.now, bytes),
     enumerated: (device) => send('I', JSON.stringify(device)),
+    bus,
   });
   const told = network?.told ? [...network.ohms.keys()] : [];
   for (const pin of [...PINS, ...told]) chip.onPin(pin, (level) => send('P', chip.now, [pin, level]));
@@ -131,7 +133,7 @@ try {
       case 'R':
         chip.run(payload.readDoubleLE());
         flushUart();
-        send('D', chip.now, chip.cycles, [Number(chip.isDrive)], host.latePackets);
+        send('D', chip.now, chip.cycles, [Number(chip.isDrive)], host.latePackets, host.asks, host.naks);
         break;
       case 'U':
         chip.uartReceive(payload);

@@ -63,6 +63,25 @@ class Network:
 
 
 @dataclass(frozen=True, slots=True)
+class Bus:
+    """A host that asks for packets without knowing of any; see rp2040_usb_host.mjs.
+
+    retry_ns: after which it asks again where there was none. gap_ns: between packets. busy: share
+    of every frame that other devices have.
+    """
+
+    retry_ns: float
+    gap_ns: float
+    busy: float
+
+
+ROOT_PORT = Bus(retry_ns=0.0, gap_ns=2e3, busy=0.1)
+"""Chosen: asks at once again; a tenth is a mouse and a headset."""
+HUB = Bus(retry_ns=125e3, gap_ns=10e3, busy=0.2)
+"""Behind a hub of USB 2, whose host asks anew in the next microframe. The rest is chosen."""
+
+
+@dataclass(frozen=True, slots=True)
 class UsbDevice:
     """The device's USB descriptors; `strings` by index, None if there is none."""
 
@@ -79,6 +98,7 @@ class Rp2040:
     on_sync: called with every edge of the sync line.
     on_pin: called with time in ns, pin and level (2: released) of the other pins that are told.
     flash_id: the flash's unique number, 8 bytes; by default it tells that this is no board.
+    bus: of the USB host; None: it takes every packet at once.
     """
 
     def __init__(
@@ -88,6 +108,7 @@ class Rp2040:
         on_sync: SyncEdge | None = None,
         flash_id: bytes = SIMULATED_ID + b"rp20",
         on_pin: Callable[[float, int, int], None] | None = None,
+        bus: Bus | None = None,
     ) -> None:
         node = shutil.which("node")
         if node is None:
@@ -96,7 +117,8 @@ class Rp2040:
             raise EmulatorError(f"rp2040js is not installed: `npm ci` in {HERE} does that")
         if not image.is_file():
             raise EmulatorError(f"no image {image}: `make rp2040` in firmware/ builds it")
-        network = (json.dumps(asdict(line)),) if isinstance(line, Network) else ()
+        network = json.dumps(asdict(line) if isinstance(line, Network) else None)
+        usb = json.dumps(asdict(bus) if bus is not None else None)
         self._line = line
         self._on_sync, self._on_pin = on_sync, on_pin
         self._uart = bytearray()
@@ -109,12 +131,14 @@ class Rp2040:
         self._is_sync_high = self.led = False
         self.late_packets = 0.0
         """Packets offered to USB in the last fifth of a frame, which RP2040-E15 forbids."""
+        self.usb_asks = self.usb_naks = 0.0
+        """How often a host on a Bus asked for a packet, and how often there was none."""
         self.is_drive = False
         """It has restarted as the boot ROM's USB drive, and runs no more."""
         self.usb_device: UsbDevice | None = None
         """Set when a host has configured the device, after about 30 ms."""
         self._process = subprocess.Popen(
-            [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex(), *network],
+            [node, str(HERE / "rp2040.mjs"), str(image), flash_id.hex(), network, usb],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -218,8 +242,9 @@ class Rp2040:
             elif self._on_pin is not None:
                 self._on_pin(now_ns, pin, level)
         elif kind == "D":
-            told = struct.unpack("<dd?d", payload)
-            self._now_ns, self.cycles, self.is_drive, self.late_packets = told
+            told = struct.unpack("<dd?ddd", payload)
+            self._now_ns, self.cycles, self.is_drive, self.late_packets = told[:4]
+            self.usb_asks, self.usb_naks = told[4:]
         elif kind == "I":
             self.usb_device = _device(json.loads(payload))
         elif kind == "X":

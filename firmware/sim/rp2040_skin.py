@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulated import Amplifier, EmulatedNodes, Node
-from rp2040 import Rp2040
+from rp2040 import Bus, Rp2040
 
 IMAGE = Path(__file__).resolve().parents[1] / "build" / "rp2040" / "digitizer.bin"
 FULL_SCALE_V = 3.3
@@ -24,8 +24,10 @@ class Rp2040Skin(EmulatedNodes):
     The host is connected by USB.
     """
 
-    def __init__(self, nodes: Sequence[Node], amplifier: Amplifier | None = None) -> None:
-        self.chip = Rp2040(IMAGE, self._counts, self._edge)
+    def __init__(
+        self, nodes: Sequence[Node], amplifier: Amplifier | None = None, bus: Bus | None = None
+    ) -> None:
+        self.chip = Rp2040(IMAGE, self._counts, self._edge, bus=bus)
         super().__init__(nodes, amplifier)
         self.chip.plug_usb()
         self.pulses_ns: list[int] = []

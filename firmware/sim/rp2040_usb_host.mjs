@@ -4,6 +4,11 @@
 //
 // One transaction at a time is on the bus; 64 bytes take 1/19 ms, as full speed allows. Frames begin every
 // 1 ms, and no transaction begins that would not end within its frame.
+//
+// A bus, if one is given, is like a real one: the host does not know when the device has a packet. It asks,
+// the device declines (NAK), which takes time, and it asks again `retry_ns` later; between packets it takes
+// `gap_ns`, as a hub does, and other devices have the first `busy` of each frame. Without one the host asks at
+// once whenever there is a packet.
 
 const SIE_BUS_RESET = 1 << 19;
 const FULL = 1 << 15;
@@ -21,6 +26,7 @@ const DEV_SOF = 1 << 17;
 const SOF_RD = 0x48;
 const IN = 0;
 const OUT = 1;
+const NAK_NS = 6e3; // a token, the answer, and the pauses between them: 72 bit times
 const TRANSACTION_NS = (bytes) => ((bytes + 15) * 8000) / 12;
 
 const le16 = (value) => [value & 0xff, value >> 8];
@@ -36,8 +42,11 @@ export class UsbHost {
   // received: called with the bytes of every transfer from the device; a transfer ends when it is full
   // or with a short packet.
   // enumerated: called with the device's descriptors.
-  constructor(chip, { received, enumerated }) {
+  // bus: { retry_ns, gap_ns, busy }, or none.
+  constructor(chip, { received, enumerated, bus }) {
     this.chip = chip;
+    this.bus = bus;
+    this.asks = this.naks = this.restsUntil = 0;
     this.usb = chip.rp2040.usbCtrl;
     this.view = chip.rp2040.usbDPRAMView;
     this.received = received;
@@ -79,6 +88,7 @@ export class UsbHost {
       this.frame.schedule(FRAME_NS);
       this.#serve();
     });
+    this.rested = chip.clock.createAlarm(() => this.#serve());
     this.step = chip.clock.createAlarm(() => this.#advance());
     this.done = chip.clock.createAlarm(() => {
       this.busy = false;
@@ -237,11 +247,25 @@ export class UsbHost {
   }
 
   #serveBulk() {
-    if (this.chip.now - this.frameNs + TRANSACTION_NS(PACKET) > FRAME_NS) return;
+    const phase = this.chip.now - this.frameNs;
+    if (phase + TRANSACTION_NS(PACKET) > FRAME_NS) return;
+    if (this.bus && phase < this.bus.busy * FRAME_NS) {
+      this.rested.schedule(this.bus.busy * FRAME_NS - phase);
+      return;
+    }
     for (const direction of this.toSend.length ? [OUT, IN] : [IN]) {
       const number = this.buffer[direction];
       const control = this.#control(2, direction) >>> (16 * number);
-      if (!(control & AVAILABLE) || (direction === IN && !this.reading)) continue;
+      if (direction === IN && (!this.reading || this.chip.now < this.restsUntil)) continue;
+      if (this.bus && direction === IN) this.asks++;
+      if (!(control & AVAILABLE)) {
+        if (!this.bus || direction === OUT) continue;
+        this.naks++;
+        this.busy = true;
+        this.finish = () => this.#rest(this.bus.retry_ns);
+        this.done.schedule(NAK_NS);
+        return;
+      }
       this.#check(control & DATA1, this.toggle[direction], `data toggle of ${direction}`);
       this.toggle[direction] ^= DATA1;
       const base = this.view.getUint32(direction === IN ? 0x10 : 0x14, true);
@@ -254,9 +278,15 @@ export class UsbHost {
       this.#start(bytes.length, () => {
         this.#complete(2, direction, bytes, buffer, number);
         if (direction === IN) this.#collect(bytes);
+        if (this.bus && direction === IN) this.#rest(this.bus.gap_ns);
       });
       return;
     }
+  }
+
+  #rest(ns) {
+    this.restsUntil = this.chip.now + ns;
+    if (ns) this.rested.schedule(ns);
   }
 
   #collect(bytes) {

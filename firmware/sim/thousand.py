@@ -21,7 +21,7 @@ import numpy as np
 
 import crowd
 from emulated import EmulationError
-from rp2040 import EmulatorError
+from rp2040 import HUB, ROOT_PORT, Bus, EmulatorError
 from rp2040_skin import Rp2040Skin
 from skin import CRYSTALS, PressedSkin, Spread, reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import SpecError, TactileError
@@ -107,12 +107,14 @@ class Listener:
 class Outcome:
     """A trial, and what it asked of the digitizer.
 
-    cpu_load: share of time awake. bytes_per_s: over USB.
+    cpu_load: share of time awake. bytes_per_s: over USB. nak_share: of the host's requests, those
+    for which there was no packet.
     """
 
     trial: Trial
     cpu_load: float
     bytes_per_s: float
+    nak_share: float
 
 
 def on_one_wire(
@@ -120,6 +122,7 @@ def on_one_wire(
     frames: int = FRAMES,
     spread: Spread = CRYSTALS,
     record: Path | None = None,
+    bus: Bus = ROOT_PORT,
 ) -> Outcome:
     """Run a skin of these parameters until so many frames have come. record: a file to write."""
     config = SkinConfig.of(values)
@@ -128,11 +131,12 @@ def on_one_wire(
         recorder = None
         if record is not None:
             recorder = stack.enter_context(Recorder(record, "emulated RP2040", 0, values))
-        skin = stack.enter_context(Rp2040Skin(nodes, reference_amplifier(config)))
+        skin = stack.enter_context(Rp2040Skin(nodes, reference_amplifier(config), bus))
         listener = Listener(skin, recorder)
         pressed = PressedSkin(config, RandomPresses(spread.seed), skin, listener)
         trial = press_and_decode(pressed, config, frames, SETTLING)
-        return Outcome(trial, skin.chip.load, listener.bytes_per_s)
+        share = skin.chip.usb_naks / max(skin.chip.usb_asks, 1.0)
+        return Outcome(trial, skin.chip.load, listener.bytes_per_s, share)
 
 
 def main() -> int:
@@ -140,6 +144,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="128 nodes, or 600 images of more")
     parser.add_argument("--nodes", type=int, help="with sparse codes, those of sparse_skin.yaml")
+    parser.add_argument("--hub", action="store_true", help="USB goes through a hub")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--record", type=Path, metavar="FILE", help="record what USB carries")
     arguments = parser.parse_args()
@@ -148,7 +153,8 @@ def main() -> int:
     values = read_file(PARAMS) | (QUICK if arguments.quick else {})
     spread, begin = replace(CRYSTALS, seed=arguments.seed), time.monotonic()
     try:
-        found = on_one_wire(values, FRAMES, spread, arguments.record)
+        bus = HUB if arguments.hub else ROOT_PORT
+        found = on_one_wire(values, FRAMES, spread, arguments.record, bus)
     except (EmulationError, EmulatorError, OSError, TactileError) as error:
         print(f"firmware-thousand: {error}", file=sys.stderr)
         return 1
@@ -158,7 +164,7 @@ def main() -> int:
         f"nodes={spec.nodes} order={spec.order} chip_us={spec.chip_s * 1e6:g} "
         f"frame_ms={spec.frame_period_s * 1e3:g} frames={trial.frames} wrong={trial.wrong} "
         f"missed={trial.silent} lost_samples={trial.lost_samples} "
-        f"usb_kb_s={found.bytes_per_s / 1e3:.0f}"
+        f"usb_kb_s={found.bytes_per_s / 1e3:.0f} nak_share={found.nak_share:.2f}"
     )
     return int(trial.frames < FRAMES or trial.wrong + trial.silent + trial.lost_samples > 0)
 

@@ -118,7 +118,7 @@ class LoadSession:
             with suppress(queue.Empty):
                 frame = self.frames.get(timeout=0.1)
                 if frame.t_host >= begin_s:
-                    rows.append(frame.readings.voltage_v)
+                    rows.append(frame.readings.certain_voltage_v)
                 if frame.t_host >= begin_s + seconds and len(rows) >= LEAST_FRAMES:
                     return np.array(rows)
         raise PortError(self.driver.problem or "too few frames come; is the skin connected?")

@@ -263,7 +263,7 @@ def read_recording(path: Path, config: SkinConfig) -> Recording:
     times_s, rows = [], []
     for frame in raw_frames(path, pipeline):
         times_s.append(frame.t_middle)
-        rows.append(frame.readings.voltage_v)
+        rows.append(frame.readings.certain_voltage_v)
     if not rows:
         raise CaptureError(f"{path}: {pipeline.problem or 'no frame found'}")
     return Recording(np.array(times_s), np.array(rows))

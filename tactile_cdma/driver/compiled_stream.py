@@ -257,8 +257,8 @@ class CompiledStream:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        samples = np.frombuffer(volts, np.float32).astype(np.float64)
-        self._add(timing.feed(SampleBlock(start, samples)))
+        samples = np.frombuffer(volts, np.float32)
+        self._add(timing.feed(SampleBlock(start, samples, checked=True)))
         self._kernel.look(timing.due)
 
     def _conclude(self) -> None:

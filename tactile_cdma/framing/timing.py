@@ -37,16 +37,17 @@ class SampleBlock:
     """Consecutive samples of the line.
 
     first_index: index of volts[0] in the digitizer's sample stream.
-    volts: (m,) float32, V; or float64, with NaN for absurd ones.
+    volts: (m,) float32, V. checked: absurd ones are NaN already.
     sync: volts[0] is the first sample of a frame (line timing).
     called: the frame belongs to a roll call. turn: whose it is; see docs/protocol.md.
     """
 
     first_index: int
-    volts: Floats32 | Floats
+    volts: Floats32
     sync: bool = False
     called: bool = False
     turn: int = 0
+    checked: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,14 +125,14 @@ class SampleBuffer:
         self.begin = self.end = index
         self._at = 0
 
-    def append(self, volts: Floats32 | Floats) -> None:
-        """Add the samples that follow; float64 where absurd ones are NaN already."""
+    def append(self, volts: Floats32, checked: bool = False) -> None:
+        """Add the samples that follow. checked: see SampleBlock."""
         kept = self.end - self.begin
         if self._at + kept + volts.size > self._store.size:
             self._make_room(kept + volts.size)
         place = self._at + kept
         store = self._store[place : place + volts.size]
-        if volts.dtype == np.float64:
+        if checked:
             store[:] = volts
         else:
             copy_samples(ABSURD_V, np.asarray(volts, np.float32), store)

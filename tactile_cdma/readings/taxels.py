@@ -90,6 +90,11 @@ class Readings:
     voltage_v: Floats32
     status: NDArray[np.uint8]
 
+    @property
+    def certain_voltage_v(self) -> Floats32:
+        """As voltage_v, and NaN where the reading is in doubt or held from before a loss."""
+        return np.where(is_certain(self.status), self.voltage_v, np.float32(np.nan))
+
     def coverage(self, contact_pa: float) -> Coverage:
         """How much of the patch these are of."""
         return Coverage.of(self.pressure_pa, self.status, contact_pa)

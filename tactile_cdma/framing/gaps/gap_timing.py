@@ -123,7 +123,7 @@ class GapTiming(Timing):
         frames: list[FrameLevels] = []
         volts, slice_size = block.volts, 2 * math.ceil(self._search.period)
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
-            self._samples.append(volts[begin : begin + slice_size])
+            self._samples.append(volts[begin : begin + slice_size], block.checked)
             while self._samples.end >= self._due:
                 frames += self._decide(self._due)
         return frames
@@ -218,10 +218,10 @@ class GapTiming(Timing):
             return frames
         found = self._look(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
-            steady = without_impulses(volts)
-            if steady is not volts:
-                calmer = self._look(steady, self._search.gaps(steady, self._gap), raw, final)
-                found = found if isinstance(calmer, _Failure) else calmer
+            for other in (without_impulses(volts), raw):  # hum may have ended
+                if isinstance(found, _Failure) and other is not volts:
+                    calmer = self._look(other, self._search.gaps(other, self._gap), raw, final)
+                    found = found if isinstance(calmer, _Failure) else calmer
         if not isinstance(found, _Failure):
             return found
         self.rejections += found.reason

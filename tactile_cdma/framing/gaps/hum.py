@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Learns the mains' hum from the line's gaps, and removes it; removes impulses, too.
+"""Learns hum from the line's gaps, and removes it; removes impulses, too.
 
 Between frames the line carries nothing but its offset and disturbances. If its level moves there by
-more than noise explains, and a sine of 45…65 Hz explains most of that, it is hum, and the sine
-tells what it adds to the frames between.
+more than noise explains, and a sine of 45…65 Hz explains most of that, or later one of up to 320,
+it is hum, and the sine tells what it adds to the frames between.
 """
 
 import operator
@@ -17,7 +17,11 @@ from ...base.arrays import Floats
 from ...base.sums import sums
 
 FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
-"""Hum that is looked for: mains of 50 and 60 Hz, and what small generators make of them."""
+"""Hum that is looked for first: mains of 50 and 60 Hz, and what small generators make of them."""
+FASTER_HZ = np.arange(66.0, 320.1, 1.0)
+"""And then, once most of MEMORY_S is known: their multiples, and what motors and lamps make."""
+FULL = 0.75
+"""Share of MEMORY_S that is known then. Chosen: frames of up to 60 ms leave less than the rest."""
 FINE_HZ = np.arange(-0.5, 0.51, 0.1)
 """Steps between these; half of one turns the phase by 0.04 in half of MEMORY_S."""
 MEMORY_S = 0.25
@@ -59,7 +63,8 @@ class Hum:
     def __init__(self, rate_hz: float) -> None:
         """rate_hz: samples per second."""
         per_hz = 2 * np.pi / rate_hz
-        self._coarse, self._fine = per_hz * FREQUENCIES_HZ, per_hz * FINE_HZ
+        self._coarse = per_hz * FREQUENCIES_HZ, per_hz * FASTER_HZ
+        self._fine = per_hz * FINE_HZ
         self._memory = MEMORY_S * rate_hz
         self._windows: deque[_Window] = deque()
         # Of each: sum of its parts' means, V, and of their squares; variance of a part's mean that
@@ -124,12 +129,14 @@ class Hum:
         time = np.concatenate(
             [window.begin - origin + window.size * place - 0.5 for window in self._windows]
         )
-        angle, *_ = self._best(self._coarse, time, level, noise / power)
-        fine = angle + self._fine
-        angle, left, cosine, sine = self._best(fine, time, level, noise / power)
-        if left > _LEFT * power + 2 * noise:
-            return None
-        return _Tone(angle, origin, cosine, sine)
+        is_full = origin - self._windows[0].begin > FULL * self._memory
+        for coarse in self._coarse[: 1 + is_full]:
+            angle, *_ = self._best(coarse, time, level, noise / power)
+            fine = angle + self._fine
+            angle, left, cosine, sine = self._best(fine, time, level, noise / power)
+            if left <= _LEFT * power + 2 * noise:
+                return _Tone(angle, origin, cosine, sine)
+        return None
 
     @staticmethod
     def _best(

@@ -4,6 +4,7 @@
 
 import json
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tactile_cdma import CaptureError, LiveObservation, ObservationError, Parame
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
 from test.support.bags import BagMaker
+from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("public_skin")
 
@@ -73,7 +75,13 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
         observation = LiveObservation(dataset, skin)
         with pytest.raises(ObservationError, match=r"observation.tactile.skin had not begun"):
             observation.read()
-        time.sleep(1.6)  # the first second's stamps are not certain
+
+        def is_valid() -> bool:  # the first second's stamps are not certain
+            with suppress(ObservationError):
+                return bool(observation.read()["observation.tactile.skin.valid"].any())
+            return False
+
+        wait_for(is_valid)
         found = observation.read()
         assert found["observation.tactile.skin"].shape == (4, 16)
         assert found["observation.tactile.skin.valid"].any()

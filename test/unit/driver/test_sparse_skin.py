@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_cdma.commands.calibrate import read_recording
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
@@ -89,6 +90,12 @@ def test_how_many_speak_is_told_and_that_it_is_too_many(compiled: bool) -> None:
             assert load.overloads == window.rises.overloads == len(decoded)
             assert f"{len(decoded)} frames are flagged" in found[0].text
             assert f"the {most} that their codes tell apart" in found[0].text
+
+
+def test_what_is_in_doubt_is_no_reading_to_calibrate_by(tmp_path: Path) -> None:
+    capture = tmp_path / "touch.raw"
+    capture.write_bytes(stream(SkinConfig.of(SKIN), "sim://?scene=all&threshold=0", 10))
+    assert np.isnan(read_recording(capture, SkinConfig.of(SKIN)).voltage_v).all()
 
 
 def test_info_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -87,7 +87,7 @@ def test_a_node_that_holds_the_line_is_no_hum() -> None:
     assert timing.rejected == 0
 
 
-@pytest.mark.parametrize("hum_hz", [49.7, 60.2])
+@pytest.mark.parametrize("hum_hz", [49.7, 60.2, 100.0, 250.3])
 def test_hum_is_removed_between_the_windows_that_showed_it(hum_hz: float) -> None:
     rng, period, window = np.random.default_rng(23), 1024, 132
     index = np.arange(20 * period)
@@ -101,7 +101,7 @@ def test_hum_is_removed_between_the_windows_that_showed_it(hum_hz: float) -> Non
     assert np.abs(left).max() < 0.01
 
 
-@pytest.mark.parametrize("kind", ["noise", "drift", "jumps", "30 Hz"])
+@pytest.mark.parametrize("kind", ["noise", "drift", "jumps", "30 Hz", "400 Hz"])
 def test_what_is_no_hum_is_left_alone(kind: str) -> None:
     rng, period, window = np.random.default_rng(24), 1024, 132
     index = np.arange(40 * period)
@@ -110,6 +110,7 @@ def test_what_is_no_hum_is_left_alone(kind: str) -> None:
         "drift": 1e-5 * index,
         "jumps": np.repeat(rng.choice([-0.2, 0.2], 40), period),
         "30 Hz": 0.1 * np.sin(2 * np.pi * 30 / RATE_HZ * index),
+        "400 Hz": 0.1 * np.sin(2 * np.pi * 400 / RATE_HZ * index),
     }[kind]
     volts = other + rng.normal(0, 0.01, index.size)
     hum = Hum(RATE_HZ)

@@ -26,6 +26,8 @@ LOAD_SERIAL = {
     "commands.calibrate",
     "calibrating.load_session",
     "commands.cli",
+    "commands.node",
+    "commands.node_numbers",
     "commands.ports",
     "commands.record",
     "doctor.port",

@@ -33,7 +33,7 @@ MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS = {
     *re.findall(r"^([a-z][a-z-]*):(?!=)", MAKEFILE, re.MULTILINE),
     *(f"bench-{path.stem}" for path in ROOT.glob("benchmarks/*.py")),
-    "bench-doubt",
+    *(f"bench-{path.parent.name}" for path in ROOT.glob("benchmarks/*/__main__.py")),
 }
 [VARIABLES] = re.findall(r"^VARIABLES = (.*)", MAKEFILE, re.MULTILINE)
 SKIN_PARAMETERS = {parameter.name for parameter in PARAMETERS}

@@ -240,6 +240,18 @@ def test_an_object_lies_where_the_cover_has_the_force(
         assert force_n == pytest.approx(share * most_n, rel=within)
 
 
+def test_a_curved_skin_takes_a_few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's steps with measured shares; with those of the start there are more."""
+    calls, spans_m = [], Sphere.spans_m
+    monkeypatch.setattr(Sphere, "spans_m", lambda *given: calls.append(1) or spans_m(*given))
+    surface = cylinder(6, 8, 5e-3, 0.012)
+    cover = Foundation(surface.positions_m, surface.normals, surface.areas_m2)
+    for place_m, along in ((0.0, 0.001, 0.02), (0, 0, -1)), ((0.025, 0.001, 0.0), (-0.8, 0, -0.6)):
+        calls.clear()
+        at_force(cover, Sphere(radius_m=0.02, position_m=place_m), 5.0, along)
+        assert 2 < len(calls) <= 6
+
+
 def test_a_box_lies_as_deep_as_force_over_stiffness_and_area() -> None:
     box = Box(size_m=(0.012, 0.02, 0.02), position_m=(0, 0, 0.013), stiffness_pa_per_m=K)
     lies = at_force(COVER, box, 3.0)
