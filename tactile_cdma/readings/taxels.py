@@ -379,9 +379,8 @@ class Taxels:
         source = self._layout.source
         if source is None:
             return readings
-        pressure_pa, voltage_v, status = (
-            each[..., source] for each in (readings.pressure_pa, readings.voltage_v, readings.status)
-        )
+        pressure_pa, voltage_v = readings.pressure_pa[..., source], readings.voltage_v[..., source]
+        status = readings.status[..., source]
         nobody = source < 0
         pressure_pa[..., nobody] = voltage_v[..., nobody] = np.nan
         status[..., nobody] = Status.MASKED

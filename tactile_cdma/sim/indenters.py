@@ -290,9 +290,8 @@ class Foundation:
     def near(self, indenter: Indenter, moves_m: float = 0.0) -> "Near":
         """What an object may reach that moves as far as moves_m, m, sideways of the normals."""
         around_m = self._corners_m + moves_m
-        taxels: Bools | slice = indenter.may_touch(self._positions_m, self._normals, around_m)
-        if np.all(taxels):
-            taxels = slice(None)  # quicker to take than a mask
+        mask = indenter.may_touch(self._positions_m, self._normals, around_m)
+        taxels = slice(None) if mask.all() else mask  # a slice is quicker to take
         points_m, normals = self.points_m[taxels], self._normals[:1]
         if not self.is_flat:
             normals = self._normals[taxels].repeat(points_m.shape[1], axis=0)
@@ -310,9 +309,9 @@ class Foundation:
     def mean_pa(self, pressed: Sequence[tuple["Near", Floats]]) -> Floats:
         """As pressure_pa, of what presses on the points that are near each object, (m,), Pa."""
         pressure_pa = np.zeros(self.points_m.shape[:2])
-        for (taxels, *_), point_pa in pressed:
-            point_pa = point_pa.reshape(-1, pressure_pa.shape[1])
-            pressure_pa[taxels] = np.maximum(pressure_pa[taxels], point_pa)
+        for near, point_pa in pressed:
+            so_far_pa = pressure_pa[near.taxels]
+            pressure_pa[near.taxels] = np.maximum(so_far_pa, point_pa.reshape(so_far_pa.shape))
         return np.asarray(pressure_pa.mean(axis=1))
 
 
