@@ -92,10 +92,6 @@ int main(void)
     SIO->oe_set = 1u << PIN_LED;
     IO_BANK0->gpio[PIN_LED].ctrl = IO_SIO;
     PADS_BANK0->gpio[PIN_LED] = PAD_DRIVE_4MA;
-    SIO->out_set = 1u << PIN_REGULATOR;
-    SIO->oe_set = 1u << PIN_REGULATOR;
-    IO_BANK0->gpio[PIN_REGULATOR].ctrl = IO_SIO;
-    PADS_BANK0->gpio[PIN_REGULATOR] = PAD_DRIVE_4MA;
     flash_id(board.id);
     sampler_init();
     sync_stop();

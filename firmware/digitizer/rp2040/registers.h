@@ -188,12 +188,14 @@ struct usb {
 #define USB_SIE_CTRL_PULLUP_EN (1u << 16)
 #define USB_SIE_STATUS_BUS_RESET (1u << 19)
 #define USB_SIE_STATUS_SETUP_REC (1u << 17)
+#define USB_SIE_STATUS_SUSPENDED (1u << 4)
 #define USB_MUXING_TO_PHY (1u << 0)
 #define USB_MUXING_SOFTCON (1u << 3)
 #define USB_PWR_VBUS_DETECT (1u << 2)
 #define USB_PWR_VBUS_DETECT_OVERRIDE (1u << 3)
 #define USB_INT_BUFF_STATUS (1u << 4)
 #define USB_INT_BUS_RESET (1u << 12)
+#define USB_INT_DEV_SUSPEND (1u << 14)
 #define USB_INT_SETUP_REQ (1u << 16)
 #define USB_INT_DEV_SOF (1u << 17) /* cleared by reading sof_rd */
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding and DTR are accepted and ignored, but
- * for 1200 baud, by which a host asks for the boot ROM's USB drive, as it does with many boards.
+/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding is accepted and ignored, but for 1200
+ * baud, by which a host asks for the boot ROM's USB drive, as it does with many boards. DTR tells whether a
+ * program has opened the port; one that does not raise it has opened it once it sends something.
  */
 #include "byte_ring.h"
 #include "nodes.h"
@@ -17,6 +18,7 @@ enum { TO_DEVICE = 0x00, TO_INTERFACE = 0x01, TO_ENDPOINT = 0x02, CLASS = 0x20, 
 
 #define IN_BUFFERS 2u
 #define BAUD_OF_BOOTSEL 1200u
+#define DTR 1u /* of the control lines */
 
 struct setup_packet {
     uint8_t request_type, request;
@@ -32,7 +34,7 @@ struct setup_packet {
 static struct byte_ring received;
 static uint8_t serial[8];
 static uint32_t next_data1[3][2]; /* data toggle of each endpoint's next packet */
-static volatile bool configured, receiving, sending;
+static volatile bool configured, opened, suspended, receiving, sending;
 /* Bulk packets that wait for the host to take them; while it takes one, the next is there already. */
 static struct { uint32_t count, oldest; bool first; } offered;
 static const uint8_t *to_send;
@@ -245,6 +247,24 @@ static void receive_next(void)
         hand_over(EP_DATA, DIR_OUT, USB_PACKET);
 }
 
+/* Nobody reads any more: discards what was left to send. The packets that the controller has stay there,
+ * because the host may be about to take one, but of zeros: the next program gets delimiters, nothing stale. */
+static void let_go(void)
+{
+    to_send_left = 0;
+    sending = held_back = false;
+    for (uint32_t i = 0; i < offered.count; i++)
+        for (uint32_t place = 0; place < USB_PACKET; place += 4)
+            *memory(IN_BUFFER + (offered.oldest + i) % IN_BUFFERS * USB_PACKET + place) = 0;
+}
+
+static void open(bool by_host)
+{
+    if (!by_host)
+        let_go();
+    opened = by_host;
+}
+
 /* Discards what was left to send, including the packet in the controller: it was for another host. */
 static void set_configuration(uint8_t configuration)
 {
@@ -258,6 +278,7 @@ static void set_configuration(uint8_t configuration)
     offered.count = offered.oldest = 0;
     offered.first = true;
     to_send_left = 0;
+    opened = suspended = false;
     configured = configuration != 0;
     if (configured)
         receive_next();
@@ -297,6 +318,7 @@ static bool obey(const struct setup_packet *setup)
         clear_halt(setup);
         break;
     case (CLASS | TO_INTERFACE) << 8 | SET_CONTROL_LINE_STATE:
+        open(setup->value & DTR);
         break;
     default:
         return false;
@@ -372,6 +394,7 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
     } else {
         copy_out(bytes, OUT_BUFFER, size);
         byte_ring_put(&received, bytes, size);
+        opened = true;
         receive_next();
     }
 }
@@ -383,8 +406,14 @@ void usb_interrupt(void)
     if (status & USB_INT_DEV_SOF) {
         frame_us = TIMER->timerawl;
         (void)USB->sof_rd;
+        suspended = false;
         if (held_back)
             send_packets();
+    }
+    if (status & USB_INT_DEV_SUSPEND) { /* no frame for 3 ms: the host sleeps, or is unplugged */
+        USB->sie_status = USB_SIE_STATUS_SUSPENDED;
+        suspended = true;
+        let_go();
     }
     if (status & USB_INT_BUS_RESET) {
         USB->sie_status = USB_SIE_STATUS_BUS_RESET;
@@ -428,14 +457,15 @@ void usb_init(const uint8_t id[8])
     USB->muxing = USB_MUXING_TO_PHY | USB_MUXING_SOFTCON;
     USB->pwr = USB_PWR_VBUS_DETECT | USB_PWR_VBUS_DETECT_OVERRIDE;
     USB->main_ctrl = USB_MAIN_CTRL_EN;
-    USB->inte = USB_INT_BUFF_STATUS | USB_INT_BUS_RESET | USB_INT_SETUP_REQ | USB_INT_DEV_SOF;
+    USB->inte = USB_INT_BUFF_STATUS | USB_INT_BUS_RESET | USB_INT_SETUP_REQ | USB_INT_DEV_SOF |
+                USB_INT_DEV_SUSPEND;
     NVIC_ISER = 1u << IRQ_USBCTRL;
     USB->sie_ctrl = USB_SIE_CTRL_EP0_INT_1BUF | USB_SIE_CTRL_PULLUP_EN;
 }
 
 bool usb_ready(void)
 {
-    return configured;
+    return configured && opened && !suspended;
 }
 
 size_t usb_read(uint8_t *bytes, size_t size)
@@ -451,8 +481,8 @@ size_t usb_read(uint8_t *bytes, size_t size)
 
 void usb_send(const uint8_t *bytes, size_t size)
 {
-    interrupts_off(); /* a bus reset would end all sending */
-    if (configured && (size || (sent_full && !offered.count))) {
+    interrupts_off(); /* a bus reset or a closed port would end all sending */
+    if (usb_ready() && (size || (sent_full && !offered.count))) {
         to_send = bytes;
         to_send_left = size;
         sending = true;
