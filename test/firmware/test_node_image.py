@@ -263,7 +263,7 @@ def test_missing_and_late_pulses(build: Path, mcu: str) -> None:
 def test_pulses_that_start_anew_bend_no_chip(build: Path, mcu: str, share: float) -> None:
     """A digitizer that begins again does so in another phase; the node's clock is the same.
 
-    A pulse that meets a node awake may be taken late: the period after it says nothing of the clock.
+    A pulse that meets a node awake may be taken late: the clock does not follow the next period.
     """
     with bench(build, SPEC, mcu, clock_hz=8.1e6, **SPEECH) as skin:
         number = listen(skin)
