@@ -109,9 +109,11 @@ def test_a_host_that_does_not_read_gets_what_is_new(loop: Loop) -> None:
     loop.command(LAST, Start())
     loop.run(100, step_us=1000)
     loop.stuck = {LAST}
-    for _ in range(12):
+    for tenth in range(12):
         loop.sample(2048)
         loop.run(10, step_us=10_000)
+        if tenth == 2:
+            loop.carry(LAST, 1 << 16)  # what follows is cut within a packet
     loop.stuck = set()
     loop.sample(2048)
     loop.run(40)

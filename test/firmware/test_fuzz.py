@@ -174,7 +174,7 @@ STREAM_DEFECTS = {
     ),
     "a packet that is off in time continues the stream": (
         "frame_stream.c",
-        "return -slack_s <= ahead_s && ahead_s",
+        "return least_s - slack_s <= ahead_s && ahead_s",
         "return ahead_s",
         "wrong value",
     ),

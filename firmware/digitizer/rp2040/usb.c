@@ -403,7 +403,7 @@ void usb_interrupt(void)
 {
     uint32_t status = USB->ints;
 
-    if (status & USB_INTS_DEV_SUSPEND_BITS) { /* no frame for 3 ms: the host sleeps, or is gone; or it is back */
+    if (status & USB_INTS_DEV_SUSPEND_BITS) { /* no frame for 3 ms: it sleeps or is gone, or else is back */
         USB->sie_status = USB_SIE_STATUS_SUSPENDED_BITS;
         suspended = true;
         let_go();
