@@ -36,7 +36,7 @@ struct dg_board {
 
 /* Bytes: a serial link to a host. None of these functions waits. */
 struct dg_link {
-    /* Whether a host can be reached, as far as the link can tell. */
+    /* Whether a host listens, as far as the link can tell. */
     bool (*ready)(void);
     /* Moves received bytes, at most `size`, into `bytes`; returns their number. */
     size_t (*read)(uint8_t *bytes, size_t size);
@@ -58,7 +58,7 @@ struct dg_hardware {
     /* Wake: sleeps until an interrupt has work for the loop (bytes, a sync fault, a tick of the
      * board's timer). Returns at once if one has had since the last call; may return early. */
     void (*sleep)(void);
-    /* Bytes: links in order of preference. The last one is always ready. */
+    /* Bytes: links in order of preference; the last one is taken where none is ready. */
     const struct dg_link *links;
     size_t link_count;
 

@@ -57,7 +57,7 @@ static void report_status(struct dg *dg, uint64_t now_us)
     report(dg, TP_STATUS, &status, sizeof status, ANSWERS);
 }
 
-static void stop(struct dg *dg)
+void dg_stop(struct dg *dg)
 {
     pulses_end(&dg->pulses);
     dg->restarted |= dg->running;
@@ -66,7 +66,7 @@ static void stop(struct dg *dg)
 
 static void start(struct dg *dg)
 {
-    stop(dg);
+    dg_stop(dg);
     dg->running = dg->restarted = true;
 }
 
@@ -89,7 +89,7 @@ static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
         return TP_RESULT_OUT_OF_RANGE;
     if (!nodes_know(dg->board, &asked->frame) || !setup_make(&setup, dg->board, asked))
         return TP_RESULT_UNSUPPORTED;
-    stop(dg);
+    dg_stop(dg);
     dg->setup = setup;
     dg->stream.packs = false;
     dg->ticks_per_sample = setup.ticks_per_sample;
@@ -164,7 +164,7 @@ static enum tp_result obey(struct dg *dg)
     if (type == TP_START)
         start(dg);
     else if (type == TP_STOP)
-        stop(dg);
+        dg_stop(dg);
     else if (type == TP_ROLL_CALL)
         return call_roll(dg);
     else if (type == TP_PACK)
@@ -275,4 +275,9 @@ size_t dg_output(const struct dg *dg, const uint8_t **bytes)
 void dg_sent(struct dg *dg, size_t size)
 {
     packet_sent(&dg->writer, size);
+}
+
+void dg_drop(struct dg *dg, size_t begun)
+{
+    packet_drop(&dg->writer, begun);
 }

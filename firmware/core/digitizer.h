@@ -74,6 +74,8 @@ void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_u
  * before that are ignored. */
 bool dg_restarted(struct dg *dg);
 void dg_begin(struct dg *dg, uint64_t start_us);
+/* Stops as the command STOP does. */
+void dg_stop(struct dg *dg);
 /* Ends a stream that the board itself has to restart: sends the samples so far. dg_begin follows. */
 void dg_end(struct dg *dg);
 
@@ -95,5 +97,7 @@ void dg_time(struct dg *dg, uint64_t now_us);
 size_t dg_output(const struct dg *dg, const uint8_t **bytes);
 /* `size` of them were sent: frees their room. */
 void dg_sent(struct dg *dg, size_t size);
+/* Its host no longer reads: drops and counts the packets that are not yet begun to be sent. */
+void dg_drop(struct dg *dg, size_t begun);
 
 #endif

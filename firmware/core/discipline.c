@@ -64,8 +64,9 @@ bool discipline_period(struct discipline *d, uint32_t ticks)
     d->last = ticks;
     if (!like(ticks, d->nominal, NOMINAL_SHIFT))
         return false;
-    if (last && !like(ticks, last, DRIFT_SHIFT) && !like(ticks, d->period, DRIFT_SHIFT))
-        return false;
+    /* Not followed: the pulse before came in another phase, and a node that it met awake took it late. */
+    if (last && !like(ticks, last, DRIFT_SHIFT))
+        return like(ticks, d->period, DRIFT_SHIFT);
     d->period = ticks;
     if (d->follows)
         follow(d, ticks);

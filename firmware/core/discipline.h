@@ -34,10 +34,11 @@ struct discipline {
 void discipline_init(struct discipline *d, const struct tp_node_record *record,
                      uint32_t ticks_per_us);
 
-/* Takes the distance of two successive frame pulses; returns whether it was accepted as a period.
+/* Takes the distance of two successive frame pulses; returns whether the clock is known by it.
  *
  * It must be within 1/8 of the nominal period and, after the first, within 1/512 of the last accepted
- * or last measured one: a clock drifts slowly, but a restarted digitizer may pulse at any time. */
+ * or last measured one: a clock drifts slowly, but a restarted digitizer may pulse at any time. Chip
+ * times follow it if it is the first, or like the last measured one. */
 bool discipline_period(struct discipline *d, uint32_t ticks);
 
 /* Ticks after a frame pulse before which no other pulse is taken for one: the shortest period that can

@@ -5,6 +5,9 @@
 /* Bytes sent at a time: their room in the output is free again only when all of them are sent.
  * Chosen: 1/24 of the RP2040's output ring, 64 USB packets. */
 #define PIECE 4096u
+/* Time after which a host that takes nothing gets, once it does, what is new rather than what waits. Chosen:
+ * the RP2040's output ring holds 0.6 s of the usual 80 kS/s. */
+#define STALE_US 500000u
 
 static const uint8_t delimiter = 0;
 
@@ -22,8 +25,6 @@ static void hear(struct dg_loop *loop, const struct dg_link *link, const uint8_t
     dg_receive(dg, bytes, size, now_us);
     if (dg->writer.sequence != next) /* a command was answered */
         loop->commander = link;
-    if (dg_restarted(dg))
-        loop->hardware->restart(dg);
 }
 
 static void receive(struct dg_loop *loop)
@@ -66,11 +67,11 @@ static void recover_pulses(struct dg_loop *loop)
 
 static const struct dg_link *output_link(const struct dg_loop *loop)
 {
-    const struct dg_link *link = loop->hardware->links;
+    const struct dg_link *link = loop->hardware->links, *last = link + loop->hardware->link_count - 1;
 
     if (loop->commander)
         return loop->commander;
-    while (!link->ready())
+    while (link != last && !link->ready())
         link++;
     return link;
 }
@@ -78,24 +79,33 @@ static const struct dg_link *output_link(const struct dg_loop *loop)
 static void send(struct dg_loop *loop)
 {
     const struct dg_link *next = output_link(loop);
+    bool ready = next->ready();
+    uint64_t now_us = loop->hardware->time_us();
     const uint8_t *bytes;
 
-    if (loop->carrier && loop->carrier != next) { /* its host may have stopped reading for good */
+    if (loop->carrier && !(loop->carrier == next && ready)) { /* its host may have stopped reading for good */
         size_t left = loop->carrier->cancel();
         /* what is left may be the delimiter, which is not of the output */
         loop->in_flight = loop->in_flight > left ? loop->in_flight - left : 0;
     }
-    if (loop->carrier && loop->carrier->sending())
+    if (loop->carrier && loop->carrier->sending()) {
+        if (now_us - loop->since_us > STALE_US)
+            dg_drop(loop->dg, loop->in_flight);
         return;
+    }
     dg_sent(loop->dg, loop->in_flight);
     loop->in_flight = 0;
+    loop->since_us = now_us;
+    if (!ready) {
+        loop->carrier = NULL;
+        dg_sent(loop->dg, loop->dg->writer.used);
+        return;
+    }
     if (loop->carrier != next) {
         loop->carrier = next;
         next->send(&delimiter, 1); /* ends the packet that was cut when this link was left */
         return;
     }
-    if (!next->ready())
-        return;
     loop->in_flight = dg_output(loop->dg, &bytes);
     if (loop->in_flight > PIECE)
         loop->in_flight = PIECE;
@@ -110,6 +120,10 @@ void dg_loop_init(struct dg_loop *loop, struct dg *dg, const struct dg_hardware 
 void dg_loop_pass(struct dg_loop *loop)
 {
     receive(loop);
+    if (loop->dg->running && loop->commander && !loop->commander->ready())
+        dg_stop(loop->dg);
+    if (dg_restarted(loop->dg))
+        loop->hardware->restart(loop->dg);
     if (loop->dg->running && loop->hardware->pulses_failed())
         recover_pulses(loop);
     bool more = loop->dg->running && pass_samples(loop) == DG_CHUNK;

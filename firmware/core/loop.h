@@ -4,7 +4,8 @@
  * between the board and the digitizer.
  *
  * Packets go to the link that last sent a good command. Before the first command they go to the
- * first link that is ready.
+ * first link that is ready. Where that link's host no longer listens, they are discarded, so that the next
+ * one gets nothing stale; a stream that was commanded over it ends.
  */
 #ifndef TACTILE_LOOP_H
 #define TACTILE_LOOP_H
@@ -17,7 +18,8 @@ struct dg_loop {
     const struct dg_link *commander; /* sent the last good command; NULL: none yet */
     const struct dg_link *heard;     /* whose bytes came last */
     const struct dg_link *carrier;   /* sends … */
-    size_t in_flight;                /* … this many bytes of the output */
+    size_t in_flight;                /* … this many bytes of the output … */
+    uint64_t since_us;               /* … since then */
 };
 
 /* After dg_init, which gets its time from the same clock as hardware->time_us. */

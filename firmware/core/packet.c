@@ -65,6 +65,24 @@ void packet_sent(struct packet_writer *writer, size_t size)
         writer->begin -= writer->size;
 }
 
+static uint8_t output_byte(const struct packet_writer *writer, size_t place)
+{
+    size_t at = writer->begin + place;
+
+    return writer->ring[at < writer->size ? at : at - writer->size];
+}
+
+void packet_drop(struct packet_writer *writer, size_t begun)
+{
+    size_t kept = begun;
+
+    while (kept && kept < writer->used && output_byte(writer, kept - 1))
+        kept++;
+    for (size_t place = kept; place < writer->used; place++)
+        writer->dropped += !output_byte(writer, place);
+    writer->used = kept;
+}
+
 static void take(struct packet_reader *reader, uint8_t byte)
 {
     size_t place = reader->raw++;

@@ -36,6 +36,8 @@ void packet_close(struct packet_writer *writer);
 /* The oldest bytes, as many as are contiguous. packet_sent frees the first `size` of them. */
 size_t packet_output(const struct packet_writer *writer, const uint8_t **bytes);
 void packet_sent(struct packet_writer *writer, size_t size);
+/* Drops and counts the packets that wait behind the one in which the oldest `begun` bytes end. */
+void packet_drop(struct packet_writer *writer, size_t begun);
 
 #define PACKET_KEPT sizeof(struct tp_configure) /* the longest command's payload */
 

@@ -224,15 +224,17 @@ static uint32_t apart(uint32_t a, uint32_t b)
 }
 
 /* Pulses at any distance: accepted periods are within 1/8 of the nominal one, and chip times follow
- * from accepted periods only. */
+ * from those that are like the one before. */
 static void check_clock(struct discipline *clock, const struct tp_node_record *record, uint32_t ticks)
 {
-    uint32_t nominal = record->frame_period_us * TICKS_PER_US, before = clock->period;
+    uint32_t nominal = record->frame_period_us * TICKS_PER_US, before = clock->period, last = clock->last;
     bool believed = discipline_period(clock, ticks);
+    bool follows = believed && (!last || apart(ticks, last) <= last / 512);
     double chip = (double)record->chip_ns * TICKS_PER_US / 1000;
     double clock_error = (double)clock->period / nominal;
 
-    MUST(clock->period == (believed ? ticks : before), WRONG_VALUE);
+    MUST(clock->period == (follows ? ticks : before), WRONG_VALUE);
+    MUST(!believed || follows || apart(ticks, before) <= before / 512, WRONG_VALUE);
     MUST(apart(clock->period, nominal) <= nominal / 8, WRONG_VALUE);
     MUST(discipline_earliest(clock) <= clock->period, WRONG_VALUE);
     double off = clock->chip_q16 - 65536 * chip * (record->discipline ? clock_error : 1);

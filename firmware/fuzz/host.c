@@ -71,7 +71,7 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
             return TP_RESULT_OUT_OF_RANGE;
         if (!host->running || !settings_has_numbers(&host->settings))
             return TP_RESULT_UNSUPPORTED;
-        host->number_asked = number || payload[2] ? (uint16_t)(1u | number << 5 | payload[2] << 15) : 0;
+        host->number_asked = (uint16_t)(number || payload[2] ? 1u | number << 5 | payload[2] << 15 : 0u);
     } else if (type == TP_ROLL_CALL) {
         if (!host->running || !host->settings.marked || host->settings.asked.integrated)
             return TP_RESULT_UNSUPPORTED;

@@ -16,6 +16,8 @@
 //     'S' bytes            to USB
 //     'H' u8               USB host: 0 unplugged, 1 plugged in but not reading, 2 reading
 //     'L' u32              the USB host sets the port's speed, baud
+//     'K' u8               the USB host lowers DTR (0) or raises it (1)
+//     'Z' u8               the USB host sleeps (1) or is awake again (0)
 //     'C'                  the USB host clears the halt of the device's bulk IN endpoint
 //     'T' f64              stall the CPU for this many ns
 //     'M' f64              DMA takes no samples from the ADC for this many ns
@@ -41,6 +43,7 @@ import { readFileSync, readSync, writeSync } from 'node:fs';
 
 const MAX_UART_PIECE = 256;
 const PINS = [16, 25];
+const RADIO = [23, 24, 29]; // of a Pico W, where other boards have their own
 
 let pending = Buffer.alloc(0);
 
@@ -124,6 +127,10 @@ try {
     enumerated: (device) => send('I', JSON.stringify(device)),
     bus,
   });
+  for (const pin of RADIO)
+    chip.onPin(pin, () => {
+      throw new Error(`the image drives GPIO${pin}, where a Pico W has its radio`);
+    });
   const told = network?.told ? [...network.ohms.keys()] : [];
   for (const pin of [...PINS, ...told]) chip.onPin(pin, (level) => send('P', chip.now, [pin, level]));
 
@@ -146,6 +153,12 @@ try {
         break;
       case 'L':
         host.setBaud(payload.readUInt32LE());
+        break;
+      case 'K':
+        host.setDtr(payload[0] === 1);
+        break;
+      case 'Z':
+        host.suspend(payload[0] === 1);
         break;
       case 'C':
         host.clearHalt();

@@ -197,6 +197,14 @@ class Rp2040:
         """Have the USB host set the port's speed."""
         self._send(b"L", struct.pack("<I", baud))
 
+    def set_usb_dtr(self, raised: bool) -> None:
+        """Have a program on the USB host open the port, or close it."""
+        self._send(b"K", bytes([raised]))
+
+    def suspend_usb(self, asleep: bool) -> None:
+        """Put the USB host to sleep, or wake it."""
+        self._send(b"Z", bytes([asleep]))
+
     def clear_usb_halt(self) -> None:
         """Have the USB host clear the halt of the endpoint that it reads, halted or not."""
         self._send(b"C", b"")

@@ -11,6 +11,7 @@
 // once whenever there is a packet.
 
 const SIE_BUS_RESET = 1 << 19;
+const SIE_SUSPENDED = 1 << 4;
 const FULL = 1 << 15;
 const DATA1 = 1 << 13;
 const STALL = 1 << 11;
@@ -24,6 +25,9 @@ const FRAME_NS = 1e6;
 const LATE_NS = [810e3, 990e3]; // of a frame, in which RP2040-E15 forbids to offer a packet
 const DEV_SOF = 1 << 17;
 const SOF_RD = 0x48;
+const SIE_STATUS = 0x50;
+const IDLE_NS = 3e6; // of a bus without frames, after which a device takes it for suspended
+const RESUME_NS = 20e6; // for which the host signals that it goes on
 const IN = 0;
 const OUT = 1;
 const NAK_NS = 6e3; // a token, the answer, and the pauses between them: 72 bit times
@@ -53,7 +57,7 @@ export class UsbHost {
     this.enumerated = enumerated;
     this.reading = false;
     this.toSend = [];
-    this.plugged = this.configured = this.enabled = this.busy = false;
+    this.plugged = this.configured = this.enabled = this.busy = this.asleep = false;
     this.usb.onUSBEnabled = () => {
       this.enabled = true;
       if (this.plugged) this.#begin();
@@ -81,12 +85,22 @@ export class UsbHost {
       return read(offset);
     };
     this.frame = chip.clock.createAlarm(() => {
-      if (!this.plugged) return;
+      if (!this.plugged || this.asleep) return;
       this.frameNs = chip.now;
       this.usb.sofFrameNumber++;
       this.#signalFrame(true);
       this.frame.schedule(FRAME_NS);
       this.#serve();
+    });
+    // The emulator does not clear what the chip does.
+    const write = this.usb.writeUint32.bind(this.usb);
+    this.usb.writeUint32 = (offset, value) => {
+      if (offset === SIE_STATUS) this.usb.sieStatus &= ~(this.usb.rawWriteValue & SIE_SUSPENDED);
+      write(offset, value);
+    };
+    this.idle = chip.clock.createAlarm(() => {
+      this.usb.sieStatus |= SIE_SUSPENDED;
+      this.usb.sieStatusUpdated();
     });
     this.rested = chip.clock.createAlarm(() => this.#serve());
     this.step = chip.clock.createAlarm(() => this.#advance());
@@ -100,7 +114,10 @@ export class UsbHost {
   plug(plugged, reading) {
     this.reading = reading;
     if (plugged && !this.plugged && this.enabled) this.#begin();
-    if (!plugged) this.configured = false;
+    if (!plugged) {
+      this.configured = false;
+      this.idle.schedule(IDLE_NS);
+    }
     this.plugged = plugged;
     this.#serve();
   }
@@ -118,6 +135,19 @@ export class UsbHost {
       ...[0, 0, 8],
     ]);
     this.#advance();
+  }
+
+  // Raises or lowers DTR, as a host does when a program opens or closes the port.
+  setDtr(raised) {
+    this.script = this.#write(setup(0x21, 0x22, raised ? 3 : 0, 0, 0));
+    this.#advance();
+  }
+
+  // Makes no more frames, as a host that sleeps, or makes them again.
+  suspend(asleep) {
+    this.asleep = asleep;
+    if (asleep) this.idle.schedule(IDLE_NS);
+    else this.frame.schedule(RESUME_NS);
   }
 
   // Clears the halt of the bulk IN endpoint, as some hosts do when a program opens the port.
@@ -218,7 +248,7 @@ export class UsbHost {
 
   // Puts the next transaction on the bus, if the device is ready for one.
   #serve() {
-    if (this.busy || !this.plugged) return;
+    if (this.busy || !this.plugged || this.asleep) return;
     if (this.wanted) this.#serveControl(this.wanted);
     else if (this.configured) this.#serveBulk();
   }

@@ -260,8 +260,6 @@ def test_a_digitizers_pins_are_those_of_its_firmware(name: str, boards: dict[str
     uart = one(board, "UART")
     assert (uart, pin_at(board, uart, "TX")) in board.net(pico, f"GPIO{gpio['UART_TX']}")
     assert (uart, pin_at(board, uart, "RX")) in board.net(pico, f"GPIO{gpio['UART_RX']}")
-    text = (KICAD / f"{name}.kicad_sch").read_text()
-    assert f"GPIO{gpio['REGULATOR']}, inside the Pico, is its regulator's mode pin" in text
     used = {(pico, number) for net in (line, sync) for r, number in net if r == pico}
     assert len(used) == 2
     reference = board.net(pico, "ADC_VREF")

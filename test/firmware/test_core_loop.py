@@ -38,8 +38,8 @@ class Loop:
             for link in {FIRST, LAST} - self.stuck:
                 self._core.loop_carry(link, c_size_t(1 << 16))
 
-    def ready(self, link: int) -> None:
-        self._core.loop_ready(link, True)
+    def ready(self, link: int, ready: bool = True) -> None:
+        self._core.loop_ready(link, ready)
 
     def command(self, link: int, *commands: Command) -> None:
         self.write(link, b"".join(map(self._writer.encode, commands)))
@@ -102,6 +102,52 @@ def test_answers_go_to_the_link_that_asked(loop: Loop) -> None:
         loop.run()
         assert kinds(loop.packets(link)) == [Ack, Info]
         assert not loop.packets(other)
+
+
+def test_a_host_that_does_not_read_gets_what_is_new(loop: Loop) -> None:
+    """Half a second later at the latest; what it gets is whole, and what it does not is counted."""
+    loop.command(LAST, Start())
+    loop.run(100, step_us=1000)
+    loop.stuck = {LAST}
+    for tenth in range(12):
+        loop.sample(2048)
+        loop.run(10, step_us=10_000)
+        if tenth == 2:
+            loop.carry(LAST, 1 << 16)  # what follows is cut within a packet
+    loop.stuck = set()
+    loop.sample(2048)
+    loop.run(40)
+    samples = [packet for packet in loop.packets(LAST) if isinstance(packet, Samples)]
+    firsts = [packet.first_index for packet in samples]
+    assert firsts[-1] >= 12 * 2048
+    old = [p.counts.size for p in samples if p.first_index < 12 * 2048]
+    assert 0 < 2 * sum(old) <= 4096 + 2 * max(old)
+    loop.run(11, step_us=100_000)
+    (status,) = [packet for packet in loop.packets(LAST) if isinstance(packet, Status)][-1:]
+    assert status.packets_dropped == loop.parsers[LAST].counters.lost_packets > 10
+    assert loop.errors(LAST) == 0
+
+
+def test_a_host_that_left_ends_its_stream(loop: Loop) -> None:
+    """The next one gets nothing of it, not even the rest of a packet."""
+    loop.ready(FIRST)
+    loop.command(FIRST, Start())
+    loop.run()
+    loop.sample(2048)
+    loop.stuck = {FIRST}
+    loop.run()
+    loop.carry(FIRST, 5)
+    loop.ready(FIRST, False)
+    starts = loop.starts
+    loop.run(20, step_us=100_000)
+    assert loop.starts == starts + 1
+    loop.stuck = set()
+    loop.ready(FIRST)
+    loop.packets(FIRST)
+    loop.run(12, step_us=100_000)
+    packets = loop.packets(FIRST)
+    assert kinds(packets) == [Info, Status] and loop.errors(FIRST) == 1
+    assert isinstance(packets[1], Status) and not packets[1].streaming
 
 
 def test_bytes_of_two_links_are_never_one_packet(loop: Loop) -> None:

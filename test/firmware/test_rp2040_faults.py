@@ -20,6 +20,7 @@ from tactile_cdma.wire.messages import (
     Quiet,
     Samples,
     Start,
+    Status,
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
@@ -120,15 +121,20 @@ def test_a_uart_that_is_too_slow(rp2040_image: Path) -> None:
 
 
 def test_a_usb_host_that_stops_reading(rp2040_image: Path) -> None:
+    """It may read on after any time: what is left of before is 5 kB, the rest is new."""
     with Bench(rp2040_image, USB, ramp) as bench:
         bench.stream(PLAIN, 0.1)
         bench.board.plug_usb(reading=False)
         bench.run(1.5)
         before = end(bench.line[-1])
         bench.board.plug_usb()
+        heard, again_us = len(bench.line), bench.board.now * 1e6
         bench.run(1.2)
         passed = bench.check(bench.line)
         gaps = missing(bench.line)
+        old = [p for p in bench.line[heard:] if p.device_time_us < again_us - 15_000]
+        assert 0 < 2 * sum(p.counts.size for p in old) < 4096 + 1300  # type: ignore[union-attr]
+        assert len(gaps) == 1 and gaps[0] > 100_000, "and nothing is missing from then on"
         assert bench.status.packets_dropped == bench.parser.counters.lost_packets > 50
         assert sum(gaps) + passed == end(bench.line[-1]) > before + 100_000
         assert bench.status.samples_lost == bench.status.sync_faults == 0
@@ -181,6 +187,56 @@ def test_a_new_usb_host_gets_nothing_of_the_last_one(rp2040_image: Path) -> None
         assert not bench.read().strip(b"\0")
         bench.run(1.0)
         assert bench.of(Info)
+
+
+@pytest.mark.parametrize("by_dtr", [True, False])
+def test_a_port_that_is_closed_ends_the_stream(rp2040_image: Path, by_dtr: bool) -> None:
+    """Nothing of before awaits the next program, which may raise DTR or just send a command."""
+    with Bench(rp2040_image, USB, ramp) as bench:
+        bench.stream(PLAIN, 0.1)
+        bench.board.plug_usb(reading=False)
+        bench.run(0.002)
+        bench.board.set_usb_dtr(False)
+        bench.run(0.02)
+        assert not bench.board.led
+        bench.edges.clear()
+        bench.run_deaf(1.3)
+        assert not bench.edges
+        bench.board.plug_usb()
+        bench.board.run(bench.board.now + 0.02)
+        assert bench.read().strip(b"\0") == b"", "the controller's two packets are delimiters"
+        if by_dtr:
+            bench.board.set_usb_dtr(True)
+            assert [type(packet) for packet in bench.run(1.1)] == [Info, Status]
+            assert not bench.status.streaming
+        bench.send(Start())
+        bench.run(0.1)
+        assert bench.line[0].first_index == 0 and bench.check(bench.line) > 7000
+
+
+def test_a_host_that_sleeps(rp2040_image: Path) -> None:
+    """Its stream ends, so that the nodes are silent; a stream commanded over the UART goes on."""
+    with Bench(rp2040_image, USB, ramp) as bench:
+        bench.stream(PLAIN, 0.1)
+        bench.board.suspend_usb(True)
+        bench.run(0.02)
+        bench.edges.clear()
+        before = bench.board.cycles
+        bench.run(1.0)
+        assert not bench.edges and not bench.board.led
+        assert (bench.board.cycles - before) / 96e6 < 0.002
+        bench.board.suspend_usb(False)
+        bench.listen_again(1.1)
+        assert not bench.status.streaming
+        bench.send(Start())
+        bench.run(0.1)
+        assert [p.first_index for p in bench.line].count(0) == 2
+    with Bench(rp2040_image, UART, ramp) as bench:
+        bench.board.plug_usb()
+        bench.stream(PLAIN, 0.1)
+        bench.board.suspend_usb(True)
+        bench.run(0.1)
+        assert not missing(bench.line) and bench.check(bench.line) > 14_000
 
 
 @pytest.mark.parametrize("reading", [False, True])

@@ -13,16 +13,16 @@
 
 static volatile uint32_t tick_us;
 
-static void pll_start(volatile struct pll *pll, uint32_t reset, uint32_t fbdiv, uint32_t prim)
+static void pll_start(volatile struct pll *pll, uint32_t reset, uint32_t fbdiv_int, uint32_t prim)
 {
     reset_blocks(reset);
     pll->cs = 1; /* reference: the crystal */
-    pll->fbdiv = fbdiv;
-    clear_bits(&pll->pwr, PLL_PWR_PD | PLL_PWR_VCOPD);
-    while (!(pll->cs & PLL_LOCK))
+    pll->fbdiv_int = fbdiv_int;
+    clear_bits(&pll->pwr, PLL_PWR_PD_BITS | PLL_PWR_VCOPD_BITS);
+    while (!(pll->cs & PLL_CS_LOCK_BITS))
         ;
     pll->prim = prim;
-    clear_bits(&pll->pwr, PLL_PWR_POSTDIVPD);
+    clear_bits(&pll->pwr, PLL_PWR_POSTDIVPD_BITS);
 }
 
 void clocks_init(void)
@@ -30,7 +30,7 @@ void clocks_init(void)
     /* · 256 periods of 12 MHz = 64 ms: 64 times the data sheet's 1 ms, for slow crystals */
     XOSC->startup = 64 * 47;
     XOSC->ctrl = XOSC_ENABLE_1_15MHZ;
-    while (!(XOSC->status & XOSC_STABLE))
+    while (!(XOSC->status & XOSC_STATUS_STABLE_BITS))
         ;
     CLK_REF->ctrl = CLK_REF_XOSC;
     while (!(CLK_REF->selected & 1u << CLK_REF_XOSC))
@@ -38,8 +38,8 @@ void clocks_init(void)
     CLK_SYS->ctrl = 0; /* clk_ref while the PLL is set up */
     while (!(CLK_SYS->selected & 1u))
         ;
-    pll_start(PLL_SYS, RESET_PLL_SYS, 120, PLL_PRIM(5, 3)); /* 1440 MHz / 15 = 96 MHz */
-    pll_start(PLL_USB, RESET_PLL_USB, 100, PLL_PRIM(5, 5)); /* 1200 MHz / 25 = 48 MHz */
+    pll_start(PLL_SYS, RESETS_RESET_PLL_SYS_BITS, 120, PLL_PRIM(5, 3)); /* 1440 MHz / 15 = 96 MHz */
+    pll_start(PLL_USB, RESETS_RESET_PLL_USB_BITS, 100, PLL_PRIM(5, 5)); /* 1200 MHz / 25 = 48 MHz */
     CLK_SYS->div = CLK_DIV_1;
     CLK_SYS->ctrl = CLK_SYS_AUX;
     while (!(CLK_SYS->selected & 1u << CLK_SYS_AUX))
@@ -50,14 +50,15 @@ void clocks_init(void)
     CLK_ADC->div = CLK_DIV_1;
     CLK_ADC->ctrl = CLK_ENABLE; /* … here */
 
-    reset_blocks(RESET_TIMER | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_DMA);
-    WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 1 µs; also the timer's tick */
+    reset_blocks(RESETS_RESET_TIMER_BITS | RESETS_RESET_IO_BANK0_BITS | RESETS_RESET_PADS_BANK0_BITS |
+                 RESETS_RESET_DMA_BITS);
+    WATCHDOG->tick = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE_BITS; /* 1 µs; also the timer's tick */
     PSM->wdsel = PSM_ALL_BUT_OSCILLATORS; /* blocks that the watchdog resets */
     watchdog_feed();
-    WATCHDOG->ctrl = WATCHDOG_ENABLE | WATCHDOG_PAUSE_DEBUG;
+    WATCHDOG->ctrl = WATCHDOG_CTRL_ENABLE_BITS | WATCHDOG_PAUSE_DEBUG;
 
     TIMER->inte = 1;
-    NVIC_ISER = 1u << IRQ_TIMER_0;
+    NVIC_ISER = 1u << TIMER_IRQ_0;
 }
 
 void watchdog_feed(void)

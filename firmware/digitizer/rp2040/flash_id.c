@@ -17,10 +17,10 @@ void flash_id(uint8_t id[ID_BYTES])
     SSI->ssienr = 0;
     SSI->ctrlr0 = SSI_CTRLR0_8_BITS;
     SSI->ssienr = 1;
-    IO_QSPI->gpio[IO_QSPI_SS].ctrl = IO_OUTOVER_LOW;
+    IO_QSPI->io[IO_QSPI_SS].ctrl = IO_OUTOVER_LOW;
     for (size_t i = 0; i < 1 + DUMMY_BYTES + ID_BYTES; i++) { /* 13 bytes; the FIFOs hold 16 */
         SSI->dr0 = i ? 0 : READ_UNIQUE_ID;
-        while (!(SSI->sr & SSI_SR_RFNE))
+        while (!(SSI->sr & SSI_SR_RFNE_BITS))
             ;
         uint8_t byte = (uint8_t)SSI->dr0;
         if (i > DUMMY_BYTES) {
@@ -28,7 +28,7 @@ void flash_id(uint8_t id[ID_BYTES])
             all_ones &= byte;
         }
     }
-    IO_QSPI->gpio[IO_QSPI_SS].ctrl = 0;
+    IO_QSPI->io[IO_QSPI_SS].ctrl = 0;
     SSI->ssienr = 0;
     SSI->ctrlr0 = ctrlr0;
     SSI->ssienr = 1;

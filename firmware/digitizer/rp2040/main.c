@@ -61,7 +61,7 @@ static void restart(struct dg *dg)
     nodes_stop();
     tick_every(dg->running ? TICK_STREAMING_US : TICK_IDLE_US);
     if (!dg->running) {
-        SIO->out_clr = 1u << PIN_LED;
+        SIO->gpio_clr = 1u << PIN_LED;
         return;
     }
     struct moment moment;
@@ -70,7 +70,7 @@ static void restart(struct dg *dg)
     uint32_t begin = sampler_start(dg->ticks_per_sample, &moment);
     dg_begin(dg, moment.us - (moment.tick + TICKS_PER_US / 2) / TICKS_PER_US);
     sync_start(dg, begin, &moment);
-    SIO->out_set = 1u << PIN_LED;
+    SIO->gpio_set = 1u << PIN_LED;
 }
 
 static struct dg_hardware hardware = {
@@ -89,13 +89,9 @@ int main(void)
     static struct dg_loop loop;
 
     clocks_init();
-    SIO->oe_set = 1u << PIN_LED;
-    IO_BANK0->gpio[PIN_LED].ctrl = IO_SIO;
-    PADS_BANK0->gpio[PIN_LED] = PAD_DRIVE_4MA;
-    SIO->out_set = 1u << PIN_REGULATOR;
-    SIO->oe_set = 1u << PIN_REGULATOR;
-    IO_BANK0->gpio[PIN_REGULATOR].ctrl = IO_SIO;
-    PADS_BANK0->gpio[PIN_REGULATOR] = PAD_DRIVE_4MA;
+    SIO->gpio_oe_set = 1u << PIN_LED;
+    IO_BANK0->io[PIN_LED].ctrl = GPIO_FUNC_SIO;
+    PADS_BANK0->io[PIN_LED] = PAD_DRIVE_4MA;
     flash_id(board.id);
     sampler_init();
     sync_stop();

@@ -19,8 +19,7 @@ enum pin {
     PIN_UART_TX = 0,
     PIN_UART_RX = 1,
     PIN_SYNC = 16,
-    PIN_REGULATOR = 23, /* of a Pico: high for less ripple, which the converter would see */
-    PIN_LED = 25,
+    PIN_LED = 25, /* of a Pico W: its radio's chip select; the radio stays off, as GPIO23 stays low */
     PIN_LINE = 26,
 };
 enum dma { DMA_SAMPLES_A, DMA_SAMPLES_B, DMA_UART, DMA_PINS };
@@ -78,7 +77,7 @@ void usb_send(const uint8_t *bytes, size_t size);
 bool usb_sending(void);
 /* A packet that the controller already has stays there. */
 size_t usb_cancel(void);
-/* A host has configured the device. */
+/* A host has configured the device and is awake, and a program has opened the port. */
 bool usb_ready(void);
 void usb_interrupt(void);
 

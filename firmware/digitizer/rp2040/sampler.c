@@ -30,23 +30,24 @@ static uint32_t skipped; /* conversions whose results never reached the ring */
 
 void sampler_init(void)
 {
-    PADS_BANK0->gpio[PIN_LINE] = PAD_NO_OUTPUT;
+    PADS_BANK0->io[PIN_LINE] = PADS_BANK0_GPIO0_OD_BITS;
 }
 
 uint32_t sampler_start(uint32_t ticks, struct moment *moment)
 {
-    const uint32_t channel = DMA_EN | DMA_HALFWORDS | DMA_INCR_WRITE | DMA_RING_WRITE(RING_BITS) |
-                             DMA_TREQ(DREQ_ADC) | DMA_QUIET;
+    const uint32_t channel = DMA_CH0_CTRL_TRIG_EN_BITS | DMA_HALFWORDS |
+                             DMA_CH0_CTRL_TRIG_INCR_WRITE_BITS | DMA_RING_WRITE(RING_BITS) |
+                             DMA_TREQ(DREQ_ADC) | DMA_CH0_CTRL_TRIG_IRQ_QUIET_BITS;
 
-    reset_blocks(RESET_ADC);
-    ADC->cs = ADC_CS_EN;
-    while (!(ADC->cs & ADC_CS_READY))
+    reset_blocks(RESETS_RESET_ADC_BITS);
+    ADC->cs = ADC_CS_EN_BITS;
+    while (!(ADC->cs & ADC_CS_READY_BITS))
         ;
-    ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1;
+    ADC->fcs = ADC_FCS_EN_BITS | ADC_FCS_THRESH_1;
     for (int n = DMA_SAMPLES_A; n <= DMA_SAMPLES_B; n++) {
         DMA_CHANNEL(n)->read_addr = (uint32_t)&ADC->fifo;
         DMA_CHANNEL(n)->write_addr = (uint32_t)ring;
-        DMA_CHANNEL(n)->trans_count = TURN;
+        DMA_CHANNEL(n)->transfer_count = TURN;
     }
     DMA_CHANNEL(DMA_SAMPLES_B)->al1_ctrl = channel | DMA_CHAIN_TO(DMA_SAMPLES_A);
     DMA_CHANNEL(DMA_SAMPLES_A)->ctrl_trig = channel | DMA_CHAIN_TO(DMA_SAMPLES_B);
@@ -55,11 +56,12 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
      * long the ADC took to start. */
     interrupts_off();
     ADC->div = (ticks - 1) << 8; /* now: this restarts the divider */
-    ADC->cs = ADC_CS_EN | ADC_CS_START_MANY;
-    while (ADC->fcs & ADC_FCS_EMPTY)
+    ADC->cs = ADC_CS_EN_BITS | ADC_CS_START_MANY_BITS;
+    while (ADC->fcs & ADC_FCS_EMPTY_BITS)
         ;
-    PWM->slice[0].csr = PWM_CSR_EN;
-    ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ; /* at once: the FIFO holds only 4 results */
+    PWM->slice[0].csr = PWM_CH0_CSR_EN_BITS;
+    /* at once: the FIFO holds only 4 results */
+    ADC->fcs = ADC_FCS_EN_BITS | ADC_FCS_THRESH_1 | ADC_FCS_DREQ_EN_BITS;
     uint32_t us = TIMER->timerawl;
     while (TIMER->timerawl == us)
         ;
@@ -79,16 +81,16 @@ uint32_t sampler_start(uint32_t ticks, struct moment *moment)
 
 void sampler_pause(void)
 {
-    ADC->cs = ADC_CS_EN;
+    ADC->cs = ADC_CS_EN_BITS;
 }
 
 void sampler_stop(void)
 {
-    reset_blocks(RESET_ADC);
+    reset_blocks(RESETS_RESET_ADC_BITS);
     DMA_CHANNEL(DMA_SAMPLES_A)->al1_ctrl = 0; /* else the end of one starts the other */
     DMA_CHANNEL(DMA_SAMPLES_B)->al1_ctrl = 0;
-    DMA->chan_abort = 1u << DMA_SAMPLES_A | 1u << DMA_SAMPLES_B;
-    while (DMA->chan_abort)
+    DMA->abort = 1u << DMA_SAMPLES_A | 1u << DMA_SAMPLES_B;
+    while (DMA->abort)
         ;
 }
 
@@ -96,10 +98,10 @@ void sampler_stop(void)
 static uint32_t position(void)
 {
     for (;;) {
-        if (DMA_CHANNEL(DMA_SAMPLES_A)->ctrl_trig & DMA_BUSY)
-            return TURN - DMA_CHANNEL(DMA_SAMPLES_A)->trans_count;
-        if (DMA_CHANNEL(DMA_SAMPLES_B)->ctrl_trig & DMA_BUSY)
-            return (2 * TURN - DMA_CHANNEL(DMA_SAMPLES_B)->trans_count) & POSITION;
+        if (DMA_CHANNEL(DMA_SAMPLES_A)->ctrl_trig & DMA_CH0_CTRL_TRIG_BUSY_BITS)
+            return TURN - DMA_CHANNEL(DMA_SAMPLES_A)->transfer_count;
+        if (DMA_CHANNEL(DMA_SAMPLES_B)->ctrl_trig & DMA_CH0_CTRL_TRIG_BUSY_BITS)
+            return (2 * TURN - DMA_CHANNEL(DMA_SAMPLES_B)->transfer_count) & POSITION;
     }
 }
 
@@ -117,7 +119,7 @@ static uint32_t count_lost(void)
         us = TIMER->timerawl;
         while (TIMER->timerawl == us)
             ;
-        drained = ADC->fcs & ADC_FCS_EMPTY; /* before the position, else that may lack the last */
+        drained = ADC->fcs & ADC_FCS_EMPTY_BITS; /* before the position, else that may lack the last */
         written = position();
         ticks = (time_us() - begin.us) * TICKS_PER_US + begin.tick;
         interrupts_on();
@@ -140,8 +142,8 @@ size_t sampler_take(const uint16_t **samples, uint32_t *lost)
     uint32_t written = position();
 
     *lost = 0;
-    if (ADC->fcs & ADC_FCS_OVER) { /* read after the position: everything before that is intact */
-        ADC->fcs = ADC_FCS_EN | ADC_FCS_THRESH_1 | ADC_FCS_DREQ | ADC_FCS_OVER;
+    if (ADC->fcs & ADC_FCS_OVER_BITS) { /* read after the position: everything before that is intact */
+        ADC->fcs = ADC_FCS_EN_BITS | ADC_FCS_THRESH_1 | ADC_FCS_DREQ_EN_BITS | ADC_FCS_OVER_BITS;
         overflowed = true;
     }
     if (overflowed) {

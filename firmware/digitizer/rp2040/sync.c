@@ -25,11 +25,11 @@ static volatile bool failed;
 /* Sets the line low and resets the slice, which then counts from 0. */
 void sync_stop(void)
 {
-    IO_BANK0->gpio[PIN_SYNC].ctrl = IO_SIO;
-    SIO->out_clr = 1u << PIN_SYNC;
-    SIO->oe_set = 1u << PIN_SYNC;
-    PADS_BANK0->gpio[PIN_SYNC] = PAD_DRIVE_4MA | PAD_SCHMITT | PAD_INPUT;
-    reset_blocks(RESET_PWM);
+    IO_BANK0->io[PIN_SYNC].ctrl = GPIO_FUNC_SIO;
+    SIO->gpio_clr = 1u << PIN_SYNC;
+    SIO->gpio_oe_set = 1u << PIN_SYNC;
+    PADS_BANK0->io[PIN_SYNC] = PAD_DRIVE_4MA | PADS_BANK0_GPIO0_SCHMITT_BITS | PADS_BANK0_GPIO0_IE_BITS;
+    reset_blocks(RESETS_RESET_PWM_BITS);
 }
 
 void sync_prepare(void)
@@ -38,7 +38,7 @@ void sync_prepare(void)
     PWM->slice[0].div = PWM_DIV(SYS_PER_TICK);
     PWM->slice[0].top = FIRST_TICKS - 1;
     PWM->slice[0].cc = 0;
-    IO_BANK0->gpio[PIN_SYNC].ctrl = IO_PWM;
+    IO_BANK0->io[PIN_SYNC].ctrl = GPIO_FUNC_PWM;
 }
 
 /* Programs the period after the programmed one. */
@@ -80,7 +80,7 @@ void sync_start(struct dg *dg, uint32_t begin_tick, const struct moment *moment)
         return;
     program_next();
     PWM->inte = SLICE_0;
-    NVIC_ISER = 1u << IRQ_PWM_WRAP;
+    NVIC_ISER = 1u << PWM_IRQ_WRAP;
 }
 
 bool sync_failed(void)

@@ -9,30 +9,31 @@ static struct byte_ring received;
 
 void uart_init(void)
 {
-    IO_BANK0->gpio[PIN_UART_TX].ctrl = IO_UART;
-    IO_BANK0->gpio[PIN_UART_RX].ctrl = IO_UART;
-    PADS_BANK0->gpio[PIN_UART_TX] = PAD_DRIVE_4MA | PAD_SCHMITT;
-    PADS_BANK0->gpio[PIN_UART_RX] = PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP | PAD_NO_OUTPUT;
+    IO_BANK0->io[PIN_UART_TX].ctrl = GPIO_FUNC_UART;
+    IO_BANK0->io[PIN_UART_RX].ctrl = GPIO_FUNC_UART;
+    PADS_BANK0->io[PIN_UART_TX] = PAD_DRIVE_4MA | PADS_BANK0_GPIO0_SCHMITT_BITS;
+    PADS_BANK0->io[PIN_UART_RX] = PADS_BANK0_GPIO0_IE_BITS | PADS_BANK0_GPIO0_SCHMITT_BITS |
+                                  PADS_BANK0_GPIO0_PUE_BITS | PADS_BANK0_GPIO0_OD_BITS;
 
-    reset_blocks(RESET_UART0);
+    reset_blocks(RESETS_RESET_UART0_BITS);
     UART0->ibrd = 3; /* 96 MHz / (16 · 3) = 2 Mbaud */
     UART0->fbrd = 0;
     UART0->lcr_h = UART_LCR_8N1_FIFO;
-    UART0->dmacr = UART_DMA_TX;
-    UART0->imsc = UART_INT_RX | UART_INT_RX_TIMEOUT;
+    UART0->dmacr = UART_UARTDMACR_TXDMAE_BITS;
+    UART0->imsc = UART_UARTIMSC_RXIM_BITS | UART_UARTIMSC_RTIM_BITS;
     UART0->cr = UART_CR_ENABLE;
 
     DMA->inte0 = 1u << DMA_UART;
-    NVIC_ISER = 1u << IRQ_UART0 | 1u << IRQ_DMA_0;
+    NVIC_ISER = 1u << UART0_IRQ | 1u << DMA_IRQ_0;
 }
 
 void uart_interrupt(void)
 {
-    while (!(UART0->fr & UART_FR_RXFE)) {
+    while (!(UART0->fr & UART_UARTFR_RXFE_BITS)) {
         uint8_t byte = (uint8_t)UART0->dr;
         byte_ring_put(&received, &byte, 1); /* a byte without room: a broken packet, which is counted */
     }
-    UART0->icr = UART_INT_RX_TIMEOUT;
+    UART0->icr = UART_UARTIMSC_RTIM_BITS;
     wake();
 }
 
@@ -52,14 +53,15 @@ void uart_send(const uint8_t *bytes, size_t size)
         return;
     DMA_CHANNEL(DMA_UART)->read_addr = (uint32_t)bytes;
     DMA_CHANNEL(DMA_UART)->write_addr = (uint32_t)&UART0->dr;
-    DMA_CHANNEL(DMA_UART)->trans_count = size;
+    DMA_CHANNEL(DMA_UART)->transfer_count = size;
     DMA_CHANNEL(DMA_UART)->ctrl_trig =
-        DMA_EN | DMA_INCR_READ | DMA_CHAIN_TO(DMA_UART) | DMA_TREQ(DREQ_UART0_TX);
+        DMA_CH0_CTRL_TRIG_EN_BITS | DMA_CH0_CTRL_TRIG_INCR_READ_BITS |
+        DMA_CHAIN_TO(DMA_UART) | DMA_TREQ(DREQ_UART0_TX);
 }
 
 bool uart_sending(void)
 {
-    return DMA_CHANNEL(DMA_UART)->ctrl_trig & DMA_BUSY;
+    return DMA_CHANNEL(DMA_UART)->ctrl_trig & DMA_CH0_CTRL_TRIG_BUSY_BITS;
 }
 
 size_t uart_cancel(void)

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding and DTR are accepted and ignored, but
- * for 1200 baud, by which a host asks for the boot ROM's USB drive, as it does with many boards.
+/* A USB CDC ACM device: bytes both ways in bulk packets. Line coding is accepted and ignored, but for 1200
+ * baud, by which a host asks for the boot ROM's USB drive, as it does with many boards. DTR tells whether a
+ * program has opened the port; one that does not raise it has opened it once it sends something.
  */
 #include "byte_ring.h"
 #include "nodes.h"
@@ -17,6 +18,7 @@ enum { TO_DEVICE = 0x00, TO_INTERFACE = 0x01, TO_ENDPOINT = 0x02, CLASS = 0x20, 
 
 #define IN_BUFFERS 2u
 #define BAUD_OF_BOOTSEL 1200u
+#define DTR 1u /* of the control lines */
 
 struct setup_packet {
     uint8_t request_type, request;
@@ -32,7 +34,7 @@ struct setup_packet {
 static struct byte_ring received;
 static uint8_t serial[8];
 static uint32_t next_data1[3][2]; /* data toggle of each endpoint's next packet */
-static volatile bool configured, receiving, sending;
+static volatile bool configured, opened, suspended, receiving, sending;
 /* Bulk packets that wait for the host to take them; while it takes one, the next is there already. */
 static struct { uint32_t count, oldest; bool first; } offered;
 static const uint8_t *to_send;
@@ -77,7 +79,7 @@ static void copy_out(uint8_t *bytes, uint32_t offset, size_t size)
 /* The control of a buffer: 0, or of the bulk endpoint's two for IN also 1. */
 static volatile uint16_t *control_of(uint32_t endpoint, enum direction direction, uint32_t buffer)
 {
-    return (volatile uint16_t *)&USB_DPRAM->buf_ctrl[endpoint][direction] + buffer;
+    return (volatile uint16_t *)&USB_DPRAM->ep_buf_ctrl[endpoint][direction] + buffer;
 }
 
 /* Gives the controller a buffer: a full one for IN, an empty one for OUT. */
@@ -88,11 +90,11 @@ static void hand_over_buffer(uint32_t endpoint, enum direction direction, uint32
     uint32_t *data1 = &next_data1[endpoint][direction];
 
     bits |= *data1;
-    *data1 ^= USB_BUF_DATA1;
+    *data1 ^= USB_BUF_CTRL_DATA1_PID;
     *control = (uint16_t)bits;
     /* AVAILABLE must reach clk_usb after the other bits: wait 5 of its cycles, 10 of clk_sys */
     __asm__ volatile("nop\n nop\n nop\n nop\n nop\n nop\n nop\n nop\n nop\n nop" ::: "memory");
-    *control = (uint16_t)(bits | USB_BUF_AVAILABLE);
+    *control = (uint16_t)(bits | USB_BUF_CTRL_AVAIL);
 }
 
 static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits)
@@ -103,7 +105,7 @@ static void hand_over(uint32_t endpoint, enum direction direction, uint32_t bits
 static void control_send(const uint8_t *bytes, size_t size)
 {
     copy_in(EP0_BUFFER, bytes, size);
-    hand_over(EP_CONTROL, DIR_IN, USB_BUF_FULL | size);
+    hand_over(EP_CONTROL, DIR_IN, USB_BUF_CTRL_FULL | size);
 }
 
 static void control_receive(void)
@@ -114,15 +116,15 @@ static void control_receive(void)
 static void control_stall(void)
 {
     USB->ep_stall_arm = 3; /* endpoint 0, both directions */
-    USB_DPRAM->buf_ctrl[EP_CONTROL][DIR_IN] = USB_BUF_STALL;
-    USB_DPRAM->buf_ctrl[EP_CONTROL][DIR_OUT] = USB_BUF_STALL;
+    USB_DPRAM->ep_buf_ctrl[EP_CONTROL][DIR_IN] = USB_BUF_CTRL_STALL;
+    USB_DPRAM->ep_buf_ctrl[EP_CONTROL][DIR_OUT] = USB_BUF_CTRL_STALL;
 }
 
 /* Sends the next packet of a reply; after the last one, waits for the host's empty packet. */
 static void reply_next(void)
 {
     if (!reply_left && !reply_zero) {
-        next_data1[EP_CONTROL][DIR_OUT] = USB_BUF_DATA1;
+        next_data1[EP_CONTROL][DIR_OUT] = USB_BUF_CTRL_DATA1_PID;
         control_receive();
         return;
     }
@@ -209,7 +211,7 @@ static void send_packet(void)
     uint32_t buffer = (offered.oldest + offered.count) % IN_BUFFERS;
     copy_in(IN_BUFFER + buffer * USB_PACKET, to_send, size);
     hand_over_buffer(EP_DATA, DIR_IN, buffer,
-                     USB_BUF_FULL | (offered.first ? USB_BUF_RESET : 0) | size);
+                     USB_BUF_CTRL_FULL | (offered.first ? USB_BUF_CTRL_SEL : 0) | size);
     offered.count++;
     offered.first = false;
     to_send += size;
@@ -229,7 +231,7 @@ static void send_packets(void)
 static void packets_taken(void)
 {
     while (offered.count &&
-           !(*control_of(EP_DATA, DIR_IN, offered.oldest) & USB_BUF_AVAILABLE)) {
+           !(*control_of(EP_DATA, DIR_IN, offered.oldest) & USB_BUF_CTRL_AVAIL)) {
         offered.oldest = (offered.oldest + 1) % IN_BUFFERS;
         offered.count--;
     }
@@ -245,12 +247,30 @@ static void receive_next(void)
         hand_over(EP_DATA, DIR_OUT, USB_PACKET);
 }
 
+/* Nobody reads any more: discards what was left to send. The packets that the controller has stay there,
+ * because the host may be about to take one, but of zeros: the next program gets delimiters, nothing stale. */
+static void let_go(void)
+{
+    to_send_left = 0;
+    sending = held_back = false;
+    for (uint32_t i = 0; i < offered.count; i++)
+        for (uint32_t place = 0; place < USB_PACKET; place += 4)
+            *memory(IN_BUFFER + (offered.oldest + i) % IN_BUFFERS * USB_PACKET + place) = 0;
+}
+
+static void open(bool by_host)
+{
+    if (!by_host)
+        let_go();
+    opened = by_host;
+}
+
 /* Discards what was left to send, including the packet in the controller: it was for another host. */
 static void set_configuration(uint8_t configuration)
 {
     for (uint32_t endpoint = EP_NOTIFY; endpoint <= EP_DATA; endpoint++) {
         for (uint32_t direction = DIR_IN; direction <= DIR_OUT; direction++) {
-            USB_DPRAM->buf_ctrl[endpoint][direction] = 0;
+            USB_DPRAM->ep_buf_ctrl[endpoint][direction] = 0;
             next_data1[endpoint][direction] = 0;
         }
     }
@@ -258,6 +278,7 @@ static void set_configuration(uint8_t configuration)
     offered.count = offered.oldest = 0;
     offered.first = true;
     to_send_left = 0;
+    opened = suspended = false;
     configured = configuration != 0;
     if (configured)
         receive_next();
@@ -278,8 +299,8 @@ static void clear_halt(const struct setup_packet *setup)
     else
         for (uint32_t i = 0; i < offered.count; i++) {
             uint32_t buffer = (offered.oldest + i) % IN_BUFFERS;
-            uint32_t size = *control_of(EP_DATA, DIR_IN, buffer) & USB_BUF_LENGTH;
-            hand_over_buffer(EP_DATA, DIR_IN, buffer, USB_BUF_FULL | size);
+            uint32_t size = *control_of(EP_DATA, DIR_IN, buffer) & USB_BUF_CTRL_LEN_MASK;
+            hand_over_buffer(EP_DATA, DIR_IN, buffer, USB_BUF_CTRL_FULL | size);
         }
 }
 
@@ -297,6 +318,7 @@ static bool obey(const struct setup_packet *setup)
         clear_halt(setup);
         break;
     case (CLASS | TO_INTERFACE) << 8 | SET_CONTROL_LINE_STATE:
+        open(setup->value & DTR);
         break;
     default:
         return false;
@@ -310,7 +332,7 @@ static void control_request(void)
     static const uint8_t zeros[2];
     static const uint8_t line_coding[7] = {LE16(0xc200), LE16(1), 0, 0, 8}; /* 115200 8N1 */
     static uint8_t configuration;
-    uint32_t low = USB_DPRAM->setup[0], high = USB_DPRAM->setup[1];
+    uint32_t low = USB_DPRAM->setup_packet[0], high = USB_DPRAM->setup_packet[1];
     struct setup_packet setup = {
         .request_type = (uint8_t)low,
         .request = (uint8_t)(low >> 8),
@@ -319,7 +341,7 @@ static void control_request(void)
         .length = (uint16_t)(high >> 16),
     };
 
-    next_data1[EP_CONTROL][DIR_IN] = next_data1[EP_CONTROL][DIR_OUT] = USB_BUF_DATA1;
+    next_data1[EP_CONTROL][DIR_IN] = next_data1[EP_CONTROL][DIR_OUT] = USB_BUF_CTRL_DATA1_PID;
     new_address = 0;
     switch (setup.request_type << 8 | setup.request) {
     case (FROM_DEVICE | TO_DEVICE) << 8 | GET_DESCRIPTOR:
@@ -349,12 +371,12 @@ static void control_request(void)
 /* The host has read or filled a buffer. */
 static void buffer_done(uint32_t endpoint, enum direction direction)
 {
-    uint32_t size = USB_DPRAM->buf_ctrl[endpoint][direction] & USB_BUF_LENGTH;
+    uint32_t size = USB_DPRAM->ep_buf_ctrl[endpoint][direction] & USB_BUF_CTRL_LEN_MASK;
     uint8_t bytes[USB_PACKET];
 
     if (endpoint == EP_CONTROL && direction == DIR_IN) {
         if (new_address) {
-            USB->addr_endp[0] = new_address;
+            USB->dev_addr_ctrl = new_address;
             new_address = 0;
         } else if (reply) {
             reply_next();
@@ -372,6 +394,7 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
     } else {
         copy_out(bytes, OUT_BUFFER, size);
         byte_ring_put(&received, bytes, size);
+        opened = true;
         receive_next();
     }
 }
@@ -380,35 +403,41 @@ void usb_interrupt(void)
 {
     uint32_t status = USB->ints;
 
-    if (status & USB_INT_DEV_SOF) {
+    if (status & USB_INTS_DEV_SUSPEND_BITS) { /* no frame for 3 ms: it sleeps or is gone, or else is back */
+        USB->sie_status = USB_SIE_STATUS_SUSPENDED_BITS;
+        suspended = true;
+        let_go();
+    }
+    if (status & USB_INTS_DEV_SOF_BITS) {
         frame_us = TIMER->timerawl;
         (void)USB->sof_rd;
+        suspended = false;
         if (held_back)
             send_packets();
     }
-    if (status & USB_INT_BUS_RESET) {
-        USB->sie_status = USB_SIE_STATUS_BUS_RESET;
-        USB->addr_endp[0] = 0;
-        USB->buff_status = ~0u; /* of transfers before the reset */
+    if (status & USB_INTS_BUS_RESET_BITS) {
+        USB->sie_status = USB_SIE_STATUS_BUS_RESET_BITS;
+        USB->dev_addr_ctrl = 0;
+        USB->buf_status = ~0u; /* of transfers before the reset */
         set_configuration(0);
     }
-    if (status & USB_INT_BUFF_STATUS) { /* before a new request, because it completes the previous one */
-        uint32_t done = USB->buff_status;
+    if (status & USB_INTS_BUFF_STATUS_BITS) { /* before a new request, because it completes the previous one */
+        uint32_t done = USB->buf_status;
         for (uint32_t i = 0; i < 2 * (EP_DATA + 1); i++) {
             if (done & 1u << i) {
-                USB->buff_status = 1u << i;
+                USB->buf_status = 1u << i;
                 buffer_done(i / 2, i % 2 ? DIR_OUT : DIR_IN);
             }
         }
     }
-    if (status & USB_INT_SETUP_REQ) {
-        USB->sie_status = USB_SIE_STATUS_SETUP_REC;
+    if (status & USB_INTS_SETUP_REQ_BITS) {
+        USB->sie_status = USB_SIE_STATUS_SETUP_REC_BITS;
         for (uint32_t direction = DIR_IN; direction <= DIR_OUT; direction++)
-            USB_DPRAM->buf_ctrl[EP_CONTROL][direction] = 0; /* of an abandoned request */
+            USB_DPRAM->ep_buf_ctrl[EP_CONTROL][direction] = 0; /* of an abandoned request */
         reply = NULL;
         control_request();
     }
-    if (status & ~USB_INT_DEV_SOF)
+    if (status & ~USB_INTS_DEV_SOF_BITS)
         wake();
 }
 
@@ -416,26 +445,27 @@ void usb_init(const uint8_t id[8])
 {
     for (size_t i = 0; i < sizeof serial; i++)
         serial[i] = id[i];
-    reset_blocks(RESET_USBCTRL);
+    reset_blocks(RESETS_RESET_USBCTRL_BITS);
     for (uint32_t offset = 0; offset < EP0_BUFFER; offset += 4)
         *memory(offset) = 0;
-    const uint32_t on = USB_EP_ENABLE | USB_EP_INT_PER_BUFFER;
+    const uint32_t on = EP_CTRL_ENABLE_BITS | EP_CTRL_INTERRUPT_PER_BUFFER;
     USB_DPRAM->ep_ctrl[EP_NOTIFY - 1][DIR_IN] = on | USB_EP_TYPE(USB_INTERRUPT) | NOTIFY_BUFFER;
-    USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_IN] = on | USB_EP_DOUBLE_BUFFERED | USB_EP_TYPE(USB_BULK) |
+    USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_IN] = on | EP_CTRL_DOUBLE_BUFFERED_BITS | USB_EP_TYPE(USB_BULK) |
                                               IN_BUFFER;
     USB_DPRAM->ep_ctrl[EP_DATA - 1][DIR_OUT] = on | USB_EP_TYPE(USB_BULK) | OUT_BUFFER;
 
-    USB->muxing = USB_MUXING_TO_PHY | USB_MUXING_SOFTCON;
-    USB->pwr = USB_PWR_VBUS_DETECT | USB_PWR_VBUS_DETECT_OVERRIDE;
-    USB->main_ctrl = USB_MAIN_CTRL_EN;
-    USB->inte = USB_INT_BUFF_STATUS | USB_INT_BUS_RESET | USB_INT_SETUP_REQ | USB_INT_DEV_SOF;
-    NVIC_ISER = 1u << IRQ_USBCTRL;
-    USB->sie_ctrl = USB_SIE_CTRL_EP0_INT_1BUF | USB_SIE_CTRL_PULLUP_EN;
+    USB->muxing = USB_USB_MUXING_TO_PHY_BITS | USB_USB_MUXING_SOFTCON_BITS;
+    USB->pwr = USB_USB_PWR_VBUS_DETECT_BITS | USB_USB_PWR_VBUS_DETECT_OVERRIDE_EN_BITS;
+    USB->main_ctrl = USB_MAIN_CTRL_CONTROLLER_EN_BITS;
+    USB->inte = USB_INTS_BUFF_STATUS_BITS | USB_INTS_BUS_RESET_BITS | USB_INTS_SETUP_REQ_BITS |
+                USB_INTS_DEV_SOF_BITS | USB_INTS_DEV_SUSPEND_BITS;
+    NVIC_ISER = 1u << USBCTRL_IRQ;
+    USB->sie_ctrl = USB_SIE_CTRL_EP0_INT_1BUF_BITS | USB_SIE_CTRL_PULLUP_EN_BITS;
 }
 
 bool usb_ready(void)
 {
-    return configured;
+    return configured && opened && !suspended;
 }
 
 size_t usb_read(uint8_t *bytes, size_t size)
@@ -451,8 +481,8 @@ size_t usb_read(uint8_t *bytes, size_t size)
 
 void usb_send(const uint8_t *bytes, size_t size)
 {
-    interrupts_off(); /* a bus reset would end all sending */
-    if (configured && (size || (sent_full && !offered.count))) {
+    interrupts_off(); /* a bus reset or a closed port would end all sending */
+    if (usb_ready() && (size || (sent_full && !offered.count))) {
         to_send = bytes;
         to_send_left = size;
         sending = true;

@@ -12,14 +12,9 @@
 #include "pins.h"
 #include "rp2040.h"
 
-static bool always(void)
-{
-    return true;
-}
-
 const char nodes_product[] = "Tactile skin demonstrator";
 /* The UART's pins are nodes. What is sent before a host has configured the device is lost. */
-const struct dg_link nodes_links[] = {{always, usb_read, usb_send, usb_sending, usb_cancel}};
+const struct dg_link nodes_links[] = {{usb_ready, usb_read, usb_send, usb_sending, usb_cancel}};
 const size_t nodes_link_count = 1;
 
 static struct demonstrator demo;

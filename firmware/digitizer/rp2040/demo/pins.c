@@ -45,22 +45,22 @@ static struct {
 
 static void release(void)
 {
-    SIO->oe_clr = ALL_PINS;
+    SIO->gpio_oe_clr = ALL_PINS;
     for (uint32_t pin = 0; pin < DEMO_NODES; pin++)
-        IO_BANK0->gpio[pin].ctrl = IO_SIO;
+        IO_BANK0->io[pin].ctrl = GPIO_FUNC_SIO;
 }
 
 void pins_init(void)
 {
     release();
     for (uint32_t pin = 0; pin < DEMO_NODES; pin++)
-        PADS_BANK0->gpio[pin] = PAD_DRIVE_4MA; /* without the pull-down of a reset */
+        PADS_BANK0->io[pin] = PAD_DRIVE_4MA; /* without the pull-down of a reset */
 }
 
 static int32_t converted(void)
 {
-    ADC->cs = ADC_CS_EN | ADC_CS_START_ONCE;
-    while (!(ADC->cs & ADC_CS_READY))
+    ADC->cs = ADC_CS_EN_BITS | ADC_CS_START_ONCE_BITS;
+    while (!(ADC->cs & ADC_CS_READY_BITS))
         ;
     return (int32_t)ADC->result;
 }
@@ -72,24 +72,24 @@ bool pins_are_wired(void)
     const int32_t rounds = 64, least = 20; /* counts. Chosen: half of one resistor's */
     int32_t sum = 0;
 
-    reset_blocks(RESET_ADC);
-    PADS_BANK0->gpio[PIN_LINE] = PAD_NO_OUTPUT | PAD_PULL_DOWN;
-    ADC->cs = ADC_CS_EN;
-    while (!(ADC->cs & ADC_CS_READY))
+    reset_blocks(RESETS_RESET_ADC_BITS);
+    PADS_BANK0->io[PIN_LINE] = PADS_BANK0_GPIO0_OD_BITS | PADS_BANK0_GPIO0_PDE_BITS;
+    ADC->cs = ADC_CS_EN_BITS;
+    while (!(ADC->cs & ADC_CS_READY_BITS))
         ;
-    SIO->oe_set = ALL_PINS;
+    SIO->gpio_oe_set = ALL_PINS;
     for (int32_t i = 0; i < rounds; i++) {
-        SIO->out_set = ALL_PINS;
+        SIO->gpio_set = ALL_PINS;
         for (int n = 0; n < 8; n++) /* 16 µs, in which the line settles */
             converted();
         sum += converted();
-        SIO->out_clr = ALL_PINS;
+        SIO->gpio_clr = ALL_PINS;
         for (int n = 0; n < 8; n++)
             converted();
         sum -= converted();
     }
-    SIO->oe_clr = ALL_PINS;
-    PADS_BANK0->gpio[PIN_LINE] = PAD_NO_OUTPUT;
+    SIO->gpio_oe_clr = ALL_PINS;
+    PADS_BANK0->io[PIN_LINE] = PADS_BANK0_GPIO0_OD_BITS;
     return sum > rounds * least;
 }
 
@@ -101,10 +101,10 @@ void pins_start(uint32_t chip_us)
     for (uint32_t i = 0; i < PROGRAM_SIZE; i++)
         PIO0->instr_mem[i] = program[i];
     PIO0->sm[0].execctrl = PIO_EXECCTRL_WRAP(0, PROGRAM_SIZE - 1);
-    PIO0->sm[0].shiftctrl = PIO_SHIFTCTRL_OUT_RIGHT | PIO_SHIFTCTRL_AUTOPULL;
+    PIO0->sm[0].shiftctrl = PIO_SM0_SHIFTCTRL_OUT_SHIFTDIR_BITS | PIO_SM0_SHIFTCTRL_AUTOPULL_BITS;
     PIO0->sm[0].pinctrl = PIO_PINCTRL_OUT(0, DEMO_NODES);
     for (uint32_t pin = 0; pin < DEMO_NODES; pin++)
-        IO_BANK0->gpio[pin].ctrl = IO_PIO0;
+        IO_BANK0->io[pin].ctrl = GPIO_FUNC_PIO0;
     PIO0->ctrl = PIO_CTRL_SM0_ENABLE;
 }
 
@@ -112,15 +112,15 @@ void pins_stop(void)
 {
     release();
     DMA_CHANNEL(DMA_PINS)->al1_ctrl = 0;
-    DMA->chan_abort = 1u << DMA_PINS;
-    while (DMA->chan_abort)
+    DMA->abort = 1u << DMA_PINS;
+    while (DMA->abort)
         ;
-    reset_blocks(RESET_PIO0);
+    reset_blocks(RESETS_RESET_PIO0_BITS);
 }
 
 bool pins_want_frame(void)
 {
-    return !(DMA_CHANNEL(DMA_PINS)->ctrl_trig & DMA_BUSY);
+    return !(DMA_CHANNEL(DMA_PINS)->ctrl_trig & DMA_CH0_CTRL_TRIG_BUSY_BITS);
 }
 
 void pins_play(const uint32_t *chips, uint32_t count)
@@ -129,8 +129,9 @@ void pins_play(const uint32_t *chips, uint32_t count)
     memcpy(frame.chips, chips, count * sizeof *chips);
     DMA_CHANNEL(DMA_PINS)->read_addr = (uint32_t)&frame;
     DMA_CHANNEL(DMA_PINS)->write_addr = (uint32_t)&PIO0->txf[0];
-    DMA_CHANNEL(DMA_PINS)->trans_count = 3 + count;
-    DMA_CHANNEL(DMA_PINS)->ctrl_trig = DMA_EN | DMA_WORDS | DMA_INCR_READ | DMA_QUIET |
+    DMA_CHANNEL(DMA_PINS)->transfer_count = 3 + count;
+    DMA_CHANNEL(DMA_PINS)->ctrl_trig = DMA_CH0_CTRL_TRIG_EN_BITS | DMA_WORDS |
+                                       DMA_CH0_CTRL_TRIG_INCR_READ_BITS | DMA_CH0_CTRL_TRIG_IRQ_QUIET_BITS |
                                        DMA_TREQ(DREQ_PIO0_TX0) | DMA_CHAIN_TO(DMA_PINS);
 }
 
