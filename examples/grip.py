@@ -57,5 +57,5 @@ if __name__ == "__main__":
     try:
         rclpy.spin(Grip())
     except BaseException:
-        if rclpy.ok():  # else Ctrl-C or a signal ended it, of which a wait may hear in many ways
+        if rclpy.ok():  # else a signal has ended it, of which a wait hears in many ways
             raise
