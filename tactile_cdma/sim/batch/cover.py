@@ -14,6 +14,10 @@ from ...places.layout import Layout
 from ..indenters import Axis, Foundation, HeightMap, Indenter, Spans
 from .standard import Array, array_api
 
+AT_ONCE = 1 << 15
+"""Points × environments that numpy takes at once. Chosen: they stay in a core's cache, which makes
+1,000 environments twice as fast or more."""
+
 
 class BatchCover:
     """The elastic cover of e equal skins of t taxels.
@@ -59,6 +63,25 @@ class BatchCover:
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin.
         """
+        given, envs = (position_m, orientation_xyzw, force_n), position_m.shape[0]
+        few = max(1, AT_ONCE // len(self._points_m))
+        if envs <= few or not array_api().is_numpy_array(position_m):
+            return self._pressure_pa(thing, *given)
+        parts = (slice(begin, begin + few) for begin in range(0, envs, few))
+        return np.concatenate(
+            [
+                self._pressure_pa(thing, *(each if each is None else each[part] for each in given))
+                for part in parts
+            ]
+        )
+
+    def _pressure_pa(
+        self,
+        thing: Indenter,
+        position_m: Array,
+        orientation_xyzw: Array | None,
+        force_n: Array | None,
+    ) -> Array:
         api = array_api()
         xp, where = api.array_namespace(position_m), api.device(position_m)
 

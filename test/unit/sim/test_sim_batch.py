@@ -254,6 +254,9 @@ def test_pressed_with_a_force_the_cover_answers_with_it(asarray: Callable[..., A
             felt_pa = cover.pressure_pa(thing, asarray(places_m), force_n=asarray(force_n))
             felt_n = np.asarray(felt_pa) @ cover.areas_m2
             np.testing.assert_allclose(felt_n, wanted_n, atol=1e-9)
+            many = np.resize(places_m, (300, 3)), None, np.resize(force_n, 300)  # more than at once
+            again_pa = cover.pressure_pa(thing, *many)
+            np.testing.assert_allclose(again_pa, np.resize(felt_pa, (300, 24)), rtol=1e-6)
     with pytest.raises(ParameterError, match="flat skins"):
         layout = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
                                 "frame_period_ms": 40.0}).layout  # fmt: skip
