@@ -7,10 +7,7 @@ It publishes /gripper/close_mm, /gripper/gripped and /arm/stop, one of each per 
 for slip: --ros-args -p slip_m_s:=1.0e9. docs/programs.md has its limits.
 """
 
-from contextlib import suppress
-
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 
@@ -57,5 +54,8 @@ class Grip(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
+    try:
         rclpy.spin(Grip())
+    except BaseException:
+        if rclpy.ok():  # else a signal has ended it, of which a wait hears in many ways
+            raise

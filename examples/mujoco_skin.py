@@ -9,6 +9,7 @@ examples/mujoco_hand.py use examples/mujoco_skin.py.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -28,6 +29,7 @@ from tactile_cdma.sim import (
     Indenter,
     Sphere,
     at_force,
+    pressed_pa,
 )
 from tactile_cdma.sim.indenters import STIFFNESS_PA_PER_M
 
@@ -85,6 +87,14 @@ class MujocoSkin:
         is not for the topic. Raises ParameterError for other geoms. On a flat skin an object is
         pressed along its normal, on a curved one along its force.
         """
+        return [at_force(self._cover, *press) for press in self._presses(data)]
+
+    def pressure_pa(self, data: Any) -> Floats:
+        """Mean pressure of these on every taxel, (t,), Pa, for SkinBatch; quicker."""
+        return pressed_pa(self._cover, self._presses(data))
+
+    def _presses(self, data: Any) -> list[tuple[Indenter, float, list[float]]]:
+        """What touches it, where MuJoCo has it; force, N, and direction in which it is pressed."""
         frame = self.frame(data)
         inverse = frame.inverse
         found = []
@@ -94,7 +104,7 @@ class MujocoSkin:
                 force_n = float(np.linalg.norm(vector_n))
             if force_n > 0:
                 thing = self._object(data, geom, frame, inverse, along)
-                found.append(at_force(self._cover, thing, force_n, along.tolist()))
+                found.append((thing, force_n, along.tolist()))
         return found
 
     def _found(self, on: Geom | Sequence[Geom]) -> tuple[tuple[str, str], int, frozenset[int]]:
@@ -161,21 +171,9 @@ class MujocoSkin:
         pose = inverse @ _pose(data.geom_xpos[geom], data.geom_xmat[geom])
         if kind == kinds.mjGEOM_PLANE:
             pose = pose @ Pose(np.eye(3), np.array([0, 0, -PLANE_M[2] / 2]))
-        common: dict[str, Any] = {
-            "position_m": pose.translation_m.tolist(),
-            "orientation_xyzw": pose.quaternion.tolist(),
-            "stiffness_pa_per_m": self._stiffness_pa_per_m,
-        }
-        if kind == kinds.mjGEOM_SPHERE:
-            return Sphere(radius_m=float(size[0]), **common)
-        if kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
-            shape = Cylinder if kind == kinds.mjGEOM_CYLINDER else Capsule
-            return shape(radius_m=float(size[0]), length_m=float(2 * size[1]), **common)
-        if kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_PLANE):
-            edges_m = PLANE_M if kind == kinds.mjGEOM_PLANE else (2 * size).tolist()
-            return Box(size_m=edges_m, **common)
-        if kind == kinds.mjGEOM_ELLIPSOID:
-            return Ellipsoid(size_m=(2 * size).tolist(), **common)
+        shape = _shape(kind.name, *size.tolist(), self._stiffness_pa_per_m)
+        if shape is not None:
+            return shape.placed(pose)
         name = self._mujoco.mj_id2name(self._model, self._mujoco.mjtObj.mjOBJ_GEOM, geom)
         raise ParameterError(
             f"geom {name or geom} is a {kind.name}; the skin feels spheres, cylinders, capsules, "
@@ -201,6 +199,26 @@ class MujocoSkin:
             orientation_xyzw=map_pose.quaternion.tolist(),
             stiffness_pa_per_m=self._stiffness_pa_per_m,
         )
+
+
+@lru_cache
+def _shape(kind: str, x_m: float, y_m: float, z_m: float, stiffness: float) -> Indenter | None:
+    """A geom of this kind and size, MuJoCo's, at home; checked once, not in every frame."""
+    common: dict[str, Any] = {"position_m": (0, 0, 0), "stiffness_pa_per_m": stiffness}
+    match kind:
+        case "mjGEOM_SPHERE":
+            return Sphere(radius_m=x_m, **common)
+        case "mjGEOM_CYLINDER":
+            return Cylinder(radius_m=x_m, length_m=2 * y_m, **common)
+        case "mjGEOM_CAPSULE":
+            return Capsule(radius_m=x_m, length_m=2 * y_m, **common)
+        case "mjGEOM_PLANE":
+            return Box(size_m=PLANE_M, **common)
+        case "mjGEOM_BOX":
+            return Box(size_m=(2 * x_m, 2 * y_m, 2 * z_m), **common)
+        case "mjGEOM_ELLIPSOID":
+            return Ellipsoid(size_m=(2 * x_m, 2 * y_m, 2 * z_m), **common)
+    return None
 
 
 def _pose(place_m: Any, turned: Any) -> Pose:

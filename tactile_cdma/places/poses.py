@@ -51,19 +51,16 @@ class Pose:
     @property
     def quaternion(self) -> Floats:
         """The rotation as (4,) float64: x, y, z, w, of length 1, w ≥ 0."""
-        r = self.rotation
+        (a, b, c), (d, e, f), (g, h, i) = self.rotation.tolist()
         # 4·q·qᵀ: the row with the largest diagonal entry is the most accurate (Markley 2008).
-        outer = np.array(
-            [
-                [1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], 0],
-                [0, 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1], 0],
-                [0, 0, 1 - r[0, 0] - r[1, 1] + r[2, 2], 0],
-                [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + np.trace(r)],
-            ]
+        rows = (
+            (1 + a - e - i, b + d, c + g, h - f),
+            (b + d, 1 - a + e - i, f + h, c - g),
+            (c + g, f + h, 1 - a - e + i, d - b),
+            (h - f, c - g, d - b, 1 + a + e + i),
         )
-        outer += np.tril(outer, -1).T + np.triu(outer, 1).T
-        row = outer[outer.diagonal().argmax()]
-        return np.asarray(math.copysign(1.0, row[3]) * row / np.linalg.norm(row))
+        row = rows[max(range(4), key=lambda n: rows[n][n])]
+        return np.array(row) * (math.copysign(1.0, row[3]) / math.hypot(*row))
 
     @property
     def inverse(self) -> Pose:

@@ -194,18 +194,21 @@ class ContactTracker:
         if not count:
             is_same = not len(last) and coverage == last.coverage
             return last if is_same else replace(NO_CONTACTS, coverage=coverage)
-        each = np.append(found.starts, len(found.taxels))
-        labels = np.arange(count).repeat(each[1:] - each[:-1])
+        begins = found.starts.tolist()
+        ends = [*begins[1:], len(found.taxels)]
+        labels = np.arange(count).repeat(np.subtract(ends, begins))
         origin, torn = _origins(found.places, labels, len(last), count)
         torn |= found.torn
         sums = found.moments
         position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
-        new = (origin < 0).nonzero()[0]
-        ids, age_s = np.append(last.ids, 0)[origin], np.append(last.age_s, 0.0)[origin] + passed_s
-        ids[new], age_s[new] = np.arange(self.next_id, self.next_id + len(new)), 0.0
-        self.next_id += len(new)
+        ids, age_s, new = last.ids, last.age_s + passed_s, (origin < 0).nonzero()[0]
+        if len(new):
+            ids, age_s = np.append(ids, 0), np.append(age_s, 0.0)  # of these, whose origin is −1
+        ids, age_s = ids[origin], age_s[origin]
+        if len(new):
+            ids[new] = np.arange(self.next_id, self.next_id + len(new))
+            self.next_id += len(new)
         velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
-        begins, ends = each[:-1].tolist(), each[1:].tolist()
         return Contacts(
             coverage=coverage,
             ids=ids,

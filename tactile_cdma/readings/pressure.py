@@ -50,15 +50,20 @@ class PressureChain:
         voltage_v: (n,) float32, V. valid: (n,) bool, nodes whose voltage is a reading. t_s: device
         time, s.
         """
-        bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
-        pressure_pa = self.calibration.curves.pressure(corrected_v)
-        saturated = (corrected_v - bounds.end_v) * bounds.sign < 0
-        off_rest = (corrected_v - bounds.rest_v) * bounds.sign > bounds.margin_v
+        pressure_pa, saturated, off_rest = self.convert(voltage_v)
         reading_pa = pressure_pa - self.baseline.tare_pa
         self._last, self._moved = (voltage_v, pressure_pa, valid), False
         if not 0 <= t_s - self.looked_s < LOOK_S:
             self.look(*self._last, t_s)
         return reading_pa, saturated, off_rest
+
+    def convert(self, voltage_v: Floats32) -> tuple[Floats32, Bools, Bools]:
+        """As update, but before the tare, of voltages (…, n), V; nothing is updated."""
+        bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
+        pressure_pa = self.calibration.curves.pressure(corrected_v)
+        saturated = (corrected_v - bounds.end_v) * bounds.sign < 0
+        off_rest = (corrected_v - bounds.rest_v) * bounds.sign > bounds.margin_v
+        return pressure_pa, saturated, off_rest
 
     def look(self, voltage_v: Floats32, pressure_pa: Floats32, valid: Bools, t_s: float) -> None:
         """Pass a frame's readings on to tare and drift; to be called once every LOOK_S.

@@ -128,5 +128,5 @@ def finish(
     status, invalid = heard.status, ~heard.valid | off_rest
     status |= (saturated & heard.valid) * _SATURATED | (off_rest & heard.valid) * _FAULTY
     status |= uncalibrated * _UNCALIBRATED
-    status[masked] = Status.MASKED
+    status[..., masked] = Status.MASKED
     reading_pa[invalid] = heard.voltage_v[invalid] = np.nan

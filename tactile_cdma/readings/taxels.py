@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import is_not
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..places.layout import Layout
-from ..words.decode import AUTO_FLOOR, Words
+from ..words.decode import AUTO_FLOOR, Words, silent
 from ..words.health import NodeHealth, NodeState
 from ..words.lateness import out_of_place
 from ..words.tones import toned
@@ -25,7 +25,7 @@ from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
 from .readout import DOUBTFUL, LEFT, NOBODY, ODD, Conditions, Readout
-from .stages import Kept, Trust, finish, hear
+from .stages import Heard, Kept, Trust, finish, hear
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
@@ -326,6 +326,16 @@ class Taxels:
         self._silence = None if anybody else readings
         return readings
 
+    def of_codes(self, codes: NDArray[np.int32], health: NodeHealth) -> Readings:
+        """The readings (k, t) if all nodes said these codes, (k,); nothing is updated."""
+        nodes = len(self._masked)
+        said = codes[:, None].repeat(nodes, axis=1)
+        spoke, flags = np.ones(said.shape, np.bool_), np.zeros(said.shape, np.uint8)
+        words = replace(silent(nodes, 0.0), active=spoke, codes=said)
+        heard = self._hear(words, Kept(said, flags, np.zeros(said.shape)), 0.0, health)
+        pressure_pa, *found = self.chain.convert(heard.meant_v)
+        return self._finished(heard, pressure_pa - self.baseline.tare_pa, *found)
+
     def try_hold(self, t_device: float) -> Readings | None:
         """The readings of a frame in which no node spoke, if they are those of the last one.
 
@@ -339,13 +349,18 @@ class Taxels:
         return self._silence
 
     def _read(self, words: Words, t_device: float, health: NodeHealth) -> Readings:
-        trust = self._trusted(health)
-        heard = hear(
-            words, self._kept, self._voltage_of, trust, self.chain.bounds, t_device,
-            self.stale_after_s,
-        )  # fmt: skip
+        heard = self._hear(words, self._kept, t_device, health)
         self._stale_from_s = heard.stale_from_s
-        pressure_pa, saturated, off_rest = self.chain.update(heard.meant_v, heard.valid, t_device)
+        return self._finished(heard, *self.chain.update(heard.meant_v, heard.valid, t_device))
+
+    def _hear(self, words: Words, kept: Kept, t_device: float, health: NodeHealth) -> Heard:
+        trust = self._trusted(health)
+        table_v, bounds = self._voltage_of, self.chain.bounds
+        return hear(words, kept, table_v, trust, bounds, t_device, self.stale_after_s)
+
+    def _finished(
+        self, heard: Heard, pressure_pa: Floats32, saturated: Bools, off_rest: Bools
+    ) -> Readings:
         uncalibrated = self.chain.calibration.uncalibrated
         finish(heard, saturated, off_rest, uncalibrated, self._masked, pressure_pa)
         return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))
@@ -364,11 +379,11 @@ class Taxels:
         source = self._layout.source
         if source is None:
             return readings
-        pressure_pa, voltage_v = readings.pressure_pa[source], readings.voltage_v[source]
-        status = readings.status[source]
+        pressure_pa, voltage_v = readings.pressure_pa[..., source], readings.voltage_v[..., source]
+        status = readings.status[..., source]
         nobody = source < 0
-        pressure_pa[nobody] = voltage_v[nobody] = np.nan
-        status[nobody] = Status.MASKED
+        pressure_pa[..., nobody] = voltage_v[..., nobody] = np.nan
+        status[..., nobody] = Status.MASKED
         return Readings(pressure_pa, voltage_v, status)
 
 

@@ -13,7 +13,7 @@ at once, without the line; docs/simulation.md.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .depth import at_force
+from .depth import at_force, pressed_pa
 from .indenters import (
     Box,
     Capsule,
@@ -37,6 +37,7 @@ __all__ = [
     "SkinBatch",
     "Sphere",
     "at_force",
+    "pressed_pa",
 ]
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -31,8 +31,11 @@ placed to a twelfth of a taxel's edge, or better."""
 _STEEP, _MAP_STEPS = 0.2, 3
 """Least slope of a line to a height map's plane, and how often the place where it meets the map is
 looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""
-Spans = tuple[Floats, Floats]
+Spans = tuple[Any, Any]
 """Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
+Axis = tuple[Any, Any]
+"""Along one axis of an object: lines' points, (m,), m, and parts of their unit directions, (m,), or
+(1,) where all are the same; for many objects (e, m), by the array API standard."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,18 +83,25 @@ class Indenter(ABC):
 
     def moved(self, by_m: Floats) -> Self:
         """The same object elsewhere, (3,), m; not checked again."""
-        thing = copy(self)
-        pose = Pose(self.pose.rotation, self.pose.translation_m + by_m)
+        thing, pose = copy(self), Pose(self.pose.rotation, self.pose.translation_m + by_m)
         vars(thing).update(position_m=tuple(pose.translation_m.tolist()), pose=pose)
+        return thing
+
+    def placed(self, pose: Pose) -> Self:
+        """The same object in another pose; not checked again."""
+        thing, turned = copy(self), tuple(pose.quaternion.tolist())
+        place_m = tuple(pose.translation_m.tolist())
+        vars(thing).update(position_m=place_m, orientation_xyzw=turned, pose=pose)
         return thing
 
     def spans_m(self, points_m: Floats, normals: Floats) -> Spans:
         """Where lines along the normals of a surface enter and leave it, as heights above there.
 
-        points_m, normals: (m, 3), in the skin's frame.
+        points_m, normals: (m, 3), in the skin's frame; normals (1, 3) where all are the same.
         """
         own = self.pose.inverse
-        return self._spans(own.apply(points_m), own.rotate(normals))
+        places_m = own.rotation @ points_m.T + own.translation_m[:, None]
+        return self.spans(tuple(zip(places_m, own.rotation @ normals.T, strict=True)))
 
     def depth_m(self, points_m: Floats, normals: Floats) -> Floats:
         """How far the object reaches below points of a surface, along the normals there.
@@ -115,8 +125,11 @@ class Indenter(ABC):
         """No line touches the object that passes its origin at a greater distance, m."""
 
     @abstractmethod
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        """Where lines pass through the object. Both (m, 3), in its own frame; unit directions."""
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        """Where lines pass through the object. axes: along its own x, y and z; xp: their namespace.
+
+        Those of many objects alike may be asked for at once, except of height maps.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,8 +144,8 @@ class Sphere(Indenter):
     def _reach_m(self) -> float:
         return self.radius_m
 
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        return _round_spans(points_m, directions, self.radius_m)
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        return _round(self.radius_m, axes, xp)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,11 +161,8 @@ class Cylinder(Indenter):
     def _reach_m(self) -> float:
         return math.hypot(self.radius_m, self.length_m / 2)
 
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        return within_all(
-            _round_spans(points_m[:, :2], directions[:, :2], self.radius_m),
-            slab_spans(points_m[:, 2], directions[:, 2], self.length_m / 2),
-        )
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        return _pipe(self.radius_m, self.length_m, axes, xp)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +177,9 @@ class Box(Indenter):
     def _reach_m(self) -> float:
         return math.hypot(*self.size_m) / 2
 
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        return within_all(*map(slab_spans, points_m.T, directions.T, np.array(self.size_m) / 2))
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        sides = zip(axes, self.size_m, strict=True)
+        return _within_all(*(_slab(size_m / 2, axis, xp) for axis, size_m in sides), xp=xp)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,17 +198,13 @@ class Capsule(Indenter):
     def _reach_m(self) -> float:
         return self.radius_m + self.length_m / 2
 
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        half_m, radius_m = self.length_m / 2, self.radius_m
-        middle = within_all(
-            _round_spans(points_m[:, :2], directions[:, :2], radius_m),
-            slab_spans(points_m[:, 2], directions[:, 2], half_m),
-        )
-        ends = (
-            _round_spans(points_m - [0, 0, z_m], directions, radius_m) for z_m in (-half_m, half_m)
-        )
-        all_enter_m, all_leave_m = zip(middle, *ends, strict=True)
-        return np.min(all_enter_m, axis=0), np.max(all_leave_m, axis=0)
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        x, y, (place_m, direction) = axes
+        each = [_pipe(self.radius_m, self.length_m, axes, xp)]
+        for end_m in (-self.length_m / 2, self.length_m / 2):
+            each.append(_round(self.radius_m, (x, y, (place_m - end_m, direction)), xp))
+        all_enter_m, all_leave_m = zip(*each, strict=True)
+        return reduce(xp.minimum, all_enter_m), reduce(xp.maximum, all_leave_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,9 +219,9 @@ class Ellipsoid(Indenter):
     def _reach_m(self) -> float:
         return max(self.size_m) / 2
 
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
-        axes_m = np.array(self.size_m) / 2
-        return _round_spans(points_m / axes_m, directions / axes_m, 1.0)
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        pairs = zip(axes, self.size_m, strict=True)
+        return _round(1.0, [(p * 2 / size_m, n * 2 / size_m) for (p, n), size_m in pairs], xp)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -237,17 +244,17 @@ class HeightMap(Indenter):
         farthest_m = max(np.nanmax(np.abs(self.heights_m), initial=0.0), 0.0)
         return math.hypot(rows * self.cell_m / 2, columns * self.cell_m / 2, farthest_m)
 
-    def _spans(self, points_m: Floats, directions: Floats) -> Spans:
+    def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
+        (x_m, to_x), (y_m, to_y), (z_m, to_z) = axes
         rows, columns = self.heights_m.shape
-        rise = np.maximum(directions[:, 2], _STEEP)
-        enters_m = np.zeros(len(points_m))
+        rise = np.maximum(to_z, _STEEP)
+        enters_m = np.zeros_like(z_m)
         for _ in range(_MAP_STEPS):
-            at_m = points_m + enters_m[:, None] * directions
-            column = at_m[:, 0] / self.cell_m + (columns - 1) / 2
-            row = at_m[:, 1] / self.cell_m + (rows - 1) / 2
+            column = (x_m + enters_m * to_x) / self.cell_m + (columns - 1) / 2
+            row = (y_m + enters_m * to_y) / self.cell_m + (rows - 1) / 2
             height_m = _between(self.heights_m, row, column)
-            enters_m = np.where(np.isfinite(height_m), (height_m - points_m[:, 2]) / rise, 0.0)
-        hits = np.isfinite(height_m) & (directions[:, 2] > 0)
+            enters_m = np.where(np.isfinite(height_m), (height_m - z_m) / rise, 0.0)
+        hits = np.isfinite(height_m) & (to_z > 0)
         return np.where(hits, enters_m, np.inf), np.where(hits, np.inf, -np.inf)
 
 
@@ -277,44 +284,48 @@ class Foundation:
         offsets_m = wide_m * x * right[:, None] + tall_m * y * up[:, None]
         self.points_m = self._positions_m[:, None] + offsets_m
         per_taxel = self.points_m.shape[1]
-        self._point_normals = self._normals[:, None].repeat(per_taxel, axis=1)
         self._point_m2 = (self.areas_m2 / per_taxel)[:, None].repeat(per_taxel, axis=1)
+        self.is_flat = bool((self._normals == self._normals[0]).all())
 
-    def near(self, indenter: Indenter, moves_m: float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """The points that an object may reach, their normals (both (m, 3)) and areas (m,), m².
-
-        moves_m: as far as it moves sideways of the normals, m.
-        """
-        near = self._near(indenter, moves_m)
-        points_m, normals = self.points_m[near], self._point_normals[near]
-        return points_m.reshape(-1, 3), normals.reshape(-1, 3), self._point_m2[near].ravel()
+    def near(self, indenter: Indenter, moves_m: float = 0.0) -> "Near":
+        """What an object may reach that moves as far as moves_m, m, sideways of the normals."""
+        around_m = self._corners_m + moves_m
+        mask = indenter.may_touch(self._positions_m, self._normals, around_m)
+        taxels = slice(None) if mask.all() else mask  # a slice is quicker to take
+        points_m, normals = self.points_m[taxels], self._normals[:1]
+        if not self.is_flat:
+            normals = self._normals[taxels].repeat(points_m.shape[1], axis=0)
+        return Near(taxels, points_m.reshape(-1, 3), normals, self._point_m2[taxels].ravel())
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
-        pressure_pa = np.zeros(self.points_m.shape[:2])
+        pressed = []
         for indenter in indenters:
-            near = self._near(indenter)
-            points_m, normals = self.points_m[near], self._point_normals[near]
-            depth_m = indenter.depth_m(points_m.reshape(-1, 3), normals.reshape(-1, 3))
-            depth_m = depth_m.reshape(points_m.shape[:2])
-            pressed_pa = indenter.stiffness_pa_per_m * depth_m
-            pressure_pa[near] = np.maximum(pressure_pa[near], pressed_pa)
+            near = self.near(indenter)
+            depth_m = indenter.depth_m(near.points_m, near.normals)
+            pressed.append((near, indenter.stiffness_pa_per_m * depth_m))
+        return self.mean_pa(pressed)
+
+    def mean_pa(self, pressed: Sequence[tuple["Near", Floats]]) -> Floats:
+        """As pressure_pa, of what presses on the points that are near each object, (m,), Pa."""
+        pressure_pa = np.zeros(self.points_m.shape[:2])
+        for near, point_pa in pressed:
+            so_far_pa = pressure_pa[near.taxels]
+            pressure_pa[near.taxels] = np.maximum(so_far_pa, point_pa.reshape(so_far_pa.shape))
         return np.asarray(pressure_pa.mean(axis=1))
 
-    def _near(self, indenter: Indenter, moves_m: float = 0.0) -> Bools | slice:
-        """Which taxels it may touch; a slice of all is quicker to take than a mask."""
-        around_m = self._corners_m + moves_m
-        near = indenter.may_touch(self._positions_m, self._normals, around_m)
-        return slice(None) if near.all() else near
 
+class Near(NamedTuple):
+    """What an object may reach of a cover.
 
-def _round_spans(points_m: Floats, directions: Floats, radius_m: float) -> Spans:
-    """Of a ball (3 coordinates) or an endless cylinder (2) about the origin."""
-    return round_spans(
-        _dot(directions, directions),
-        _dot(points_m, directions),
-        _dot(points_m, points_m) - radius_m**2,
-    )
+    taxels: a mask, (t,), or all. points_m: (m, 3), m, of these taxels, one after the other.
+    normals: (m, 3) there; (1, 3) if the skin is flat. areas_m2: (m,), m², of the points.
+    """
+
+    taxels: Bools | slice
+    points_m: Floats
+    normals: Floats
+    areas_m2: Floats
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
@@ -322,35 +333,45 @@ def _dot(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.einsum("md,md->m", one, other))
 
 
-def round_spans(a: Any, b: Any, c: Any, xp: Any = np) -> Spans:
-    """Where a·s² + 2·b·s + c ≤ 0: |p + s·n|² ≤ R², with n shorter than 1 along a cylinder's axis.
+def _round(radius_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
+    """Of a ball about the origin, or of an endless cylinder about the axis that is not given.
 
-    xp: the arrays' namespace, by the array API standard.
+    Where a·s² + 2·b·s + c ≤ 0: |p + s·n|² ≤ R², with n shorter than 1 along a cylinder's axis.
     """
+    a, b = sum(n * n for _, n in axes), sum(p * n for p, n in axes)
+    c = sum(p * p for p, _ in axes) - radius_m**2
     along = a < 1e-18  # parallel to the cylinder: inside for ever, or never
-    square = b * b - a * c
-    root = xp.sqrt(xp.clip(square, 0.0, None))
-    a_safe = xp.where(along, 1.0, a)
-    hits = xp.where(along, c, -square) <= 0
-    enters_m = xp.where(along, -np.inf, (-b - root) / a_safe)
-    leaves_m = xp.where(along, np.inf, (-b + root) / a_safe)
-    return xp.where(hits, enters_m, np.inf), xp.where(hits, leaves_m, -np.inf)
+    a_safe, square = xp.where(along, 1.0, a), b * b - a * c
+    half_m = xp.where(square < 0, -np.inf, xp.sqrt(abs(square)) / a_safe)
+    return _about(b / -a_safe, xp.where(along, _ever(c <= 0, c, xp), half_m))
 
 
-def slab_spans(place_m: Any, direction: Any, half_m: float, xp: Any = np) -> Spans:
-    """Between two planes at ±half_m on one axis. place_m, direction: (m,), along that axis."""
+def _about(middle_m: Any, half_m: Any) -> Spans:
+    """Of half_m either way of a middle, m; −∞: of nothing."""
+    return middle_m - half_m, middle_m + half_m
+
+
+def _ever(inside: Any, like: Any, xp: Any) -> Any:
+    """Half of the length inside of what lines run along, m; of the type of `like`."""
+    return xp.where(inside, xp.full_like(like, np.inf), -np.inf)
+
+
+def _pipe(radius_m: float, length_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
+    """Of a cylinder about z."""
+    length = _slab(length_m / 2, axes[2], xp)
+    return _within_all(_round(radius_m, axes[:2], xp), length, xp=xp)
+
+
+def _slab(half_m: float, axis: Axis, xp: Any) -> Spans:
+    """Between two planes at ±half_m on one axis."""
+    place_m, direction = axis
     along = direction == 0
     safe = xp.where(along, 1.0, direction)
-    one, other = (-half_m - place_m) / safe, (half_m - place_m) / safe
-    inside = abs(place_m) <= half_m
-    enters_m = xp.where(along, np.inf, xp.minimum(one, other))
-    leaves_m = xp.where(along, -np.inf, xp.maximum(one, other))
-    enters_m = xp.where(along & inside, -np.inf, enters_m)
-    leaves_m = xp.where(along & inside, np.inf, leaves_m)
-    return enters_m, leaves_m
+    half_of_m = xp.where(along, _ever(abs(place_m) <= half_m, place_m, xp), half_m / abs(safe))
+    return _about(place_m / -safe, half_of_m)
 
 
-def within_all(*spans: Spans, xp: Any = np) -> Spans:
+def _within_all(*spans: Spans, xp: Any) -> Spans:
     """Where lines are inside of all of some convex objects."""
     all_enter_m, all_leave_m = zip(*spans, strict=True)
     enters_m, leaves_m = reduce(xp.maximum, all_enter_m), reduce(xp.minimum, all_leave_m)

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -13,19 +11,7 @@ import numpy as np
 from ...base.arrays import Floats
 from ...base.errors import ParameterError
 from ...places.layout import Layout
-from ..indenters import (
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    Foundation,
-    Indenter,
-    Spans,
-    Sphere,
-    round_spans,
-    slab_spans,
-    within_all,
-)
+from ..indenters import Axis, Foundation, HeightMap, Indenter, Spans
 from .standard import Array, array_api
 
 
@@ -99,7 +85,7 @@ class BatchCover:
         # Coordinates along the object's axes, each (e, m): R.T @ (point − position).
         axes = _axes(turned, xp) if turned is not None else None
 
-        def along(axis: int) -> tuple[Array, Array]:
+        def along(axis: int) -> Axis:
             if axes is None:  # what is the same at all points is taken once
                 place_m, normal = _once(points_m[:, axis]), _once(normals[:, axis])
                 return here(place_m)[None, :] - position_m[:, axis, None], here(normal)[None, :]
@@ -107,28 +93,9 @@ class BatchCover:
             offset_m = xp.sum(row * position_m, axis=-1)[:, None]
             return row @ here(points_m.T) - offset_m, row @ here(_once(normals).T)
 
-        x, y, z = map(along, range(3))
-        match thing:
-            case Sphere():
-                return _round(thing.radius_m, (x, y, z), xp)
-            case Cylinder():
-                length = slab_spans(*z, thing.length_m / 2, xp)
-                return within_all(_round(thing.radius_m, (x, y), xp), length, xp=xp)
-            case Box():
-                pairs = zip((x, y, z), thing.size_m, strict=True)
-                return within_all(*(slab_spans(*each, size / 2, xp) for each, size in pairs), xp=xp)
-            case Ellipsoid():
-                pairs = zip((x, y, z), thing.size_m, strict=True)
-                return _round(1.0, [(p * 2 / size, n * 2 / size) for (p, n), size in pairs], xp)
-            case Capsule():
-                half_m, radius_m = thing.length_m / 2, thing.radius_m
-                middle = within_all(_round(radius_m, (x, y), xp), slab_spans(*z, half_m, xp), xp=xp)
-                ends = (
-                    _round(radius_m, (x, y, (z[0] - z_m, z[1])), xp) for z_m in (-half_m, half_m)
-                )
-                all_enter_m, all_leave_m = zip(middle, *ends, strict=True)
-                return reduce(xp.minimum, all_enter_m), reduce(xp.maximum, all_leave_m)
-        raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
+        if isinstance(thing, HeightMap):
+            raise ParameterError("BatchCover knows no HeightMap")
+        return thing.spans(tuple(map(along, range(3))), xp)
 
     def _shift_m(self, enters_m: Array, volume_m3: Array, xp: Any, here: Any) -> Array:
         """By how much to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
@@ -152,12 +119,6 @@ class BatchCover:
 def _once(values: Floats) -> Floats:
     """The first of values that are all the same, else all; (m, …)."""
     return values[:1] if (values == values[0]).all() else values
-
-
-def _round(radius_m: float, axes: Sequence[tuple[Array, Array]], xp: Any) -> Spans:
-    """Spans of a ball, or of an endless cylinder about the third axis."""
-    a, b = sum(n * n for _, n in axes), sum(p * n for p, n in axes)
-    return round_spans(a, b, sum(p * p for p, _ in axes) - radius_m**2, xp)
 
 
 def _axes(quaternion: Array, xp: Any) -> tuple[Array, Array, Array]:

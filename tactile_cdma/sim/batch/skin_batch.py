@@ -40,6 +40,8 @@ PUBLISHING_S = 1e-3
 """From a frame's last sample to a subscriber, s: more than the median of make bench-ros."""
 MOST_READINGS = 1 << 26
 """Codes × taxels of the table. Chosen: 0.6 GB; words of 16 bits of 1,024 taxels."""
+AT_ONCE = 1 << 20
+"""Codes × nodes that are read at once. Chosen: some 50 MB."""
 _NEVER = -(1 << 30)
 """Number of the frame in which a node spoke that was never heard."""
 
@@ -120,6 +122,7 @@ class SkinBatch:
         self._tables = _Tables.of(config, options, tared)
         self._here: _Tables | None = None  # the same as arrays of the kind that begin was given
         self._xp: Any = None
+        self._kind: type = type(None)  # of these arrays; another one may be of the same library
 
     def begin(self, like: Array, heard: bool = True) -> BatchState:
         """The state of untouched skins, and from now on arrays of like's kind, device and type.
@@ -131,7 +134,8 @@ class SkinBatch:
         xp = self._xp = array_api().array_namespace(like)
         if not xp.isdtype(like.dtype, "real floating"):
             raise ParameterError(f"SkinBatch takes arrays of floating numbers, not {like.dtype}")
-        here = self._here = self._tables.moved(xp, like)
+        here, self._kind = self._tables.moved(xp, like), type(like)
+        self._here = here
         shape = self.envs, self.taxels
         nothing_pa = xp.zeros(shape, dtype=like.dtype, device=array_api().device(like))
         codes = xp.zeros_like(nothing_pa, dtype=here.rest.dtype) + here.rest
@@ -193,16 +197,18 @@ class SkinBatch:
         xp, here, noise_v = self._xp, self._here, self._sensors.noise_v
         assert here is not None
         voltage_v = here.rest_v
-        for low_pa, width_pa, rise_v in here.pieces:
-            voltage_v = voltage_v + xp.clip((pressure_pa - low_pa) / width_pa, 0.0, 1.0) * rise_v
+        for low_pa, high_pa, width_pa, rise_v in here.pieces:
+            within_pa = xp.minimum(xp.maximum(pressure_pa, low_pa), high_pa)
+            voltage_v = voltage_v + (within_pa - low_pa) / width_pa * rise_v
         if noise_v:
             if deviates is None:
                 raise ParameterError(f"sensor_noise is {noise_v:g} V: give `deviates`, too")
             self._check_array("deviates", deviates)
             voltage_v = voltage_v + noise_v * deviates
         adc = AdcScale(self.config.spec.bits)  # the simulated nodes'
-        counts = xp.clip(xp.floor(voltage_v / adc.lsb_v + 0.5), 0.0, float((1 << adc.bits) - 1))
-        return xp.where(here.is_stuck, here.rest, xp.astype(counts, here.rest.dtype))
+        counts = xp.maximum(xp.floor(voltage_v / adc.lsb_v + 0.5), here.zero)
+        codes = xp.astype(xp.minimum(counts, here.last), here.rest.dtype)
+        return xp.where(here.is_stuck, here.rest, codes) if self._sensors.stuck else codes
 
     def _published(self, number: Array, codes: Array, active: Array, heard: Array) -> BatchFrame:
         """What Taxels makes of these words."""
@@ -224,8 +230,8 @@ class SkinBatch:
         """Raises ParameterError unless it is one of those that begin prepared for."""
         assert self._here is not None
         shape, kind = (self.envs, self.taxels), self._here.zero.dtype
-        same = array_api().array_namespace(array) is self._xp and array.dtype == kind
-        if not same or tuple(array.shape) != shape:
+        same = type(array) is self._kind or array_api().array_namespace(array) is self._xp
+        if not same or array.dtype != kind or tuple(array.shape) != shape:
             raise ParameterError(
                 f"{name} is {tuple(array.shape)} of {array.dtype}; as begun, it must be {shape} of "
                 f"{kind}, of the same library"
@@ -242,8 +248,8 @@ class _Tables(NamedTuple):
     """What does not change, for every taxel, (t,): of its node and of the readings of its codes.
 
     rest: code of the untouched sensor. beat: as NodeRules.beat. dies: the frame from which the node
-    is dead. is_stuck: bool. rest_v: V; pieces: start, Pa, width, Pa, and rise, V, of the pieces of
-    the sensor's curve. column: the taxel's index.
+    is dead. is_stuck: bool. rest_v: V; pieces: start, end and width, Pa, and rise, V, of the
+    pieces of the sensor's curve. last: the highest code. column: the taxel's index.
     pressure_pa, status: (codes · t,) of the taxels whose nodes spoke. silent: bits besides where
     they did not; unheard: status of those unheard for too long. zero, nan: of the pressures' types.
     """
@@ -253,7 +259,8 @@ class _Tables(NamedTuple):
     dies: Array
     is_stuck: Array
     rest_v: Array
-    pieces: tuple[tuple[Array, Array, Array], ...]
+    pieces: tuple[tuple[Array, Array, Array, Array], ...]
+    last: Array
     column: Array
     pressure_pa: Array
     status: Array
@@ -283,7 +290,8 @@ class _Tables(NamedTuple):
             pressure_pa -= pressure_pa[rest[node], taxels]
         return cls(
             rest[node], rules.beat(spec.nodes)[node], dies[node], is_stuck[node], low_v[0],
-            tuple(zip(low_pa[:-1], widths_pa, rises_v, strict=True)), taxels,
+            tuple(zip(low_pa[:-1], low_pa[1:], widths_pa, rises_v, strict=True)),
+            np.asarray(float((1 << spec.bits) - 1)), taxels,
             pressure_pa.ravel(), status.ravel(), silent_bits, unheard,
             np.zeros(()), np.full((), np.nan, np.float32),
         )  # fmt: skip
@@ -336,13 +344,13 @@ def _readings(
     chain = PressureChain(config.calibration, Baseline(spec.nodes), tracker)
     taxels = Taxels(spec.nodes, config.adc, chain, layout, config.stale_after_s)
     nobody, health = silent(spec.nodes, 0.0), NodeHealth(spec)
-    all_speak = np.ones(spec.nodes, bool)
     unheard = taxels.update(nobody, 0.0, health).status
-    pressure_pa = np.empty((1 << spec.bits, len(layout)), np.float32)
-    status = np.empty(pressure_pa.shape, np.uint8)
-    for code in range(1 << spec.bits):
-        codes = np.full(spec.nodes, code, np.int32)
-        read = taxels.update(replace(nobody, active=all_speak, codes=codes), 0.0, health)
-        pressure_pa[code], status[code] = read.pressure_pa, read.status
+    codes = np.arange(1 << spec.bits, dtype=np.int32)
+    parts = np.array_split(codes, math.ceil(codes.size * spec.nodes / AT_ONCE))
+    read = [taxels.of_codes(part, health) for part in parts]
+    pressure_pa = np.concatenate([each.pressure_pa for each in read])
+    status = np.concatenate([each.status for each in read])
+    last = np.full(spec.nodes, codes[-1])
+    taxels.update(replace(nobody, active=last > 0, codes=last), 0.0, health)
     held = taxels.update(nobody, 0.0, health).status
     return pressure_pa, status, held & ~status[-1], unheard

@@ -68,6 +68,7 @@ def test_the_skin_carries_the_weight_where_the_thing_lies(geom: str) -> None:
     [thing] = skin.objects(data)
     load_n = COVER.pressure_pa([thing]) * LAYOUT.areas_m2
     assert load_n.sum() == pytest.approx(KG * G, rel=0.01)
+    assert skin.pressure_pa(data) * LAYOUT.areas_m2 == pytest.approx(load_n, rel=1e-6, abs=1e-9)
     centre_m = load_n @ LAYOUT.positions_m / load_n.sum()
     # Where it lies in the world, (3, −2) mm from the pad's middle, is (−2, −3) in the skin's frame.
     assert centre_m == pytest.approx([-2e-3, -3e-3, 0], abs=0.5e-3)

@@ -20,7 +20,7 @@ from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane
 from tactile_cdma.places.poses import Pose
-from tactile_cdma.sim.depth import at_force
+from tactile_cdma.sim.depth import at_force, pressed_pa
 from tactile_cdma.sim.indenters import Box, Cylinder, Foundation, Indenter, Sphere
 
 PITCH_M, K = 2e-3, 2e7
@@ -238,6 +238,8 @@ def test_an_object_lies_where_the_cover_has_the_force(
         assert np.allclose(moved_m, moved_m @ way * way, atol=1e-9)
         force_n = float(cover.pressure_pa([lies]) @ facing_m2)
         assert force_n == pytest.approx(share * most_n, rel=within)
+        pressure_pa = pressed_pa(cover, [(thing, share * most_n, way.tolist())])
+        assert pressure_pa == pytest.approx(cover.pressure_pa([lies]), rel=1e-6, abs=1e-3)
 
 
 def test_a_curved_skin_takes_a_few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,3 +266,5 @@ def test_what_cannot_have_the_force_stays_where_it_is() -> None:
     far = Sphere(radius_m=5e-3, position_m=(0, 0, 0.04))
     for thing in (beside, small, far):
         assert at_force(COVER, thing, 5.0) is thing
+        presses = [(thing, 5.0, (0.0, 0.0, -1.0))]
+        assert np.array_equal(pressed_pa(COVER, presses), COVER.pressure_pa([thing]))
