@@ -98,7 +98,7 @@ def set_up(venv: Path, wanted_distro: str) -> None:
     message_key = digest(
         sorted(str(path.relative_to(CHECKOUT)) for path in installed),
         sorted([*CHECKOUT.glob("msg/*.msg"), *CHECKOUT.glob("srv/*.srv")]),
-        sorted([*CHECKOUT.glob("scripts/*")]),
+        sorted(path for path in CHECKOUT.glob("scripts/*") if path.is_file()),
         [CHECKOUT / "CMakeLists.txt", CHECKOUT / "package.xml"],
         sorted(path for path in CHECKOUT.glob("tools/tf2_msgs/**/*") if path.is_file()),
     )

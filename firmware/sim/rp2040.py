@@ -156,10 +156,11 @@ class Rp2040:
         self.close()
 
     def close(self) -> None:
-        """End the emulator."""
+        """End the emulator, which may be amid a run that an error here has left."""
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
         self._process.stdout.close()
+        self._process.kill()
         self._process.wait()
 
     @property

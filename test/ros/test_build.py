@@ -46,7 +46,7 @@ def test_colcon_build(tmp_path: Path) -> None:
     build(colcon, tmp_path)
     prefix = tmp_path / "install" / "tactile_cdma"
     share = prefix / "share" / "tactile_cdma"
-    for program in ROOT.glob("scripts/*[!y]"):
+    for program in ROOT.glob("scripts/*[!y_]"):
         assert os.access(prefix / "lib" / "tactile_cdma" / program.name, os.X_OK)
     for path in [*ROOT.glob("launch/*.py"), *ROOT.glob("config/*.*"), *ROOT.glob("urdf/*")]:
         assert (share / path.relative_to(ROOT)).is_file()
