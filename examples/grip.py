@@ -45,10 +45,9 @@ class Grip(Node):
         print("waiting for /skin/contacts …", flush=True)
 
     def feel(self, touch: Touch) -> None:
-        felt = touch.is_sure, touch.speed_m_s, touch.pressure_pa
-        closed_mm, gripped, stop = self.rule.decide(*felt)
-        self.closing.publish(Float64(data=closed_mm))
-        self.gripped.publish(Bool(data=gripped))
+        close_mm, grips, stop = self.rule.decide(touch.is_sure, touch.speed_m_s, touch.pressure_pa)
+        self.closing.publish(Float64(data=close_mm))
+        self.gripped.publish(Bool(data=grips))
         self.stop.publish(Bool(data=stop))
 
 
