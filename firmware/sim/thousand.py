@@ -122,7 +122,7 @@ def on_one_wire(
     frames: int = FRAMES,
     spread: Spread = CRYSTALS,
     record: Path | None = None,
-    bus: Bus = ROOT_PORT,
+    bus: Bus | None = ROOT_PORT,
 ) -> Outcome:
     """Run a skin of these parameters until so many frames have come. record: a file to write."""
     config = SkinConfig.of(values)

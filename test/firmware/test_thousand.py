@@ -58,7 +58,7 @@ def test_scrambled_nodes_are_heard() -> None:
     ids=["crystals that are none", "a sync line that is too long"],
 )
 def test_nodes_out_of_time_are_counted(spread: Spread) -> None:
-    trial = on_one_wire(FEW, 4, spread).trial
+    trial = on_one_wire(FEW, 4, spread, bus=None).trial  # a second without frames: no host's asking
     assert trial.frames < 4 or trial.wrong > 4
 
 
