@@ -233,8 +233,10 @@ def _complaint(number: int, truth: Truth, frame: Decoded) -> str:
 def rival(skin: Skin, codes: Ints) -> tuple[int, Ints] | None:
     """Another start, so many chips later, and the words that give exactly the same waveform there.
 
-    Bipolar nodes without parity; None where there is no such pair.
+    Bipolar nodes without parity; None of others, and where there is no such pair.
     """
+    if skin.parity:
+        return None
     chips = skin.waveforms(codes).sum(axis=0) / skin.amplitude_v
     rows = np.arange(skin.first_row, skin.first_row + skin.nodes)
     signs = np.array([row_sign(int(row), skin.sign_seed) for row in rows])
