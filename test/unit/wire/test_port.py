@@ -218,6 +218,11 @@ def test_a_url_cannot_make_a_port_write_a_file(tmp_path: Path, kind: str) -> Non
     assert path.read_text() == "kept"
 
 
+def test_a_url_whose_queue_has_no_bound_is_refused_with_another_way() -> None:
+    with pytest.raises(PortError, match="without a bound; .* use socket://host:port"):
+        Port("rfc2217://127.0.0.1:1", 9600)
+
+
 def test_a_search_by_pyserial_opens_what_it_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     host, device = os.openpty()
     tty.setraw(device)
