@@ -219,7 +219,7 @@ def test_a_url_cannot_make_a_port_write_a_file(tmp_path: Path, kind: str) -> Non
 
 
 def test_a_url_whose_queue_has_no_bound_is_refused_with_another_way() -> None:
-    with pytest.raises(PortError, match="without a bound; .* use socket://host:port"):
+    with pytest.raises(PortError, match=r"without a bound; .* use socket://host:port"):
         Port("rfc2217://127.0.0.1:1", 9600)
 
 
