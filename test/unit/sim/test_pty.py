@@ -43,7 +43,9 @@ def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
         parser = PacketParser()
         packets = collect(port, parser, 150)
     assert parser.counters.lost_packets == parser.counters.crc_errors == 0
-    for packet, block in zip(packets, stream(options, options.setup()), strict=False):
+    blocks = stream(options, options.setup())
+    for packet in packets:  # in real time a busy machine is too late for some
+        block = next(one for one in blocks if one.first_index >= packet.first_index)
         assert (packet.first_index, packet.sync) == (block.first_index, block.sync)
         assert np.array_equal(packet.counts, block.counts)
     assert not (tmp_path / "skin").is_symlink()
