@@ -49,7 +49,8 @@ def main() -> int:
     if any(apart.values()):
         return 1
     if shutil.which("kicad-cli") is None:
-        print(f"boards={len(BOARDS)} layouts={len(LAYOUTS)} unconnected=0; no kicad-cli: no rules")
+        print("boards: no kicad-cli (Debian 13: kicad): no rules, Gerbers or parts lists")
+        print(f"boards={len(BOARDS)} layouts={len(LAYOUTS)} unconnected=0")
         return 0
     try:
         print(check(KICAD))

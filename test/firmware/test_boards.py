@@ -133,7 +133,8 @@ def test_generated_files_are_fresh(program: Path) -> None:
 
 def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
     result = run_python(PROGRAM, env={"PATH": "", "PYTHONPATH": str(ROOT)})
-    assert result.stdout == "boards=6 layouts=3 unconnected=0; no kicad-cli: no rules\n"
+    told, counts = result.stdout.splitlines()
+    assert "no kicad-cli" in told and counts == "boards=6 layouts=3 unconnected=0"
     assert result.returncode == 0, result.stderr
 
 
