@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ..base.errors import LayoutError, PortError
+from ..base.interrupt import terminable
 from ..base.named_file import naming
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
@@ -47,7 +48,7 @@ def run(url: str, baud: int, config: SkinConfig, layout_file: Path | None) -> in
     leave_alone_if_open(url)
     typed: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_type, args=(typed,), daemon=True).start()
-    with Port(url, baud) as port:
+    with terminable(), Port(url, baud) as port:
         numbering = enumerate_nodes(port, config, typed, lambda text: print(text, flush=True))
     if layout_file is not None:
         write_numbered(layout_file, config.layout, numbering.skipped)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import NodeMemoryError
 from ..base.named_file import naming, read_named
+from ..base.whole_file import replace_file, replacing
 from .intel_hex import from_hex, to_hex
 from .node_image import first_memory
 from .node_memory import MCUS, NodeRecord, read_node_memory
@@ -30,8 +31,8 @@ MOST_BYTES = 1 << 20
 def write_memory(path: Path, data: bytes) -> None:
     """Write a memory in the format of the file name's ending. Raises NodeMemoryError."""
     content = to_hex(data).encode() if _is_hex(path) else data
-    with naming(path, NodeMemoryError):
-        path.write_bytes(content)
+    with naming(path, NodeMemoryError), replacing(path) as file:
+        file.write(content)
 
 
 def write_image(path: Path, text: str) -> None:
@@ -39,7 +40,7 @@ def write_image(path: Path, text: str) -> None:
     if path.suffix.lower() != HEX[0]:
         raise NodeMemoryError(f"{path}: the flash's Intel HEX ends in {HEX[0]}")
     with naming(path, NodeMemoryError):
-        path.write_text(text)
+        replace_file(path, text)
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:
