@@ -2,6 +2,7 @@
 
 """`tactile-cdma node --enumerate PORT`: asks which taxel to press, until all nodes have numbers."""
 
+import json
 import queue
 import sys
 import threading
@@ -14,6 +15,7 @@ import numpy as np
 from ..base.errors import LayoutError, PortError
 from ..base.interrupt import terminable
 from ..base.named_file import naming
+from ..base.whole_file import replace_file
 from ..config.skin_config import SkinConfig
 from ..driver.pipeline import Pipeline
 from ..driver.session import Session
@@ -46,14 +48,20 @@ class Bytes(Protocol):
 def run(url: str, baud: int, config: SkinConfig, layout_file: Path | None) -> int:
     """Number the nodes at a port with a person at the terminal; returns the exit code."""
     leave_alone_if_open(url)
+    if layout_file is not None:
+        check_grid(layout_file, config.layout)  # before anybody presses anything
     typed: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_type, args=(typed,), daemon=True).start()
     with terminable(), Port(url, baud) as port:
         numbering = enumerate_nodes(port, config, typed, lambda text: print(text, flush=True))
+    if numbering.asked is not None:
+        kept = f"; {layout_file} is not written" if layout_file else ""
+        print(f"ended before node {numbering.asked} had its number{kept}", file=sys.stderr)
+        return 1
     if layout_file is not None:
         write_numbered(layout_file, config.layout, numbering.skipped)
         print(f"written: {layout_file}")
-    return int(numbering.asked is not None)
+    return 0
 
 
 def _type(typed: "queue.Queue[str]") -> None:
@@ -136,15 +144,26 @@ def prompt(layout: Layout, number: int) -> str:
     return f"press the taxel of node {number}: {where}"
 
 
+def check_grid(path: Path, layout: Layout) -> None:
+    """Raises LayoutError for a skin, or a place, of which no layout file can be written."""
+    if layout.irregular or np.ptp(layout.positions_m[:, 2]) > 0:
+        raise LayoutError(
+            f"{path}: the skin is no flat grid; leave --layout out, and edit its file"
+        )
+    if path.is_dir() or not path.parent.is_dir():
+        raise LayoutError(f"{path}: not a file in a folder that is there")
+
+
 def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
     """Write the layout file of a flat grid, without the nodes that nobody has.
 
-    Raises LayoutError for another shape, whose file the user has.
+    Raises LayoutError for another shape, or where nobody has a number.
     """
-    if layout.irregular or np.ptp(layout.positions_m[:, 2]) > 0:
-        raise LayoutError(f"{path}: not written, the skin is no flat grid; unplaced: {skipped}")
+    check_grid(path, layout)
     nodes = np.where(np.isin(layout.nodes, skipped), 0, layout.nodes)
-    rows = nodes.reshape(layout.rows, layout.columns).tolist()
+    if not nodes.any():
+        raise LayoutError(f"{path}: not written: all nodes were left out")
+    pitches_mm = [round(pitch_m * 1e3, 6) for pitch_m in layout.pitches_m]
     head = {
         "schema": SCHEMA,
         "version": VERSION,
@@ -152,9 +171,11 @@ def write_numbered(path: Path, layout: Layout, skipped: list[int]) -> None:
         "shape": "grid",
         "rows": layout.rows,
         "columns": layout.columns,
-        "pitch_mm": round(layout.pitch_m * 1e3, 6),
+        "pitch_mm": pitches_mm if pitches_mm[0] != pitches_mm[1] else pitches_mm[0],
+        "masked": sorted({*layout.masked} - {*skipped}),
         "unplaced": sorted({*layout.unplaced, *skipped}),
     }
-    lines = [f"{key}: {value}" for key, value in head.items()]
+    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in head.items()]
+    rows = nodes.reshape(layout.rows, layout.columns).tolist()
     with naming(path, LayoutError):
-        path.write_text("\n".join([*lines, "nodes:", *(f"  - {row}" for row in rows), ""]))
+        replace_file(path, "\n".join([*lines, "nodes:", *(f"  - {row}" for row in rows), ""]))

@@ -12,8 +12,8 @@ import pytest
 
 from emulated import EmulatedSkin, Node
 from skin import reference_amplifier, reference_nodes
-from tactile_cdma.base.errors import PortError
-from tactile_cdma.commands.node_numbers import enumerate_nodes, prompt, write_numbered
+from tactile_cdma.base.errors import LayoutError, PortError
+from tactile_cdma.commands.node_numbers import check_grid, enumerate_nodes, prompt, write_numbered
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
@@ -157,5 +157,17 @@ def test_a_layout_without_those_left_out(config: SkinConfig, tmp_path: Path) -> 
     write_numbered(path, config.layout, [7])
     layout = read_layout(path, Wiring(16, 1, ""))
     assert layout.nodes.reshape(4, 4)[1].tolist() == [5, 6, 0, 8] and layout.unplaced == (7,)
+    odd = replace(config.layout, name="palm: left # [x", masked=(3, 7), aspect=1.5)
+    write_numbered(path, odd, [7])
+    layout = read_layout(path, Wiring(16, 1, ""))
+    assert (layout.name, layout.masked) == (odd.name, (3,))
+    assert layout.pitches_m == pytest.approx(odd.pitches_m)
+    before = path.read_text()
+    with pytest.raises(LayoutError, match="all nodes were left out"):
+        write_numbered(path, odd, list(range(1, 17)))
+    assert path.read_text() == before
+    for wrong in (tmp_path, tmp_path / "none" / "file.yaml"):
+        with pytest.raises(LayoutError, match="not a file in a folder that is there"):
+            check_grid(wrong, odd)
     assert "row 2, column 4" in prompt(config.layout, 8)
     assert "no place" in prompt(layout, 7)
