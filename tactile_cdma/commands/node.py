@@ -27,8 +27,8 @@ from . import node_numbers
 
 ALL, ANY = "all", "any"
 """Instead of a node's number: a file for each, and one file for all."""
-ARDUINO = "arduino -P /dev/ttyUSB0 -b 57600"
-"""What avrdude is told of a Pro Mini's boot loader, and of an older Nano's; an Uno's is faster."""
+ARDUINO = {8: "arduino -P /dev/ttyUSB0 -b 57600", 16: "arduino -P /dev/ttyUSB0 -b 115200"}
+"""What avrdude is told, by the crystal, MHz: of a Pro Mini's boot loader; of an Uno's."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -106,12 +106,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.read:
         print(describe_memory(*read_memory(arguments.read)))
         return 0
-    if arguments.port:
+    if arguments.port is not None:
+        if any((arguments.hex, arguments.output, arguments.crystal_mhz, arguments.image)):
+            raise SpecError("--enumerate writes no memory: leave out --hex, -o, --crystal-mhz")
         values = given(arguments)
         config = SkinConfig.of(values)
         get: Values = {**DEFAULTS, **values}
         check_timing(config.timing)
         return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
+    if arguments.layout is not None:
+        raise SpecError("--layout is the file that --enumerate PORT writes: give that, too")
     mcu, programmer, of_flash = arguments.mcu, arguments.programmer, arguments.hex is not None
     if (arguments.output is None) != of_flash:
         both = "-o and --hex are given: EEPROM or flash, not both"
@@ -145,16 +149,16 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.hex if of_flash else arguments.output
     paths = [output] if arguments.node != ALL else node_files(output, len(memories))
     contents = [memories] if arguments.node == ANY else [[memory] for memory in memories]
+    crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
     for path, content in zip(paths, contents, strict=True):
         if of_flash:
-            crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
             write_image(path, node_image(mcu, content, crystal_mhz, arguments.image))
         else:
             write_memory(path, *content)
     if arguments.threshold:
         _warn_of_silence(heartbeat, config)
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
-    kind, usual = (FLASH, ARDUINO) if of_flash else (EEPROM, "usbasp")
+    kind, usual = (FLASH, ARDUINO[crystal_mhz]) if of_flash else (EEPROM, "usbasp")
     if programmer:
         burn(output, mcu, programmer, kind)
     else:

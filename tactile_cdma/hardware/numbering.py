@@ -15,6 +15,8 @@ TAKEN_FRAMES = 5
 UNCLEAR_FRAMES = 25
 """Frames in a row with words that are not clear, as of two nodes at once. Chosen: 0.3 s at 78
 frames/s, more than a disturbance."""
+TALKING_FRAMES = 400
+"""Frames after which nodes that do not fall silent are told of. Chosen: 5 s at 78 frames/s."""
 FORGET_FRAMES = 40
 """For which nodes are told to forget; they want 9 alike, and a node that talks may miss some."""
 
@@ -31,7 +33,7 @@ class Numbering:
         self.skipped: list[int] = []
         self._nodes = nodes
         self._forgets, self._left = 0, FORGET_FRAMES  # all of them, first
-        self._clear = self._unclear = 0
+        self._clear = self._unclear = self._talking = 0
 
     @property
     def request(self) -> Number:
@@ -54,7 +56,11 @@ class Numbering:
         """Take in a frame of the present request. Returns what to tell about it, if anything."""
         if self._left:
             self._left = FORGET_FRAMES if words.active.any() else self._left - 1
-            return None
+            self._talking += bool(words.active.any())
+            if not words.active.any() or self._talking % TALKING_FRAMES:
+                return None
+            talk = ", ".join(str(node + 1) for node in words.active.nonzero()[0][:8])
+            return f"waiting: node {talk} goes on talking: is it flashed with a number of its own?"
         if self.asked is None:
             return None
         node = self.asked - 1

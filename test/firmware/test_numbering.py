@@ -20,8 +20,10 @@ from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.driver.session import Session
 from tactile_cdma.hardware.node_image import node_image
 from tactile_cdma.hardware.node_memory import node_memory
+from tactile_cdma.hardware.numbering import TALKING_FRAMES, Numbering
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
+from tactile_cdma.words.decode import silent
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "wired_skin.yaml"
 STEP_NS = 5_000_000
@@ -171,3 +173,13 @@ def test_a_layout_without_those_left_out(config: SkinConfig, tmp_path: Path) -> 
             check_grid(wrong, odd)
     assert "row 2, column 4" in prompt(config.layout, 8)
     assert "no place" in prompt(layout, 7)
+
+
+def test_a_node_that_goes_on_talking_is_told() -> None:
+    """It has a number of its own: nobody can press anything before it is silent."""
+    numbering = Numbering(16)
+    words = replace(silent(16, 1e-3), active=np.arange(16) == 4)
+    said = [numbering.take(words) for _ in range(2 * TALKING_FRAMES)]
+    told = [text for text in said if text]
+    assert len(told) == 2 and "node 5 goes on talking" in told[0]
+    assert numbering.forgets and not numbering.waits

@@ -133,6 +133,8 @@ def test_larger_skins_are_not_stale_by_default(
         (["--node", "1", "-o", "no/where.hex"], "no/where.hex: No such file"),
         (["--node", "all", "-o", "file"], "file: File exists"),
         (["--node", "1"], "-o is missing"),
+        (["--node", "1", "--hex", "x.hex", "--layout", "x.yaml"], "--enumerate PORT writes"),
+        (["--enumerate", "sim://", "--hex", "x.hex"], "leave out --hex"),
         (["--node", "1", "-o", "a.hex", "--hex", "b.hex"], "EEPROM or flash, not both"),
         (["--node", "1", "-o", "a.hex", "--crystal-mhz", "16"], "give --hex instead of -o"),
         (["--node", "1", "--hex", "a.hex", "--mcu", "attiny85"], "no room for a memory there"),
