@@ -455,17 +455,21 @@ class GapTiming(Timing):
             return False
         return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * gap.variance
 
-    def _silent_slot(self, level: float, noise: float, clipped: float) -> FrameLevels:
+    def _silent_slot(self, level: float, noise: float) -> FrameLevels | Rejections:
         """The slot that is next, in which there is no frame; noise: of a chip's level, V RMS.
 
-        A faint word hardly has power. Where its place is known it is looked for on the nodes' rows,
-        else everybody's silence is a guess.
+        Rejected where a rail or noise hides words. A faint word hardly has power. Where its place
+        is known it is looked for on the nodes' rows, else everybody's silence is a guess.
         """
         spec, search, slot = self._spec, self._search, self._next
-        silent = FrameLevels(slot, search.chip, None, noise, level, clipped)
         before = (search.period - search.shortest) / 2
         begin = max(self._samples.begin, math.floor(slot - before))
         volts = self._samples.take(begin, begin + math.ceil(search.period))
+        seen = volts if volts.size or self._gap is None else np.array([level])
+        clipped = share_clipped(seen, self._rails_v)
+        if hidden := silence_hidden(clipped, noise, spec):
+            return hidden
+        silent = FrameLevels(slot, search.chip, None, noise, level, clipped)
         volts = self._hum.removed(volts, begin) - level
         if self._gap is None or not volts.size:
             return silent
@@ -494,15 +498,11 @@ class GapTiming(Timing):
         level, noise = 0.0, math.nan
         if self._gap:  # whose variance is that of half chips
             level, noise = self._gap.level, math.sqrt(self._gap.variance / 2)
-        clipped = 0.0
-        if self._gap is not None:
-            clipped = share_clipped(np.array([level]), self._rails_v)
-        hidden = silence_hidden(clipped, noise, self._spec)
-        if hidden is None and self._is_deaf():
-            hidden = NOISY
+        is_deaf = self._is_deaf()
         while self._next <= until:
-            if hidden:
-                self.rejections += hidden
+            slot = NOISY if is_deaf else self._silent_slot(level, noise)
+            if isinstance(slot, Rejections):
+                self.rejections += slot
             else:
-                yield self._silent_slot(level, noise, clipped)
+                yield slot
             self._next += self._search.period

@@ -75,7 +75,7 @@ def test_a_node_in_no_row_is_no_noise(skin: Skin, late: tuple[tuple[int, float],
     ("number", "seed"),
     [
         *((34, 2), (48, 2), (74, 0), (126, 2), (199, 3), (221, 0), (344, 0), (541, 0), (806, 0)),
-        *((827, 1), (896, 1), (416, 0), (497, 1), (624, 0)),
+        *((827, 1), (896, 1), (416, 0), (497, 1), (624, 0), (647, 1), (1124, 0)),
     ],
 )
 def test_what_was_claimed_falsely_once_is_flagged(number: int, seed: int) -> None:
