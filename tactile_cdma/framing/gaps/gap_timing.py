@@ -50,7 +50,8 @@ s at 78 Hz."""
 SURE_SHARE, SURE_NOISE = 0.5, 0.3
 """A silent slot holds no faint word if its power, and so much of its noise, stays below the power
 of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
-slot and gap are right to a tenth."""
+slot and gap are right to a tenth. A slot of far less power than the gap's noise says that this is
+none, but hum, which may hide a word."""
 AGAIN_PERIODS = 12
 """Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
 it is known after 4 to 8."""
@@ -476,7 +477,7 @@ class GapTiming(Timing):
         sample_noise = self._gap.variance * search.half
         power = dot(volts, volts) / volts.size - sample_noise
         power *= volts.size / search.shortest
-        if power + SURE_NOISE * sample_noise < SURE_SHARE**2 * search.least_power:
+        if abs(power) + SURE_NOISE * sample_noise < SURE_SHARE**2 * search.least_power:
             return silent
         expected = self._raster.expect(slot, begin)
         if expected is None or not search.is_sure(expected):

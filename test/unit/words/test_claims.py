@@ -132,6 +132,12 @@ def test_a_tone_that_gives_a_frame_its_timing_is_no_silence() -> None:
     assert counts.wrong_flagged + counts.lost > 20, "it hides words"
 
 
+def test_hum_that_is_taken_for_more_noise_than_it_is_hides_a_word_by_gaps() -> None:
+    counts, complaints = mixture_of(1354).run(40, 0)
+    assert not counts.false, complaints
+    assert counts.lost > 10
+
+
 @pytest.mark.parametrize("share", [0.005, 0.01])
 def test_a_node_whose_clock_is_off_costs_its_own_words(share: float) -> None:
     """Once it is known that few nodes are late: its chips are on the line after every frame."""
