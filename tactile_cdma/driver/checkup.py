@@ -255,7 +255,7 @@ def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
     0 and NaN if unknown.
     """
     amplitude_v = pipeline.health.amplitude_v
-    amplitude_v[[number - 1 for number in pipeline.taxels.missing]] = np.nan
+    amplitude_v[np.array(pipeline.taxels.missing, np.intp) - 1] = np.nan
     if np.isnan(amplitude_v).all() or not window.noise_rms_v > 0:
         return 0, math.nan
     node = int(np.nanargmin(amplitude_v))
