@@ -95,8 +95,9 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
     if window.rises.overloads and (load := pipeline.load):
         text = (
             f"{window.rises.overloads} frames are flagged, because more nodes spoke at once than "
-            f"the {load.capacity} that their codes tell apart, up to about {load.peak}: raise "
-            "order, or the nodes' thresholds; or is amplitude_mv too low?"
+            f"the {load.capacity} that their codes tell apart, up to about {load.peak}, or some "
+            "whose codes add up to nothing: raise order, or the nodes' thresholds; or is "
+            "amplitude_mv too low?"
         )
         yield Finding(text, event=True, key="overload")
     if share > FAST:
