@@ -313,10 +313,8 @@ def _sections(file: Marked, node: str = "") -> Iterator[tuple[str, Mapping[str, 
 
 def check_marked(name: str, value: Marked) -> Value:
     """A parameter's value from a file; a wrong name or value raises the file's error."""
-    try:
+    with value.refusing(ParameterError):
         return check_values({name: _typed(value)})[name]
-    except ParameterError as error:
-        raise value.refuse(str(error)) from None
 
 
 def _typed(value: Marked) -> object:
@@ -330,15 +328,14 @@ def _typed(value: Marked) -> object:
     return None if value.is_null else _scalar(value.content)
 
 
-def of_text(name: str, text: str) -> Value:
-    """A parameter's value as it is typed in a command; a list in brackets or without.
+def of_text(parameter: Parameter, text: str) -> Value:
+    """A parameter's value as it is typed in a command or a URL; a list in brackets or without.
 
     Raises ParameterError.
     """
-    parameter = BY_NAME[name]
     if isinstance(parameter.default, str):
         return parameter.check(text)
-    if isinstance(parameter.default, tuple):
+    if isinstance(parameter.default, tuple) or (parameter.pair and "," in text):
         return parameter.check([_scalar(part.strip()) for part in text.strip(" []").split(",")])
     return parameter.check(_scalar(text.strip()))
 
