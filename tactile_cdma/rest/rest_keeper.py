@@ -279,21 +279,14 @@ class RestKeeper:
 
     def _present(self) -> RestState:
         """What is in force; while inactive, what was last."""
-        config = self.config
-        rest_v = drift_v = tared_drift_v = None
-        simulated = self._simulated
+        config, simulated = self.config, self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated
-        if self._driver is not None:
-            baseline = self._driver.pipeline.taxels.baseline
-            rest_v = baseline.rest_v
-            drift_v, tared_drift_v = (
-                some_v if some_v.any() else None
-                for some_v in (baseline.drift_v, baseline.tared_drift_v)
-            )
-        elif self._kept is not None:
-            rest_v, drift_v = self._kept.rest_v, self._kept.drift_v
-            tared_drift_v = self._kept.tared_drift_v
+        present = self.baseline or self._kept
+        drift_v, tared_drift_v = (
+            some_v if some_v is not None and some_v.any() else None
+            for some_v in (present and present.drift_v, present and present.tared_drift_v)
+        )
         return RestState(
             skin=config.skin,
             simulated=simulated,
@@ -303,7 +296,7 @@ class RestKeeper:
             curves=config.calibration.curves.checksum,
             written=_now(),
             tared=self.tared,
-            rest_v=rest_v,
+            rest_v=present and present.rest_v,
             drift_v=drift_v,
             tared_drift_v=tared_drift_v,
         )

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ..samples import DERIVED, Kind, PatchInfo, SampleStream, skin_stream
 from ..touch import MODES, POLICIES, slots
@@ -109,23 +110,21 @@ def _columns(patches: Iterable[PatchInfo]) -> dict[str, SampleStream]:
 
 def _patch(name: str, taxels: dict[str, Any]) -> PatchInfo:
     count = len(taxels["node"])
-    places = [
-        np.full(shape, np.nan) if taxels[key] is None else np.array(taxels[key]).reshape(shape)
-        for key, shape in (
-            ("position_m", (count, 3)),
-            ("normal", (count, 3)),
-            ("area_m2", (count,)),
-        )
-    ]
+
+    def known(key: str, *shape: int) -> Floats32:
+        """NaN where it is not."""
+        values = np.nan if taxels[key] is None else np.array(taxels[key]).reshape(shape)
+        return np.full(shape, values, dtype=np.float32)
+
     return PatchInfo(
         name=name,
         topic="",
         rows=int(taxels["rows"]),
         columns=int(taxels["columns"]),
         nodes=np.array(taxels["node"], dtype=np.uint16),
-        positions_m=places[0].astype(np.float32),
-        normals=places[1].astype(np.float32),
-        areas_m2=places[2].astype(np.float32),
+        positions_m=known("position_m", count, 3),
+        normals=known("normal", count, 3),
+        areas_m2=known("area_m2", count),
         frame_period_s=float("nan"),
         about={},
     )
