@@ -79,7 +79,7 @@ def launch_values(
         if name == SIM_TIME:
             values[name] = true_or_false(name, given[name])
         elif name in BY_NAME:
-            values[name] = of_text(BY_NAME[name], given[name])
+            values[name] = of_text(name, given[name])
         else:
             text = unknown(name, [*own, *BY_NAME], "launch argument")
             raise ParameterError(

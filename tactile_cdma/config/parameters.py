@@ -328,14 +328,15 @@ def _typed(value: Marked) -> object:
     return None if value.is_null else _scalar(value.content)
 
 
-def of_text(parameter: Parameter, text: str) -> Value:
-    """A parameter's value as it is typed in a command or a URL; a list in brackets or without.
+def of_text(name: str, text: str) -> Value:
+    """A parameter's value as it is typed in a command; a list in brackets or without.
 
     Raises ParameterError.
     """
+    parameter = BY_NAME[name]
     if isinstance(parameter.default, str):
         return parameter.check(text)
-    if isinstance(parameter.default, tuple) or (parameter.pair and "," in text):
+    if isinstance(parameter.default, tuple):
         return parameter.check([_scalar(part.strip()) for part in text.strip(" []").split(",")])
     return parameter.check(_scalar(text.strip()))
 

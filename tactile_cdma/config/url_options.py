@@ -2,17 +2,16 @@
 
 """Options of a port's URL, ?name=value&name=value, read against a table of parameters."""
 
-from collections.abc import Callable, Iterable
+import reprlib
+from collections.abc import Iterable
 from typing import Any
 from urllib.parse import parse_qsl
 
 from ..base.errors import ParameterError, SpecError
 from ..base.suggest import suggestion
-from .parameters import NATURAL_SIGNS, Parameter, Value, of_text
+from .parameters import NATURAL_SIGNS, TRUTH, Parameter, Value
 
-_TRUTH = {"0": "false", "1": "true"}
-_WORDS = {"sign_seed": {"natural": str(NATURAL_SIGNS)}}
-"""Other words for values, of all that are true or false, and by option."""
+_TRUTH = TRUTH | {"1": True, "0": False}
 
 
 def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict[str, Any]:
@@ -27,17 +26,30 @@ def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict
             raise SpecError(f"{scheme} has no option {name!r}{hint}")
         if name in values:
             raise SpecError(f"option {name!r} is given twice")
-        words = _TRUTH if isinstance(known[name].default, bool) else _WORDS.get(name, {})
-        values[name] = check_option(known[name], words.get(text, text), of_text)
+        values[name] = check_option(known[name], _typed(known[name], text))
     return values
 
 
-def check_option(
-    option: Parameter, value: Any, read: Callable[[Parameter, Any], Value] = Parameter.check
-) -> Value:
+def check_option(option: Parameter, value: Value) -> Value:
     """The value in the option's type. Raises SpecError, naming value, limits and near choices."""
     try:
-        return read(option, value)
+        return option.check(value)
     except ParameterError as error:
         hint = suggestion(str(value), map(str, option.choices))
         raise SpecError(f"option {error}{hint}") from None
+
+
+def _typed(option: Parameter, text: str) -> Value:
+    if option.name == "sign_seed" and text == "natural":
+        return NATURAL_SIGNS
+    kind: Any = type(option.default)
+    try:
+        if option.pair and "," in text:
+            return tuple(map(float, text.strip("[]").split(",")))
+        value: Value = _TRUTH[text.lower()] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        wanted = {bool: "true or false (0 or 1)", int: "an integer", float: "a number"}[kind]
+        raise SpecError(
+            f"option {option.name} is {reprlib.repr(text)}; it must be {wanted}"
+        ) from None
+    return value
