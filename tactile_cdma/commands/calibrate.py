@@ -5,7 +5,6 @@
 import argparse
 import math
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -21,7 +20,7 @@ from ..calibrating.load_points import LoadPoints, read_points
 from ..calibrating.load_session import LoadSession
 from ..calibrating.plateaus import Recording, Reference, find_offset, plateau_points, read_reference
 from ..calibrating.skin_fit import POWER_LAW, fit_skin
-from ..config.arguments import add_skin_options, finite, given, positive
+from ..config.arguments import add_skin_options, finite, given, positive, refuse_given
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
@@ -206,18 +205,13 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
 
 def _check_options(arguments: argparse.Namespace) -> None:
     """Raise CalibrationError for options that are missing or do not go with each other."""
-
-    def changed(names: Iterable[str]) -> list[str]:
-        default = arguments.parser.get_default
-        return [name for name in names if getattr(arguments, name) != default(name)]
-
     if arguments.output is None:
         raise CalibrationError("-o is missing: the calibration file to write, or --update")
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     for source, names in OPTIONS_OF.items():
-        if not getattr(arguments, source) and (wrong := changed(names)):
-            raise CalibrationError(f"--{wrong[0]} goes with --{source} only")
+        if not getattr(arguments, source):
+            refuse_given(arguments, names, f"goes with --{source} only", CalibrationError)
 
 
 def _beside_capture(

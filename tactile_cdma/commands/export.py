@@ -14,7 +14,7 @@ from ..base.errors import CaptureError, ParameterError
 from ..base.interrupt import terminable
 from ..base.named_file import naming
 from ..base.optional import needed_for
-from ..config.arguments import add_skin_options, finite, given
+from ..config.arguments import add_skin_options, finite, given, refuse_given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import Episode, find_episodes, parse_interval
 from ..datasets.frames import PatchFrames, paths_of
@@ -116,14 +116,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ParameterError("--task is not UTF-8: no program could read it back") from None
 
 
-def _refuse(arguments: argparse.Namespace, names: Iterable[str], reason: str) -> None:
-    """Raises ParameterError where one of these options was given."""
-    for name in names:
-        value = getattr(arguments, name)
-        if value is not None and value is not False and value != []:
-            raise ParameterError(f"--{name.replace('_', '-')} {reason}")
-
-
 def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
     folder: Path = arguments.lerobot
     if arguments.fps is None and arguments.clock is None:
@@ -180,7 +172,7 @@ def _episodes(
 
 def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     output: Path = arguments.output
-    _refuse(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
+    refuse_given(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
     if output.suffix not in _WRITERS:
         suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
         raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")
@@ -237,8 +229,8 @@ def _bag(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output
     if output is None or len(arguments.files) > 1:
         raise ParameterError("--bag makes one folder, -o OUT, of one recording")
-    _refuse(arguments, _CHOICES, "does not go with --bag, which writes all of a recording")
-    _refuse(arguments, _OF_LEROBOT, "goes with --lerobot, not with --bag")
+    refuse_given(arguments, _CHOICES, "does not go with --bag, which writes all of a recording")
+    refuse_given(arguments, _OF_LEROBOT, "goes with --lerobot, not with --bag")
     [path] = arguments.files
     if is_bag(path):
         raise CaptureError(f"{path}: is a bag already")
