@@ -282,11 +282,13 @@ class RestKeeper:
         config, simulated = self.config, self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated
-        present = self.baseline or self._kept
-        drift_v, tared_drift_v = (
-            some_v if some_v is not None and some_v.any() else None
-            for some_v in (present and present.drift_v, present and present.tared_drift_v)
-        )
+        rest_v = drift_v = tared_drift_v = None
+        if (present := self.baseline or self._kept) is not None:
+            rest_v = present.rest_v
+            drift_v, tared_drift_v = (
+                some_v if some_v is not None and some_v.any() else None
+                for some_v in (present.drift_v, present.tared_drift_v)
+            )
         return RestState(
             skin=config.skin,
             simulated=simulated,
@@ -296,7 +298,7 @@ class RestKeeper:
             curves=config.calibration.curves.checksum,
             written=_now(),
             tared=self.tared,
-            rest_v=present and present.rest_v,
+            rest_v=rest_v,
             drift_v=drift_v,
             tared_drift_v=tared_drift_v,
         )
