@@ -22,7 +22,7 @@ from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts, Tact
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.viewers.body_view import BodyViewer, line
-from tactile_cdma.ros.viewers.view import Viewer, draw
+from tactile_cdma.ros.viewers.view import Viewer, draw, in_use
 from tactile_cdma.views.terminal import Look, Numbers
 from torture.load.hostile import lie
 
@@ -88,7 +88,7 @@ def test_the_terminal_viewer_draws_on_and_no_message_writes_to_the_terminal(view
             if viewer.latest is not None:
                 text = draw(viewer, viewer.latest, look, of_force=bool(refused % 2), size=size)
                 assert COLOURS.sub("", text).replace("\n", "").isprintable()
-                assert viewer.coverage.in_service <= len(viewer.latest.pressure)
+                assert in_use(viewer.latest).size <= len(viewer.latest.pressure)
     assert 20 < refused < 150
     viewer._receive(ARRAY)
     assert viewer.latest is ARRAY, "the truth is taken after all lies"

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
@@ -221,13 +222,14 @@ def report(program: Running[Viewer], seconds: float) -> None:
         if not program.spin(min(1.0, left)):
             return
         new = viewer.tally.received - before
-        peak_pa = viewer.peak_pa.latest if new else math.nan
-        peak = "   --" if math.isnan(peak_pa) else f"{peak_pa / 1e3:6.1f}"
+        pressure = in_use(viewer.latest)
+        known = pressure[~np.isnan(pressure)] if new else pressure[:0]
+        peak = f"{known.max() / 1e3:6.1f}" if known.size else "   --"
         age = f"{viewer.tally.percentile_ms(50, new):.2f}" if new else "--"
         print(
             f"{time.monotonic() - start:5.1f} s  {new:4d} frames  lost {viewer.tally.lost}  "
             f"age p50 {age} ms  peak {peak} kPa  "
-            f"{viewer.coverage.valid if new else 0}/{viewer.coverage.in_service} taxels valid",
+            f"{known.size}/{pressure.size} taxels valid",
             flush=True,
         )
         lasting = complaint if complaint == viewer.complaint else ""
@@ -235,6 +237,12 @@ def report(program: Running[Viewer], seconds: float) -> None:
             print(f"driver: {lasting}", file=sys.stderr, flush=True)
             said = lasting
         complaint = viewer.complaint
+
+
+def in_use(message: TactileArray) -> NDArray[np.float32]:
+    """Pressures of the taxels that are not out of service."""
+    pressure_pa, status = readings_of(message)
+    return np.asarray(pressure_pa[is_in_service(status)])
 
 
 def main() -> int:
