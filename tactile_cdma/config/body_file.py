@@ -216,11 +216,9 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
     values, params_file, parameters = dict[str, Value](), None, dict[str, Value]()
     if params := content.get("params_file"):
         params_file = _path(params, params.text("params_file"))
-        try:
+        with params.refusing(ParameterError):
             existing(params_file)
             values = read_file(params_file, f"/{name}/{NODE_NAME}")
-        except ParameterError as error:
-            raise params.refuse(str(error)) from None
     if given := content.get("parameters"):
         parameters = _parameters(given.mapping(f"parameters of {name!r}"))
     if not parameters.keys().isdisjoint(_MOUNTS):
