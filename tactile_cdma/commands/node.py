@@ -11,8 +11,15 @@ from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
-from ..hardware.node_image import CRYSTALS_MHZ, node_image
-from ..hardware.node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
+from ..hardware.node_image import node_image
+from ..hardware.node_memory import (
+    CRYSTALS_MHZ,
+    MCUS,
+    check_timing,
+    describe_memory,
+    node_memory,
+    usual_heartbeat,
+)
 from ..hardware.programmer import (
     EEPROM,
     FLASH,
