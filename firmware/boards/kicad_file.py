@@ -122,13 +122,13 @@ def _parse(path: Path, text: str) -> Item:
         raise stack[-1].error("the file ends in it: is it truncated?")
     if len(file.values) != 1:
         raise KicadFileError(f"{path}: line {line}: more than one drawing")
-    return next(file.all(*VERSIONS))
+    return file.one(path.suffix[1:])
 
 
 def _unquoted(part: str, inside: Item) -> str:
-    if token[0] != '"':
-        return token
+    if part[0] != '"':
+        return part
     try:
-        return str(json.loads(token, strict=False))
+        return str(json.loads(part, strict=False))
     except ValueError:
         raise inside.error("a text in it does not end, or is not as KiCad writes it") from None
