@@ -91,8 +91,8 @@ def faults_of(board: str, schematic: Netlist) -> Iterator[str]:
         yield f"{board}.kicad_pcb: {net} is in {len(parts)} parts"
     wanted, laid_out = {*schematic.nets}, nets(copper)
     for kind, missing in (("pcb", wanted - laid_out), ("sch", laid_out - wanted)):
-        for net in sorted(map(sorted, missing)):
-            pins = [f"{reference}.{pin}" for reference, pin in net]
+        for pads in sorted(map(sorted, missing)):
+            pins = [f"{reference}.{pin}" for reference, pin in pads]
             more = f" and {len(pins) - MOST_SHOWN} more" if len(pins) > MOST_SHOWN else ""
             yield f"{board}.kicad_{kind} has no net of {' '.join(pins[:MOST_SHOWN])}{more}"
 

@@ -352,6 +352,8 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
         raise NodeMemoryError(
             "this is a program without a node's memory: node --hex joins them, or the EEPROM has it"
         )
+    if len(data) < wire.size:
+        raise NodeMemoryError("the image is truncated: it ends where its memories begin")
     count, crystal_mhz = wire.unpack_from(data)
     if not count or crystal_mhz not in CRYSTALS_MHZ:
         raise NodeMemoryError(f"no node's image: it says {count} nodes with {crystal_mhz} MHz")

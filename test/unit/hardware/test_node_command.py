@@ -132,6 +132,8 @@ def test_an_image_for_any_node_says_so(
         damaged = bytes(octets.get(at, octet) for at, octet in enumerate(flash))
         image.write_text(to_hex(damaged + b"\xff" * 64))
         assert told in refused("node", "--read", str(image))
+    (tmp_path / "any.bin").write_bytes(flash[:0x3001])
+    assert "the image is truncated" in refused("node", "--read", str(tmp_path / "any.bin"))
     program.write_text(to_hex(PROGRAM.replace(b"p\0", b"p-fast\0")))
     said = refused("node", *PARAMS, "--any", "--hex", str(image), "--image", str(program))
     assert "no program of this firmware for the atmega328p" in said
