@@ -12,8 +12,15 @@ from ..config.arguments import add_skin_options, given
 from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
 from ..framing.sparse_timing import capacity, groups_for_all
-from ..hardware.node_image import CRYSTALS_MHZ, node_image
-from ..hardware.node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
+from ..hardware.node_image import node_image
+from ..hardware.node_memory import (
+    CRYSTALS_MHZ,
+    MCUS,
+    check_timing,
+    describe_memory,
+    node_memory,
+    usual_heartbeat,
+)
 from ..hardware.programmer import (
     EEPROM,
     FLASH,
