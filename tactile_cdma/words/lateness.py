@@ -84,13 +84,10 @@ def out_of_place(
         if weak or np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK:
             return active
     are_late = late(levels, amplitude, active, spec)
+    if are_late.any():  # words that are weak may be parts of these
+        return are_late | (active & (amplitude < SOUND_SHARE * expected))
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
-    if not are_late.any() and not (spare > LATE_SHARE * least).any():
-        return None
-    if are_few:  # the frame may be
-        return active
-    # Words that are weak may be parts of late ones.
-    return are_late | (active & are_late.any() & (amplitude < SOUND_SHARE * expected))
+    return are_late if (spare > LATE_SHARE * least).any() else None
 
 
 def _leaks(
