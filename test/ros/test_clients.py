@@ -2,7 +2,6 @@
 
 """The ROS programs of examples/ and docs/programs.md, run beside a real driver."""
 
-import importlib.util
 import math
 import os
 import re
@@ -31,6 +30,7 @@ from tactile_cdma.ros.driver.objects import sim_objects
 from tactile_cdma.sim import Box, Sphere
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.programs import run_python
+from test.support.scripts import body_commands
 from test.support.skin_client import Client, running, wait_sending
 from test.support.waiting import wait_for
 
@@ -358,16 +358,6 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
                 wait_for(lambda: blind in text_of(output))
         finally:
             client.destroy_node()
-
-
-def body_commands(path: Path) -> list[list[str]]:
-    """What `make run PATCHES=…` starts: the drivers, and the body's node."""
-    spec = importlib.util.spec_from_file_location("run", EXAMPLES.parent / "tools" / "run.py")
-    assert spec is not None and spec.loader is not None
-    run = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(run)
-    found: list[list[str]] = run.body_commands(path)
-    return found
 
 
 @contextmanager

@@ -6,7 +6,6 @@ The trial with LeRobot itself is by hand: docs/learning.md.
 """
 
 import time
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +16,7 @@ import pytest
 from tactile_cdma import LiveObservation, PortError, Skin
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from test.support.scripts import loaded
 from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("public_skin")
@@ -29,12 +29,7 @@ PARAMETERS = "/**:\n  ros__parameters:\n    port: {port}\n    skin: {skin}\n    
 @pytest.fixture(scope="module")
 def touch() -> ModuleType:
     """The module of the package that does without LeRobot."""
-    path = ROOT / "integrations" / PACKAGE / PACKAGE / "touch.py"
-    spec = spec_from_file_location("touch", path)
-    assert spec and spec.loader
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(ROOT / "integrations" / PACKAGE / PACKAGE / "touch.py")
 
 
 def test_the_numbers_are_the_rows_of_an_export_bit_for_bit(
