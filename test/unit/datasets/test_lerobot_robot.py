@@ -16,6 +16,8 @@ import pytest
 from tactile_cdma import LiveObservation, PortError, Skin
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
 from test.support.scripts import loaded
 from test.support.waiting import wait_for
 
@@ -36,10 +38,10 @@ def test_the_numbers_are_the_rows_of_an_export_bit_for_bit(
     touch: ModuleType, tmp_path: Path
 ) -> None:
     recording, dataset = tmp_path / "touch.skin", tmp_path / "set"
-    port = "sim://?scene=all&seed=3&heartbeat=40&dead=5"
-    assert main(["record", port, str(recording), "--seconds", "1.2"]) == 0
-    options = "--lerobot", str(dataset), "--fps", "20", "--samples", "last"
-    assert main(["export", str(recording), *options]) == 0
+    options = SimOptions.from_url("sim://?scene=all&seed=3&heartbeat=40&dead=5")
+    simulated.recording(recording, options, 1.2)
+    words = "--lerobot", str(dataset), "--fps", "20", "--samples", "last"
+    assert main(["export", str(recording), *words]) == 0
     table = pyarrow.parquet.read_table(dataset / "data/chunk-000/file-000.parquet")
     source = RecordingSource(recording, {}, derived=False)
     stamps = {
