@@ -287,11 +287,13 @@ def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     assert 5 <= len(lines) <= 6
     assert any(line != "nothing yet" for line in lines), "a busy machine may be late, not silent"
     contact = r"p\d \d+\.\d N \(-?\d+ -?\d+ -?\d+ mm\)"
-    assert re.search(rf"\d Hz +\d+\.\d N  (no contact|{contact})", lines[-1])
+    known = rf"\d Hz +>?\d+\.\d N  (no contact|{contact})"
+    unknown = r"\d Hz +(>\d+\.\d|--) N  .*\d+ of \d+ taxels valid|absent: p\d"  # one was late
+    assert re.search(f"{known}|{unknown}", lines[-1])
     values = dict(pair.split("=") for pair in last.split())
     assert values.keys() == {"received", "lost", "absent"}
     assert int(values["received"]) > 0
-    assert values["absent"] == "0"
+    assert values["absent"] == "0" or "absent" in "".join(lines)
 
 
 def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(

@@ -179,7 +179,8 @@ def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None
         world.mount(0.0)
         world.mount(0.1, child="b")
         world.clock.publish(RosClock(clock=Time(sec=sec)))
-        world.goes_on()
+        now = world.body.get_clock().now
+        wait_for(lambda: world.goes_on() and now().nanoseconds == sec * 10**9)
         message = TactileContacts(untouched=True, taxels_valid=16, taxels_in_service=16)
         for patch in (world.a, world.b):
             message.header = Header(stamp=Time(sec=of_sec), frame_id=patch.frame_id)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_cdma import Body, BodyError, ParameterError, PortError, Status
+from tactile_cdma import Body, BodyError, Frame, ParameterError, PortError, Skin, Status
 
 pytestmark = pytest.mark.xdist_group("public_skin")
 FILE = """
@@ -34,8 +34,22 @@ def test_the_example_of_the_docstring_runs() -> None:
     assert (result.failed, result.attempted) == (0, 2)
 
 
+def noted(skin: Skin) -> list[int]:
+    """The numbers of the frames that a skin hands over, which on a busy machine have gaps."""
+    numbers, waiting = list[int](), skin.waiting
+
+    def give() -> list[Frame]:
+        frames = waiting()
+        numbers.extend(frame.sequence for frame in frames)
+        return frames
+
+    skin.waiting = give  # type: ignore[method-assign]
+    return numbers
+
+
 def test_a_patch_that_is_away_is_missing_and_the_others_lose_nothing(file: Path) -> None:
     with Body(file, contacts=True) as body:
+        came = {name: noted(skin) for name, skin in body.skins.items()}
         begun = dropwhile(lambda frame: frame.missing != ("away",), body)  # others may be late
         frames = list(islice(begun, 60))
     assert all("away" in frame.missing for frame in frames)
@@ -49,7 +63,9 @@ def test_a_patch_that_is_away_is_missing_and_the_others_lose_nothing(file: Path)
     assert np.nanmax(last.pressure_pa[left]) > 1e3 and last.patches["left"].touched
     for name in ("left", "right"):
         seen = [frame.patches[name].sequence for frame in frames if name in frame.patches]
-        assert {b - a for a, b in pairwise(seen)} <= {0, 1}, "no frame is skipped"
+        seen = list(dict.fromkeys(seen))
+        first = came[name].index(seen[0])
+        assert seen == came[name][first : first + len(seen)], "no frame is skipped"
     assert all(b.t_host >= a.t_host for a, b in pairwise(frames))
     assert body.positions_m[left, 0].mean() == pytest.approx(1.0)
     assert np.isnan(body.positions_m[right]).all(), "mounted nowhere"
