@@ -172,15 +172,14 @@ def two_points(world: World) -> None:
 
 
 def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None:
-    world, complaints, stamps = World(use_sim_time=True, stale_after_s=5.0), set[str](), list[int]()
+    world, complaints, stamps = World(use_sim_time=True), set[str](), list[int]()
 
     def play(sec: int, of_sec: int) -> None:
         """A moment of the bag; of_sec: the stamp of a patch's message, s."""
         world.mount(0.0)
         world.mount(0.1, child="b")
         world.clock.publish(RosClock(clock=Time(sec=sec)))
-        now = world.body.get_clock().now
-        wait_for(lambda: world.goes_on() and now().nanoseconds == sec * 10**9)
+        world.goes_on()
         message = TactileContacts(untouched=True, taxels_valid=16, taxels_in_service=16)
         for patch in (world.a, world.b):
             message.header = Header(stamp=Time(sec=of_sec), frame_id=patch.frame_id)
@@ -195,9 +194,8 @@ def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None
             world.contacts.clear()
             for sec in range(101, 131, 2):
                 play(sec, sec)
-            wait(world, lambda: world.contacts[-1].header.stamp.sec >= 127)
             stamps = [message.header.stamp.sec for message in world.contacts]
-            assert len(stamps) > 10
+            assert stamps[-1] >= 127 and len(stamps) > 10
             assert [m.absent for m in world.contacts[5:]] == [[]] * len(stamps[5:])
         wait(world, lambda: " Hz" in world.said["/a/skin"], lambda: play(130, 130))
     finally:
