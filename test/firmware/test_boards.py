@@ -153,7 +153,7 @@ def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
         ("electrodes.kicad_pcb", lambda _: "PK\x03\x04", "was it written by KiCad?"),
         ("electrodes.kicad_pcb", lambda text: text.replace("20241229", "20171130"), "save it with"),
         (
-            "strip.kicad_pcb",
+            "electrodes.kicad_pcb",
             lambda text: text.replace("(at ", "(at x", 1),
             "line 101: (at …): 'x10.5'",
         ),
