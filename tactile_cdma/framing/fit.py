@@ -9,7 +9,6 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
+from ..base.stage import stage
 from ..base.sums import dot
 from ..code.amplitude import (
     ACTIVE_SHARE,
@@ -164,7 +164,7 @@ def integrate(
     return levels.reshape(-1, spec.line_bits, spec.order)
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class WordFit:
     """What chips say when every node is held to one amplitude per word, for c candidates.
 
@@ -356,7 +356,7 @@ def lowest_power(swing_v: float) -> float:
     return (FAINT_SHARE * swing_v) ** 2
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Fit:
     """A frame in a line: first chip's begin and duration of a chip, samples."""
 

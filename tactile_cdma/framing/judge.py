@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
+from ..base.stage import stage
 from ..code.frame import FrameSpec
 from ..code.transform import chips_of
 from .fit import Fit, Line, WordFit, integrate, read_words, refine
@@ -21,7 +22,7 @@ RULED_OUT = 2 * LIMITS.close
 before looking: the burst makes up for 10 at most, the raster for 20."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Judgement:
     """The most likely frame of some.
 

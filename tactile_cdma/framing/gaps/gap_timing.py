@@ -354,7 +354,7 @@ class GapTiming(Timing):
         end = fit.end(spec)
         if end > raw.size + 0.5 * fit.chip:
             return INCOMPLETE
-        clipped = self._clipped(fit, raw)
+        clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
         beside = beside or self._search.beside(line.volts, fit, burst)
@@ -382,14 +382,7 @@ class GapTiming(Timing):
         """The frame in which the kernel found nothing odd."""
         self._learn(gap, look.words)
         levels = look.levels(self._spec)
-        return self._emit(
-            Fit(*look.place), look.unaided, levels, look.around[0], look.clipped
-        )
-
-    def _clipped(self, fit: Fit, raw: Floats) -> float:
-        """Share of a frame's samples that are at a rail."""
-        frame = raw[max(0, round(fit.start)) : round(fit.end(self._spec))]
-        return share_clipped(frame, self._rails_v)
+        return self._emit(Fit(*look.place), look.unaided, levels, look.around[0], look.clipped)
 
     def _learn(self, gap: Gap, words: WordFit) -> None:
         """Learn from a frame's words and the gap beside it."""

@@ -87,8 +87,9 @@ class Look(NamedTuple):
 
     kind: enum gap_look. quiet, loud: the gap and the burst. proven: see GapSearch.proven; 0 where
     no frame is carried. place, unaided: of a carried frame that is beyond doubt. around: what lies
-    beside that. is_sound: its words are even and leave nothing over, and the line is at rest
-    beside; no rail hides words. clipped: share of its samples at a rail. noise_v: of a row's levels. words: of it, valid until the next look.
+    beside that. clipped: share of its samples at a rail. is_sound: its words are even and leave
+    nothing over, the line is at rest beside, and no rail hides words. noise_v: of a row's levels
+    then. words: of it, valid until the next look.
     """
 
     kind: int
@@ -155,8 +156,9 @@ class GapSearch(BurstSearch):
         """What is in a stretch of samples, all in one call of the kernel.
 
         None without it, and where a sample is NaN, or all are too few. volts, raw: (m,) float64, V,
-        without hum and as they came, from stream index `begin` on. expected: the next frame, if that is sure, in stream indices. Gives
-        what the other methods would, as far as it is beyond doubt.
+        without hum and as they came, from stream index `begin` on. expected: the next frame, if
+        that is sure, in stream indices. Gives what the other methods would, as far as it is beyond
+        doubt.
         """
         code = self._code
         if code is None:
