@@ -147,19 +147,20 @@ class MujocoSkin:
 
     def _contacts(self, data: Any) -> dict[int, tuple[float, Floats]]:
         """By geom that touches the skin's: normal force, N, and its vector in the world."""
-        found: dict[int, tuple[float, Floats]] = {}
+        found: dict[int, tuple[float, Any]] = {}
         if not data.ncon:
             return found
-        force = np.zeros(6)
-        for number, (one, other) in enumerate(data.contact.geom.tolist()):
+        force, contact = np.zeros(6), data.contact
+        normals, sides = contact.frame[:, :3], contact.geom.tolist()
+        for number, (one, other) in enumerate(sides):
             if (one in self._geoms) == (other in self._geoms):
                 continue  # somewhere else, or within the skin's own body
             self._mujoco.mj_contactForce(self._model, data, number, force)
+            normal_n = float(force[0])
             # The normal points from the first geom to the second one.
-            theirs, sign = (one, 1.0) if other in self._geoms else (other, -1.0)
-            so_far_n, vector_n = found.get(theirs, (0.0, np.zeros(3)))
-            normal = sign * force[0] * data.contact.frame[number, :3]
-            found[theirs] = so_far_n + float(force[0]), vector_n + normal
+            theirs, signed_n = (one, normal_n) if other in self._geoms else (other, -normal_n)
+            so_far_n, vector_n = found.get(theirs, (0.0, 0.0))
+            found[theirs] = so_far_n + normal_n, vector_n + signed_n * normals[number]
         return found
 
     def _object(self, data: Any, geom: int, frame: Pose, inverse: Pose, along: Floats) -> Indenter:

@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -408,11 +408,8 @@ class Skin:
         return False
 
 
-class _Found(NamedTuple):
-    """A frame, and its contacts if they were asked for."""
-
-    frame: TactileFrame
-    contacts: Contacts | None
+_Found: TypeAlias = tuple[TactileFrame, Contacts | None]
+"""A frame, and its contacts if they were asked for."""
 
 
 class _Framing:
@@ -424,11 +421,30 @@ class _Framing:
 
     def find(self, frame: TactileFrame) -> _Found:
         """The contacts of every frame, in order: their ages and speeds rest on those before."""
-        found = self._tracker.update(frame.readings, frame.t_middle) if self._tracker else None
-        return _Found(frame, found)
+        if self._tracker is None:
+            return frame, None
+        return frame, self._tracker.update(frame.readings, frame.t_middle)
 
     def shown(self, found: _Found) -> Frame:
-        return _frame(found.frame, found.contacts, self._layout)
+        frame, contacts = found
+        layout, words, readings = self._layout, frame.words, frame.readings
+        return Frame(
+            sequence=frame.sequence,
+            t_host=frame.t_host,
+            t_device=frame.t_middle,
+            stamp_uncertainty_s=frame.stamp_uncertainty_s,
+            pressure_pa=_read_only(readings.pressure_pa),
+            voltage_v=_read_only(readings.voltage_v),
+            status=_read_only(readings.status),
+            positions_m=_read_only(layout.positions_m),
+            shape=(layout.rows, layout.columns),
+            nodes=_read_only(layout.nodes),
+            active=_read_only(words.active),
+            codes=_read_only(words.codes),
+            doubtful=_read_only(words.doubtful),
+            noise_rms_v=words.noise_rms_v,
+            contacts=contacts,
+        )
 
 
 class _Inbox:
@@ -609,24 +625,3 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.flags.writeable = False
     return view
-
-
-def _frame(frame: TactileFrame, contacts: Contacts | None, layout: Layout) -> Frame:
-    words, readings = frame.words, frame.readings
-    return Frame(
-        sequence=frame.sequence,
-        t_host=frame.t_host,
-        t_device=frame.t_middle,
-        stamp_uncertainty_s=frame.stamp_uncertainty_s,
-        pressure_pa=_read_only(readings.pressure_pa),
-        voltage_v=_read_only(readings.voltage_v),
-        status=_read_only(readings.status),
-        positions_m=_read_only(layout.positions_m),
-        shape=(layout.rows, layout.columns),
-        nodes=_read_only(layout.nodes),
-        active=_read_only(words.active),
-        codes=_read_only(words.codes),
-        doubtful=_read_only(words.doubtful),
-        noise_rms_v=words.noise_rms_v,
-        contacts=contacts,
-    )

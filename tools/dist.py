@@ -2,7 +2,7 @@
 
 """Builds what a release uploads, and installs it in empty environments: `make dist`.
 
-From an archive of the checkout's tracked files, without git: the sdist, and from it the wheel of
+From an archive of the tracked files, or a checkout without git: the sdist, and from it the wheel of
 this processor, which serves every Python from 3.11 on (limited API) and the distributions that
 auditwheel finds. Each is then installed for every Python there is, the sdist with and without a
 compiler, and decodes a simulated skin. The last line counts; dist/ has the files.
@@ -64,7 +64,10 @@ def main() -> int:
 
 
 def exported(target: Path) -> Path:
-    """Copy the tracked files to a folder that is no repository."""
+    """Copy the tracked files, or a checkout without git, to a folder that is no repository."""
+    if not (CHECKOUT / ".git").exists():
+        ignore = shutil.ignore_patterns(".venv*", "build", "dist", "*.egg-info")
+        return Path(shutil.copytree(CHECKOUT, target, ignore=ignore))
     archive = target.with_suffix(".tar")
     git = shutil.which("git") or "git"
     subprocess.run([git, "archive", "-o", archive, "HEAD"], cwd=CHECKOUT, check=True)

@@ -4,8 +4,8 @@
 """Gets what firmware is built and emulated with: `make firmware-tools`. Standard library only.
 
 Debian packages are installed where that needs no question (root, or sudo without a password), and
-the RP2040's emulator comes from npm. What is missing and cannot be installed is named: tests that
-need it are skipped, and say so.
+the RP2040's emulator comes from npm. What is missing and cannot be installed is named, and so is,
+without --require, what `make test` will skip tests for.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from setup_env import CHECKOUT, may_be_root
@@ -36,6 +37,14 @@ PACKAGES = {  # Debian's name: what tells that it is there, a program or a file
     "gcc": "cc",
     "util-linux": "flock",
 }
+OPTIONAL = {  # module or program, without which tests are skipped: how to get it
+    "launch_ros": "source an installation of ROS 2",
+    "mujoco": "make example-grip",
+    "rerun": "make view",
+    "torch": "pip install torch",
+    "lerobot": "pip install lerobot",
+    "kicad-cli": "apt install kicad",
+}
 
 
 def main() -> int:
@@ -55,7 +64,18 @@ def main() -> int:
         problems.append(problem)
     for problem in problems:
         print(f"firmware: needed on this machine: {problem}", file=sys.stderr)
+    if not required and (skipped := [*problems, *optional()]):
+        print(f"make test: skips tests that need {'; '.join(skipped)}", flush=True)
     return int(required and bool(problems))
+
+
+def optional() -> list[str]:
+    """Return what tests can do without that this machine lacks, and how to get it."""
+    return [
+        f"{name} ({way})"
+        for name, way in OPTIONAL.items()
+        if not (find_spec(name) or shutil.which(name))
+    ]
 
 
 def missing() -> list[str]:

@@ -26,7 +26,7 @@ from typing import IO
 
 from tactile_cdma.base.errors import TactileError
 from tactile_cdma.base.named_file import existing
-from tactile_cdma.config.body_file import Patch, read_body
+from tactile_cdma.config.body_file import LOCALHOST, RANGE, Patch, read_body
 from tactile_cdma.config.parameters import unknown
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -78,7 +78,7 @@ def main() -> int:
             parser.error("without ROS only PORT, PARAMS and SECONDS: the rest shows topics")
         watch = [sys.executable, str(CHECKOUT / "tools" / "watch.py"), "--params", str(params)]
         os.execv(sys.executable, [*watch, "--port", port, "--seconds", f"{seconds:g}"])  # noqa: S606
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault(RANGE, LOCALHOST)
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
     rerun = rerun_command(arguments.rerun == "web") if arguments.rerun else []
     quiet = seconds == 0.0

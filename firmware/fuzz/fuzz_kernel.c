@@ -3,6 +3,7 @@
 /* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
  * whole numbers through its transforms and sums without any trick, any levels read as words, and frames
  * looked for without marks. What follows a stream has a harness of its own, fuzz_stream.c. */
+#include "contacts.h"
 #include "gap.h"
 #include "reference.h"
 #include "readout.h"
@@ -508,13 +509,63 @@ static void look_for_frame(struct input *input)
     transform_free(spread);
 }
 
+/* Contacts of frames of any pressures on a grid: every taxel is in one contact at most, and that is
+ * connected to nothing above the release but itself. */
+static void touch(struct input *input)
+{
+    enum { NEAR = 4, MOST = 300 };
+    size_t taxels = 1 + input_u16(input) % MOST, width = 1 + taxels % 17;
+    int32_t near[MOST * NEAR], place[MOST], scratch[CONTACTS_SCRATCH * MOST], in[2 * MOST], starts[MOST + 1];
+    double moments[MOST * CONTACTS_MOMENTS] = {0}, loads[MOST], sums[MOST * CONTACTS_SUMS];
+    uint8_t notes[MOST], flags[3 * MOST], status[MOST];
+    float pressure_pa[MOST], peak_pa[MOST];
+    const struct contacts_skin skin = {taxels, NEAR, near, moments, 0.5f, 0.2f, 0.06f, 8};
+    const struct contacts_kept kept = {place, notes, scratch, loads};
+    const struct contacts_found found = {in, in + MOST, starts, sums, peak_pa, flags, flags + MOST, flags + 2 * MOST};
+
+    for (size_t i = 0; i < taxels; i++) {
+        int32_t own = (int32_t)i;
+        near[NEAR * i] = i % width > 0 ? own - 1 : own;
+        near[NEAR * i + 1] = i % width + 1 < width && i + 1 < taxels ? own + 1 : own;
+        near[NEAR * i + 2] = i >= width ? own - (int32_t)width : own;
+        near[NEAR * i + 3] = i + width < taxels ? own + (int32_t)width : own;
+        moments[CONTACTS_MOMENTS * i] = 1;
+        place[i] = -1;
+        notes[i] = 1;
+        status[i] = input_u8(input) % 16;
+    }
+    for (size_t frame = 0; frame < 6; frame++) {
+        size_t in_contact = 0;
+        for (size_t i = 0; i < taxels; i++)
+            pressure_pa[i] = level_of(input_u8(input));
+        size_t count = contacts_gather(&skin, pressure_pa, status, &kept, &found);
+        MUST(count <= taxels, WRONG_VALUE);
+        for (size_t c = 0; c < count; c++) {
+            MUST(starts[c] < starts[c + 1] && peak_pa[c] > skin.release_pa, WRONG_VALUE);
+            for (int32_t at = starts[c]; at < starts[c + 1]; at++)
+                MUST(place[in[at]] == (int32_t)c, WRONG_VALUE);
+        }
+        for (size_t i = 0; i < taxels; i++) {
+            bool touched = pressure_pa[i] > skin.release_pa;
+            in_contact += place[i] >= 0;
+            MUST(place[i] < 0 || touched, WRONG_VALUE);
+            MUST(place[i] >= 0 || !(pressure_pa[i] > skin.contact_pa), WRONG_VALUE);
+            for (size_t n = 0; touched && n < NEAR; n++) {
+                int32_t beside = near[NEAR * i + n];
+                MUST(!(pressure_pa[beside] > skin.release_pa) || place[beside] == place[i], WRONG_VALUE);
+            }
+        }
+        MUST(!count || in_contact == (size_t)starts[count], WRONG_VALUE);
+    }
+}
+
 /* The input's first byte selects the test. */
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     struct input input = {bytes, size};
     uint8_t test = input_u8(&input);
 
-    switch (test < 224 ? test % 7 : 6) { /* inputs that are kept stay what they were */
+    switch (test < 224 ? test % 7 : 7) { /* inputs that are kept stay what they were */
     case 0:
         scan_bytes(&input);
         break;
@@ -535,6 +586,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         break;
     case 6:
         look_for_frame(&input);
+        break;
+    case 7:
+        touch(&input);
         break;
     }
     return 0;

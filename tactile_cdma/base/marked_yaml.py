@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,14 @@ class Marked:
     def refuse(self, text: str) -> TactileError:
         """The error to raise about this value."""
         return self.file.refuse(text, self.line)
+
+    @contextmanager
+    def refusing(self, *kinds: type[Exception]) -> Iterator[None]:
+        """Turn such errors into the file's, about this value."""
+        try:
+            yield
+        except kinds as error:
+            raise self.refuse(str(error)) from None
 
     @property
     def is_null(self) -> bool:

@@ -5,7 +5,6 @@
 import argparse
 import math
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -21,7 +20,7 @@ from ..calibrating.load_points import LoadPoints, read_points
 from ..calibrating.load_session import LoadSession
 from ..calibrating.plateaus import Recording, Reference, find_offset, plateau_points, read_reference
 from ..calibrating.skin_fit import POWER_LAW, fit_skin
-from ..config.arguments import add_skin_options, finite, given, positive
+from ..config.arguments import add_skin_options, finite, given, positive, refuse_given
 from ..config.parameters import BY_NAME, Value
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
@@ -50,60 +49,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     parser.description = __doc__
     file: dict[str, Any] = {"type": Path, "metavar": "FILE"}
-    parser.add_argument(
-        "loads",
-        type=Path,
-        nargs="?",
-        metavar="LOADS.csv",
-        help="points (node,pressure_kpa,voltage_v); with --capture the reference's readings "
+    add = parser.add_argument
+    text = (
+        "points (node,pressure_kpa,voltage_v); with --capture the reference's readings "
         "(time_s,pressure_kpa and, if not all nodes are loaded alike, node); with --port the "
-        "file in which the points are stored",
+        "file in which the points are stored"
     )
-    parser.add_argument("-o", "--output", **file, help="calibration file to write")
-    parser.add_argument("--png", **file, help="picture (next to the output)")
-    parser.add_argument(
-        "--force", action="store_true", help="overwrite the output; accept loads beyond range_kpa"
-    )
-    parser.add_argument(
-        "--update", **file, help="calibration file in which the loaded nodes get new curves"
-    )
-    parser.add_argument("--skin", help="name of this individual skin (the parameter skin)")
-    parser.add_argument(
-        "--pieces", type=int, choices=range(1, 9), default=2, help="pieces per curve (%(default)s)"
-    )
-    parser.add_argument(
-        "--power-law", dest="pieces", action="store_const", const=POWER_LAW,
-        help="curves of force sensing resistors, R ∝ P^−a, in a divider of vref_v",
-    )  # fmt: skip
-    parser.add_argument(
-        "--allow-missing", action="store_true", help="accept nodes without a valid curve"
-    )
-    parser.add_argument("--area-mm2", type=positive, metavar="MM2", help="area of forces")
-    parser.add_argument(
-        "--units", type=lambda text: text.split(","), default=[], metavar="N,V,…",
-        help="units of columns whose headings have none",
-    )  # fmt: skip
-    parser.add_argument("--node", type=int, help="the only node that is loaded")
-    parser.add_argument("--seal", **file, help="accept a calibration file edited by hand")
-    parser.add_argument(
-        "--compare", type=Path, nargs=2, metavar=("A", "B"), help="how B reads what A reads"
-    )
-    capture = parser.add_argument_group("loads beside a capture")
-    capture.add_argument("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
-    capture.add_argument(
-        "--offset", type=finite, help="device time minus reference time [s] (found by matching)"
-    )
-    capture.add_argument(  # the paper's sensor takes 0.74 s
-        "--settle", type=positive, default=2.0, help="ignored at the start of each load [s] (2)"
-    )
-    live = parser.add_argument_group("loads taken step by step")
-    live.add_argument("--port", help="pyserial URL of the digitizer")
-    live.add_argument("--baud", type=int, default=BY_NAME["baud"].default)
-    live.add_argument("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
-    live.add_argument(
-        "--seconds", type=positive, default=1.0, help="duration of each measurement [s] (1)"
-    )
-    live.add_argument("--append", action="store_true", help="add to an existing file of points")
+    add("loads", type=Path, nargs="?", metavar="LOADS.csv", help=text)
+    add("-o", "--output", **file, help="calibration file to write")
+    add("--png", **file, help="picture (next to the output)")
+    text = "overwrite the output; accept loads beyond range_kpa"
+    add("--force", action="store_true", help=text)
+    add("--update", **file, help="calibration file in which the loaded nodes get new curves")
+    add("--skin", help="name of this individual skin (the parameter skin)")
+    text = "pieces per curve (%(default)s)"
+    add("--pieces", type=int, choices=range(1, 9), default=2, help=text)
+    text = "curves of force sensing resistors, R ∝ P^−a, in a divider of vref_v"
+    add("--power-law", dest="pieces", action="store_const", const=POWER_LAW, help=text)
+    add("--allow-missing", action="store_true", help="accept nodes without a valid curve")
+    add("--area-mm2", type=positive, metavar="MM2", help="area of forces")
+    units: dict[str, Any] = {"type": lambda text: text.split(","), "default": []}
+    add("--units", **units, metavar="N,V,…", help="units of columns whose headings have none")
+    add("--node", type=int, help="the only node that is loaded")
+    add("--seal", **file, help="accept a calibration file edited by hand")
+    add("--compare", type=Path, nargs=2, metavar=("A", "B"), help="how B reads what A reads")
+    add = parser.add_argument_group("loads beside a capture").add_argument
+    add("--capture", type=Path, metavar="RAW", help="from tactile-cdma record")
+    add("--offset", type=finite, help="device time minus reference time [s] (found by matching)")
+    text = "ignored at the start of each load [s] (2)"
+    add("--settle", type=positive, default=2.0, help=text)  # the paper's sensor takes 0.74 s
+    add = parser.add_argument_group("loads taken step by step").add_argument
+    add("--port", help="pyserial URL of the digitizer")
+    add("--baud", type=int, default=BY_NAME["baud"].default)
+    add("--steps", type=_steps, default=(), metavar="0,10,…", help="loads [kPa]")
+    add("--seconds", type=positive, default=1.0, help="duration of each measurement [s] (1)")
+    add("--append", action="store_true", help="add to an existing file of points")
     add_skin_options(parser, "as described by the capture, else the driver's")
 
 
@@ -225,18 +205,13 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
 
 def _check_options(arguments: argparse.Namespace) -> None:
     """Raise CalibrationError for options that are missing or do not go with each other."""
-
-    def changed(names: Iterable[str]) -> list[str]:
-        default = arguments.parser.get_default
-        return [name for name in names if getattr(arguments, name) != default(name)]
-
     if arguments.output is None:
         raise CalibrationError("-o is missing: the calibration file to write, or --update")
     if arguments.port and arguments.capture:
         raise CalibrationError("--port and --capture: loads come from one of the two")
     for source, names in OPTIONS_OF.items():
-        if not getattr(arguments, source) and (wrong := changed(names)):
-            raise CalibrationError(f"--{wrong[0]} goes with --{source} only")
+        if not getattr(arguments, source):
+            refuse_given(arguments, names, f"goes with --{source} only", CalibrationError)
 
 
 def _beside_capture(

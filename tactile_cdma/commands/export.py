@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from ..base.errors import CaptureError, ParameterError
 from ..base.interrupt import terminable
 from ..base.named_file import naming
 from ..base.optional import needed_for
-from ..config.arguments import add_skin_options, finite, given
+from ..config.arguments import add_skin_options, finite, given, refuse_given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import Episode, find_episodes, parse_interval
 from ..datasets.frames import PatchFrames, paths_of
@@ -35,9 +36,8 @@ _OF_LEROBOT = ("fps", "clock", "samples", "nan", "image", "state", "action", "ta
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="recordings, raw bytes, or bags"
-    )
+    add = parser.add_argument
+    add("files", type=Path, nargs="+", metavar="FILE", help="recordings, raw bytes, or bags")
     outputs = parser.add_mutually_exclusive_group(required=True)
     outputs.add_argument(
         "-o",
@@ -50,40 +50,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     outputs.add_argument(
         "--lerobot", type=Path, metavar="OUT", help="a new folder: a LeRobotDataset v3"
     )
-    parser.add_argument(
-        "--bag", action="store_true", help="OUT is a new folder: a bag (MCAP) of tactile and info"
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    text = "OUT is a new folder: a bag (MCAP) of tactile and info"
+    add("--bag", action="store_true", help=text)
+    add("--force", action="store_true", help="overwrite existing files")
     _add_choices(parser)
     _add_lerobot_options(parser)
     add_skin_options(parser)
 
 
 def _add_choices(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what to export")
-    group.add_argument(
-        "--topic", action="append", default=[], help="arrays of a bag; repeat it; default: all"
-    )
-    group.add_argument(
-        "--info", type=Path, metavar="BAG", help="takes ~/info from here if the bag has none"
-    )
-    group.add_argument("--start", type=finite, metavar="S", help="s from each file's beginning")
-    group.add_argument("--end", type=finite, metavar="S", help="s from each file's beginning")
-    group.add_argument(
-        "--episode",
-        action="append",
-        default=[],
-        metavar="START:END",
-        help="an episode, s from each file's beginning; repeat it; default: each file is one",
-    )
-    group.add_argument(
-        "--marks", metavar="TOPIC", help="episodes by a topic: Bool, String or Empty"
-    )
-    group.add_argument(
-        "--from-first-complete",
-        action="store_true",
-        help="leave out what is before every taxel has had a valid reading",
-    )
+    add = parser.add_argument_group("what to export").add_argument
+    several: dict[str, Any] = {"action": "append", "default": []}
+    add("--topic", **several, help="arrays of a bag; repeat it; default: all")
+    add("--info", type=Path, metavar="BAG", help="takes ~/info from here if the bag has none")
+    add("--start", type=finite, metavar="S", help="s from each file's beginning")
+    add("--end", type=finite, metavar="S", help="s from each file's beginning")
+    text = "an episode, s from each file's beginning; repeat it; default: each file is one"
+    add("--episode", **several, metavar="START:END", help=text)
+    add("--marks", metavar="TOPIC", help="episodes by a topic: Bool, String or Empty")
+    text = "leave out what is before every taxel has had a valid reading"
+    add("--from-first-complete", action="store_true", help=text)
 
 
 def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
@@ -91,26 +77,17 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
     clock = group.add_mutually_exclusive_group()
     clock.add_argument("--fps", type=int, metavar="N", help="rows per s")
     clock.add_argument("--clock", metavar="TOPIC", help="a row per message of a camera, say")
-    group.add_argument(
-        "--samples",
-        choices=MODES,
-        help=f"frames of the skin per row: all of the interval, the last; default: {WINDOW}",
-    )
-    group.add_argument(
-        "--nan",
-        choices=POLICIES,
-        help=f"taxels without a reading: last valid one, 0, or leave the row out; default: {HOLD}",
-    )
-    group.add_argument("--image", action="append", metavar="TOPIC", help="repeat it; default: all")
+    add = group.add_argument
+    text = f"frames of the skin per row: all of the interval, the last; default: {WINDOW}"
+    add("--samples", choices=MODES, help=text)
+    text = f"taxels without a reading: last valid one, 0, or leave the row out; default: {HOLD}"
+    add("--nan", choices=POLICIES, help=text)
+    add("--image", action="append", metavar="TOPIC", help="repeat it; default: all")
+    vector: dict[str, Any] = {"action": "append", "default": [], "metavar": "TOPIC[:NAME,…]"}
     for name, column in (("--state", "observation.state"), ("--action", "action")):
-        group.add_argument(
-            name,
-            action="append",
-            default=[],
-            metavar="TOPIC[:NAME,…]",
-            help=f"{column}: joints, or an array; all or those of these names; repeat it",
-        )
-    group.add_argument("--task", help="what was done, in words")
+        text = f"{column}: joints, or an array; all or those of these names; repeat it"
+        add(name, **vector, help=text)
+    add("--task", help="what was done, in words")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -137,14 +114,6 @@ def _check(arguments: argparse.Namespace) -> None:
         (arguments.task or "").encode()
     except UnicodeEncodeError:
         raise ParameterError("--task is not UTF-8: no program could read it back") from None
-
-
-def _refuse(arguments: argparse.Namespace, names: Iterable[str], reason: str) -> None:
-    """Raises ParameterError where one of these options was given."""
-    for name in names:
-        value = getattr(arguments, name)
-        if value is not None and value is not False and value != []:
-            raise ParameterError(f"--{name.replace('_', '-')} {reason}")
 
 
 def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
@@ -203,7 +172,7 @@ def _episodes(
 
 def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     output: Path = arguments.output
-    _refuse(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
+    refuse_given(arguments, _OF_LEROBOT, "goes with --lerobot: a table has the skin's own frames")
     if output.suffix not in _WRITERS:
         suffixes = ", ".join(f"*{suffix}" for suffix in _WRITERS)
         raise CaptureError(f"{output}: name it {suffixes}, or ask for --bag or --lerobot")
@@ -211,7 +180,7 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
         open_source(path, Wanted(given(arguments), arguments.topic, info=arguments.info))
         for path in arguments.files
     ]
-    names = [stream.feature for stream in patches_of(sources[0])]
+    names = [patch.name for patch in patches_of(sources[0].streams).values()]
     if not names:
         raise CaptureError(f"{arguments.files[0]}: no frames of a skin in this bag")
     paths = paths_of(output, names)
@@ -260,8 +229,8 @@ def _bag(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output
     if output is None or len(arguments.files) > 1:
         raise ParameterError("--bag makes one folder, -o OUT, of one recording")
-    _refuse(arguments, _CHOICES, "does not go with --bag, which writes all of a recording")
-    _refuse(arguments, _OF_LEROBOT, "goes with --lerobot, not with --bag")
+    refuse_given(arguments, _CHOICES, "does not go with --bag, which writes all of a recording")
+    refuse_given(arguments, _OF_LEROBOT, "goes with --lerobot, not with --bag")
     [path] = arguments.files
     if is_bag(path):
         raise CaptureError(f"{path}: is a bag already")

@@ -3,20 +3,26 @@
 """The subcommand `tactile-cdma info`: says what is in a recording or a bag."""
 
 import argparse
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from ..base.errors import CaptureError, TactileError
 from ..base.plain_text import plain
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
-from ..datasets.contents import contents
+from ..datasets.episodes import samples_of
 from ..datasets.progress import Progress
-from ..datasets.sources.opening import is_bag, refuse_parameters
+from ..datasets.samples import NANO, SkinFrame, patches_of
+from ..datasets.sources.opening import Wanted, is_bag, open_source
 from ..datasets.sources.recording_source import skin_frame
 from ..datasets.survey import FrameSurvey
 from ..recording.offline import RawCapture
 from ..recording.recording_file import describe, is_recording, survey
+
+Lines = Iterator[tuple[str, str]]
+"""Names and texts."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,11 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Print all that can be said of a file; returns 1 for a recording that is damaged."""
     path: Path = arguments.file
     if is_bag(path):
-        with Progress() as progress:
-            lines = contents(path, progress)
-            refuse_parameters(path, given(arguments))
-            for name, value in lines:
-                print(f"{name}: {plain(value)}")
+        for name, value in _bag_lines(path, given(arguments)):
+            print(f"{name}: {plain(value)}")
         return 0
     if not is_recording(path):
         raise CaptureError(
@@ -51,6 +54,47 @@ def run(arguments: argparse.Namespace) -> int:
     _say_frames(path, given(arguments))
     print("checksum: " + ("; ".join(found.notes) or "right"))
     return 1 if found.notes else 0
+
+
+def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
+    """The topics of a bag, and its patches."""
+    source = open_source(path, Wanted(asked))
+    from ..datasets.sources.bag_source import BagSource  # slow to load, and needed here only
+
+    assert isinstance(source, BagSource)
+    length_s = (source.end_ns - source.begin_ns) / NANO
+    messages = sum(number for _, number in source.counts.values())
+    topics = _counted(len(source.counts), "topic")
+    yield "bag", f"{length_s:.3f} s, {_counted(messages, 'message')} in {topics}"
+    for topic, (kind, number) in sorted(source.counts.items()):
+        rate = f", {(number - 1) / length_s:.2f} Hz" if length_s > 0 and number > 1 else ""
+        yield topic, f"{kind}, {_counted(number, 'message')}{rate}"
+    patches = patches_of(source.streams)
+    surveys = {key: FrameSurvey() for key in patches}
+    with Progress() as progress:
+        for sample in samples_of(source, (), progress):
+            if isinstance(sample.value, SkinFrame):
+                surveys[sample.stream].take(sample.value)
+    for key, patch in patches.items():
+        yield f"patch {patch.name}", f"{patch.rows} × {patch.columns} taxels of {patch.topic}"
+        yield from _skin_lines(patch.about)
+        yield from surveys[key].lines()
+    for note in source.notes:
+        yield "note", note
+
+
+def _skin_lines(about: Mapping[str, Any]) -> Lines:
+    """Which skin it was, and whether anything was touched."""
+    yield "skin", str(about.get("skin") or "not named")
+    calibration = about.get("calibration_id")
+    yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
+    measured = about.get("measured_by", "unknown")
+    simulated = ": nothing was touched" if measured in ("simulated", "demonstrator") else ""
+    yield "measured by", f"{measured} {about.get('digitizer_id', '')}".strip() + simulated
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _say_frames(path: Path, asked: dict[str, Value]) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 
-from ..base.errors import ParameterError
+from ..base.errors import ParameterError, TactileError
 from .parameters import (
     BY_NAME,
     NATURAL_SIGNS,
@@ -63,6 +63,18 @@ def given(arguments: argparse.Namespace) -> dict[str, Value]:
     values = read_file(arguments.params) if arguments.params else {}
     options = {name: getattr(arguments, name) for name in _NAMES}
     return values | {name: value for name, value in options.items() if value is not None}
+
+
+def refuse_given(
+    arguments: argparse.Namespace,
+    names: Iterable[str],
+    reason: str,
+    error: type[TactileError] = ParameterError,
+) -> None:
+    """Raise the error where one of these options, by destination, has not its default."""
+    for name in names:
+        if getattr(arguments, name) != arguments.parser.get_default(name):
+            raise error(f"--{name.replace('_', '-')} {reason}")
 
 
 def launch_values(

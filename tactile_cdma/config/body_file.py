@@ -5,6 +5,7 @@
 docs/patches.md describes the format.
 """
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,6 +22,12 @@ NODE_NAME = "skin"
 """Name of a driver node unless it is renamed; a body's drivers are in namespaces by patch."""
 MOST_PATCHES = 1000
 """Chosen, far above any robot's number of patches."""
+RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+"""The environment variable that says how far processes look for each other, and a value of it."""
+MOST_PROCESSES, MOST_LOCAL = 90, 28
+"""Processes of patches on a computer, so that all find each other: rmw_fastrtps_cpp looks at 32
+ports where RANGE is LOCALHOST, as rmw_cyclonedds_cpp does, and has 100 for each domain otherwise
+(mutation_tries), of which the body's node, viewers and tools need some."""
 SHARED_PORTS = (SIMULATION, REPLAY)
 """Prefixes of ports that any number of drivers can open."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
@@ -67,11 +74,22 @@ class Body:
     shared: tuple[tuple[str, ...], ...] = ()
 
     def processes(self, names: str = "") -> list[tuple[Patch, ...]]:
-        """The patches that only(names) selects, process by process."""
+        """The patches that only(names) selects, process by process.
+
+        Raises BodyError, too, for more than DDS lets find each other on a computer.
+        """
         patches = self.only(names)
         shared = [tuple(patch for patch in patches if patch.name in group) for group in self.shared]
         together = {name for group in self.shared for name in group}
-        return [*filter(None, shared), *((p,) for p in patches if p.name not in together)]
+        found = [*filter(None, shared), *((p,) for p in patches if p.name not in together)]
+        is_local = os.environ.get(RANGE, "").upper() == LOCALHOST
+        if len(found) > (most := MOST_LOCAL if is_local else MOST_PROCESSES):
+            where = f" with {RANGE}={LOCALHOST}" if is_local else ""
+            raise BodyError(
+                f"{len(found)} processes of patches; DDS lets no more than {most} on a computer "
+                f"find all others{where}: let patches share processes, as by process: one"
+            )
+        return found
 
     def only(self, names: str) -> tuple[Patch, ...]:
         """The patches with these comma-separated names; all for an empty text.
@@ -198,11 +216,9 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
     values, params_file, parameters = dict[str, Value](), None, dict[str, Value]()
     if params := content.get("params_file"):
         params_file = _path(params, params.text("params_file"))
-        try:
+        with params.refusing(ParameterError):
             existing(params_file)
             values = read_file(params_file, f"/{name}/{NODE_NAME}")
-        except ParameterError as error:
-            raise params.refuse(str(error)) from None
     if given := content.get("parameters"):
         parameters = _parameters(given.mapping(f"parameters of {name!r}"))
     if not parameters.keys().isdisjoint(_MOUNTS):

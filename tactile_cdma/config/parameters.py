@@ -313,10 +313,8 @@ def _sections(file: Marked, node: str = "") -> Iterator[tuple[str, Mapping[str, 
 
 def check_marked(name: str, value: Marked) -> Value:
     """A parameter's value from a file; a wrong name or value raises the file's error."""
-    try:
+    with value.refusing(ParameterError):
         return check_values({name: _typed(value)})[name]
-    except ParameterError as error:
-        raise value.refuse(str(error)) from None
 
 
 def _typed(value: Marked) -> object:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,12 +69,10 @@ class SkinConfig:
         """
         get: Values = {**DEFAULTS, **check_values(values)}
         spec = _spec(get)
-        if spec.sparse:
-            _check_sparse(spec, get["timing"], get["samples_per_chip"])
-        if get["timing"] == GAP:
-            _check_gap(spec, get["samples_per_chip"])
-        if get["roll_call"]:
-            _check_roll_call(spec, get["timing"], get["samples_per_chip"])
+        combination = spec, get["timing"], get["samples_per_chip"], get["roll_call"]
+        for is_so, reason in _contradictions(*combination):
+            if is_so:
+                raise SpecError(reason)
         if fills_period(spec, get["samples_per_chip"]):
             _log.warning(
                 "a frame of %g ms fills its period of %g ms, and is decoded one period late, as "
@@ -208,46 +207,41 @@ def user_path(name: str, text: str) -> Path:
         raise SpecError(f"{name} is {text}: {error}") from None
 
 
-def _check_roll_call(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
-    reason = "roll_call measures clocks from raw samples of marked frames"
-    if timing == GAP:
-        raise SpecError(f"{reason}: timing is 'gap', it must be 'line'")
-    if samples_per_chip < 2:
-        raise SpecError(f"{reason}: samples_per_chip is {samples_per_chip}, it must be 2 or more")
-    if spec.resync_chips:
-        raise SpecError(
-            f"{reason}: resync_chips is {spec.resync_chips}, it must be 0 (restarts already "
-            "correct the clocks)"
+def _contradictions(
+    spec: FrameSpec, timing: str, samples_per_chip: int, roll_call: bool
+) -> Iterator[tuple[bool, str]]:
+    """Combinations that cannot work: whether it is this one, and what to say of it."""
+    gap, samples = timing == GAP, f"samples_per_chip is {samples_per_chip}, it must be"
+    line = "timing is 'gap', it must be 'line'"
+    if spec.sparse:
+        reason = "sparse codes are told apart by whole chips of marked frames"
+        yield gap, f"{reason}: {line}"
+        yield samples_per_chip != 1, f"{reason}: {samples} 1"
+        yield (
+            spec.amplitude_v is None,
+            "sparse codes are told apart by how loud a node is: set amplitude_mv to what nodes "
+            "have",
         )
-
-
-def _check_sparse(spec: FrameSpec, timing: str, samples_per_chip: int) -> None:
-    reason = "sparse codes are told apart by whole chips of marked frames"
-    if timing == GAP:
-        raise SpecError(f"{reason}: timing is 'gap', it must be 'line'")
-    if samples_per_chip != 1:
-        raise SpecError(f"{reason}: samples_per_chip is {samples_per_chip}, it must be 1")
-    if spec.amplitude_v is None:
-        raise SpecError(
-            "sparse codes are told apart by how loud a node is: set amplitude_mv to what nodes have"
-        )
-
-
-def _check_gap(spec: FrameSpec, samples_per_chip: int) -> None:
-    if spec.resync_chips:
-        raise SpecError(
+    if gap:
+        yield (
+            spec.resync_chips > 0,
             f"resync_chips is {spec.resync_chips}: nodes that restart within a frame need a sync "
-            "line, use timing 'line'"
+            "line, use timing 'line'",
         )
-    if samples_per_chip < 3:
-        raise SpecError(
-            "timing 'gap' finds the chips in raw samples: samples_per_chip is "
-            f"{samples_per_chip}, it must be 3 or more"
+        reason = "timing 'gap' finds the chips in raw samples"
+        yield samples_per_chip < 3, f"{reason}: {samples} 3 or more"
+        longest_s = (1 + MAX_STRETCH) * spec.frame_s
+        yield (
+            longest_s >= spec.frame_period_s,
+            f"timing 'gap' needs a silence between frames: a frame stretched by {MAX_STRETCH:.0%} "
+            f"lasts {longest_s * 1e3:g} ms, its period is {spec.frame_period_s * 1e3:g} ms",
         )
-    longest_s = (1 + MAX_STRETCH) * spec.frame_s
-    if longest_s >= spec.frame_period_s:
-        raise SpecError(
-            f"timing 'gap' needs a silence between frames: a frame stretched by "
-            f"{MAX_STRETCH:.0%} lasts {longest_s * 1e3:g} ms, its period is "
-            f"{spec.frame_period_s * 1e3:g} ms"
+    if roll_call:
+        reason = "roll_call measures clocks from raw samples of marked frames"
+        yield gap, f"{reason}: {line}"
+        yield samples_per_chip < 2, f"{reason}: {samples} 2 or more"
+        yield (
+            spec.resync_chips > 0,
+            f"{reason}: resync_chips is {spec.resync_chips}, it must be 0 (restarts already "
+            "correct the clocks)",
         )

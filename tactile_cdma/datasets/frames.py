@@ -12,7 +12,6 @@ from .samples import (
     Completeness,
     PatchInfo,
     SampleSource,
-    SampleStream,
     SkinFrame,
     check_patches,
     check_same,
@@ -50,10 +49,9 @@ class PatchFrames:
         for source in self._sources:
             check_patches(self._sources[0], source)
             episodes, checked = self._episodes(source), False
-            for row in self._of(source, self._stream(source).key, episodes, before):
+            for row in self._of(source, self._own(source)[0], episodes, before):
                 if not checked:  # the digitizer of a recording is known from its first frame on
-                    patch, checked = self._stream(source).patch, True
-                    assert patch is not None
+                    (_, patch), checked = self._own(source), True
                     self.patch = self.patch or patch
                     check_same(self.patch, patch, source.path)
                 yield row
@@ -61,8 +59,9 @@ class PatchFrames:
                 self.notes.append(f"{source.path}: no frame of {self._name} in its episodes")
             before += len(episodes)
 
-    def _stream(self, source: SampleSource) -> SampleStream:
-        return next(stream for stream in patches_of(source) if stream.feature == self._name)
+    def _own(self, source: SampleSource) -> tuple[str, PatchInfo]:
+        """The patch in a file, as far as that was read, and the key of its frames."""
+        return next(one for one in patches_of(source.streams).items() if one[1].name == self._name)
 
     def _of(
         self, source: SampleSource, key: str, episodes: Sequence[Episode], before: int

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A patch's frames as a Parquet file: the columns of an NPZ, its constants as metadata."""
+"""Parquet files, by the optional library pyarrow: of any rows, and of a patch's frames."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from ..base.optional import needed_for
 from ..base.whole_file import replacing
-from .arrow import PNG_OR_JPEG, column, column_type, pyarrow
 from .samples import PatchInfo
 from .tables import COLUMNS, PER_TAXEL, Frames, columns, known, places
 
@@ -21,6 +22,16 @@ GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
 """The most of a row group, which is held in memory; chosen."""
 METADATA = b"tactile_cdma"
 """Key of the file's metadata: JSON with about and the arrays of the taxels."""
+PNG_OR_JPEG = "image"
+"""In place of numpy's type of a column: its cells are the bytes of image files."""
+
+
+def pyarrow() -> ModuleType:
+    """The library; raises MissingPackageError where it is missing."""
+    with needed_for("Parquet", "pyarrow"):
+        import pyarrow as library
+        import pyarrow.parquet
+    return library  # type: ignore[no-any-return]
 
 
 class ParquetTable:
@@ -96,7 +107,10 @@ class ParquetTable:
 
 
 def write_parquet(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
-    """All frames, one per row; returns how many. Raises MissingPackageError, OSError."""
+    """All frames, one per row, with the columns of an NPZ; its constants are metadata.
+
+    Returns how many. Raises MissingPackageError, OSError.
+    """
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }
@@ -107,3 +121,40 @@ def write_parquet(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[s
             table.add(columns(episode, frame))
             count += 1
     return count
+
+
+def column_type(dtype: str, shape: tuple[int, ...]) -> Any:
+    """The type of a column whose cells are arrays or images; () and (1,) are plain numbers.
+
+    Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
+    """
+    library = pyarrow()
+    if dtype == PNG_OR_JPEG:
+        return library.struct([("bytes", library.binary()), ("path", library.string())])
+    kind = library.from_numpy_dtype(np.dtype(dtype))
+    if shape in ((), (1,)):
+        return kind
+    if len(shape) == 1:
+        return library.list_(kind, shape[0])
+    for _ in shape:
+        kind = library.list_(kind)
+    return kind
+
+
+def column(cells: Sequence[Any], dtype: str, shape: tuple[int, ...]) -> Any:
+    """A column of column_type(dtype, shape)."""
+    library = pyarrow()
+    if dtype == PNG_OR_JPEG:
+        files = [{"bytes": file, "path": None} for file in cells]
+        return library.array(files, column_type(dtype, shape))
+    rows = len(cells)
+    column = library.array(np.array(cells, dtype).reshape(-1))
+    if shape in ((), (1,)):
+        return column
+    if len(shape) == 1:
+        return library.FixedSizeListArray.from_arrays(column, shape[0])
+    for depth in range(len(shape) - 1, -1, -1):
+        above = rows * int(np.prod(shape[:depth], dtype=np.int64))
+        offsets = np.arange(above + 1, dtype=np.int32) * shape[depth]
+        column = library.ListArray.from_arrays(offsets, column)
+    return column

@@ -40,6 +40,10 @@ class Kind(StrEnum):
     DEPTH = "depth"
 
 
+DERIVED = {Kind.CONTACTS: CONTACT_NAMES, Kind.WRENCH: WRENCH_NAMES}
+"""What is computed from a patch's frames: the elements of a sample."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchInfo:
     """What is the same in all frames of one skin patch with t taxels.
@@ -118,8 +122,8 @@ class SampleStream:
     """What is the same in all samples of a stream.
 
     key: its name, unique. feature: name for datasets, [a-z0-9_].
-    shape: of one sample; of images height, width, 3. names: of a vector's elements. dtype, unit:
-    of depths.
+    shape: of one sample; of images height, width, 3. names: of a vector's elements. patch: of a
+    patch's frames. dtype, unit: of depths.
     """
 
     key: str
@@ -167,9 +171,17 @@ class SampleSource(Protocol):
         ...
 
 
-def patches_of(source: SampleSource) -> list[SampleStream]:
-    """The source's skin patches, in order."""
-    return [stream for stream in source.streams.values() if stream.kind == Kind.TACTILE]
+def skin_stream(key: str, kind: Kind, patch: PatchInfo) -> SampleStream:
+    """The stream of a patch's frames, of its contacts or of its wrench."""
+    if kind == Kind.TACTILE:
+        return SampleStream(key, kind, patch.name, (len(patch),), patch=patch)
+    names = DERIVED[kind]
+    return SampleStream(key, kind, patch.name, (len(names),), names)
+
+
+def patches_of(streams: Mapping[str, SampleStream]) -> dict[str, PatchInfo]:
+    """The skin patches among streams, by the key of their frames."""
+    return {key: stream.patch for key, stream in streams.items() if stream.patch is not None}
 
 
 def in_order(values: Floats32, its: tuple[str, ...], names: tuple[str, ...]) -> Floats32 | None:
@@ -230,7 +242,9 @@ class Completeness:
 
 def check_patches(first: SampleSource, other: SampleSource) -> None:
     """Raises CaptureError where one of two files has patches that the other has not."""
-    mine, its = (sorted(stream.feature for stream in patches_of(one)) for one in (first, other))
+    mine, its = (
+        sorted(patch.name for patch in patches_of(one.streams).values()) for one in (first, other)
+    )
     if mine != its:
         raise CaptureError(
             f"{other.path}: its patches are {', '.join(its) or 'none'}, in the first file "

@@ -23,7 +23,6 @@ class FrameSurvey:
         self._complete_s: float | None = None
 
     def take(self, frame: SkinFrame) -> None:
-        """Take in the next frame."""
         time_s = frame.device_time_s if np.isnan(frame.wall_time_s) else frame.wall_time_s
         if not self._frames:
             self._first_s = time_s

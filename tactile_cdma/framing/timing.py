@@ -188,7 +188,8 @@ class Rejections:
     @property
     def total(self) -> int:
         """All of them."""
-        return sum(astuple(self))
+        counts = self.incomplete, self.absurd, self.at_rail, self.noisy, self.misfit
+        return sum(counts, self.not_at_rest)  # astuple takes 15 times as long
 
 
 INCOMPLETE, ABSURD, AT_RAIL = Rejections(incomplete=1), Rejections(absurd=1), Rejections(at_rail=1)

@@ -99,7 +99,6 @@ def read_layout(path: Path, wiring: Wiring) -> Layout:
 
 
 def _size(content: Keys) -> tuple[int, int]:
-    """Rows and columns."""
     rows, columns = (content.whole(key, 1, MOST_TAXELS) for key in ("rows", "columns"))
     if rows * columns > MOST_TAXELS:
         raise content["rows"].refuse(
@@ -114,11 +113,8 @@ def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surfac
     pitch, radius_m = _pitch_m(content), []
     if "radius_mm" in _KEYS[shape]:
         radius_m.append(content.number("radius_mm", _LEAST_MM, _MOST_MM, "mm") * 1e-3)
-    try:
-        surface = _SHAPES[shape](rows, columns, pitch, *radius_m)
-    except SpecError as error:
-        raise content["radius_mm"].refuse(str(error)) from None
-    return _with_area(content, surface), pitch
+    with (content.get("radius_mm") or content.value).refusing(SpecError):
+        return _with_area(content, _SHAPES[shape](rows, columns, pitch, *radius_m)), pitch
 
 
 def _with_area(content: Keys, surface: Surface) -> Surface:
@@ -136,8 +132,7 @@ def _projected(
 ) -> tuple[Surface, Pitch]:
     """Rows and columns on a rectangle, seen against its normal on a mesh; and the pitch, m."""
     pitch, triangles = _pitch_m(content), _triangles(content, folder)
-    out = _direction(content, "out")
-    right = _direction(content, "right")
+    out, right = (_direction(content[key], key) for key in ("out", "right"))
     right -= (right @ out) * out
     if not np.linalg.norm(right) > 1e-3:
         raise content["right"].refuse("right is the direction of columns, and out is across it")
@@ -172,19 +167,17 @@ def _triangles(content: Keys, folder: Path) -> Floats:
     if source is None or (mesh and urdf):
         raise content["shape"].refuse("shape mesh needs a mesh, or a urdf and a link, and not both")
     path = folder / content.text("mesh" if mesh else "urdf")
-    try:
-        if urdf:
-            return read_link(path, content.text("link"))
-        scale = content.number("scale", 1e-9, 1e9) if content.get("scale") else 1.0
-        return read_triangles(path) * scale
-    except (ValueError, OSError) as error:
-        raise source.refuse(str(error)) from None
+    link = content.text("link") if urdf else ""
+    scale = content.number("scale", 1e-9, 1e9) if mesh and content.get("scale") else 1.0
+    with source.refusing(ValueError, OSError):
+        return read_link(path, link) if urdf else read_triangles(path) * scale
 
 
-def _direction(content: Keys, key: str) -> Floats:
-    direction = np.array(_vector(content[key], key, _MOST_NORMAL))
+def _direction(value: Marked, what: str) -> Floats:
+    """A unit vector (3,), of whatever length in the file."""
+    direction = np.array(_vector(value, what, _MOST_NORMAL))
     if not np.linalg.norm(direction) > 1e-9:
-        raise content[key].refuse(f"{key} has no direction: its length is 0")
+        raise value.refuse(f"{what} has no direction: its length is 0")
     return np.asarray(direction / np.linalg.norm(direction))
 
 
@@ -195,7 +188,6 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNo
     places = [place for place, *_ in taxels]
     positions_m = np.array([position_mm for _, position_mm, *_ in taxels]) * 1e-3
     normals = np.array([normal for *_, normal, _ in taxels])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     _check_same_place(positions_m, places)
     pitch = _pitch_of_list_m(content, positions_m, normals)
     areas_m2 = np.array([area_mm2 or math.nan for *_, area_mm2 in taxels]) * 1e-6
@@ -208,29 +200,23 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNo
 def _cell_areas_m2(content: Keys, positions_m: Floats, normals: Floats, pitch: Pitch) -> Floats:
     """The area of each taxel's Voronoi cell, m²."""
     pitch_m = math.sqrt(math.prod(across_and_down(pitch)))
-    try:
+    with content["taxels"].refusing(SpecError):
         neighbours = table(*around(positions_m, normals, pitch_m), len(positions_m))
         return polygon_areas_m2(cells(positions_m, normals, neighbours, pitch_m))
-    except SpecError as error:
-        raise content["taxels"].refuse(str(error)) from None
 
 
 def _taxel(
     value: Marked, index: int, first_row: int
-) -> tuple[TaxelNode, list[float], list[float], float | None]:
+) -> tuple[TaxelNode, list[float], Floats, float | None]:
     """An entry of a list: its place, position (mm), normal and area (mm²; None: of its cell)."""
     what = f"taxel {index}"
     entry = value.mapping(what)
     entry.check_keys(_TAXEL_KEYS)
-    normal, area, direction = entry.get("normal"), entry.get("area_mm2"), [0.0, 0.0, 1.0]
-    if normal:
-        direction = _vector(normal, f"the normal of {what}", _MOST_NORMAL)
-        if not np.linalg.norm(direction) > 1e-9:
-            raise normal.refuse(f"the normal of {what} has no direction: its length is 0")
+    normal, area = entry.get("normal"), entry.get("area_mm2")
     return (
         node_of_entry(entry, first_row),
         _vector(entry["position_mm"], f"the position of {what}", _MOST_MM, "mm"),
-        direction,
+        _direction(normal, f"the normal of {what}") if normal else np.array([0.0, 0.0, 1.0]),
         area.number(f"the area of {what}", _LEAST_MM2, _MOST_MM2, "mm²") if area else None,
     )
 
@@ -252,10 +238,8 @@ def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> Pit
     """The pitch as given, or else the median distance from a taxel to its nearest neighbour."""
     if content.get("pitch_mm"):
         return _pitch_m(content)
-    try:
+    with content["taxels"].refusing(SpecError):
         distance_m = usual_distance_m(positions_m, normals)
-    except SpecError as error:
-        raise content["taxels"].refuse(str(error)) from None
     if distance_m is None:
         raise content["taxels"].refuse("no neighbours to derive the pitch from: give pitch_mm")
     if not _LEAST_MM <= distance_m * 1e3 <= _MOST_PITCH_MM:
@@ -278,10 +262,8 @@ def _check_same_place(positions_m: Floats, places: list[TaxelNode]) -> None:
 def _check_apart(content: Keys, surface: Surface, pitch_m: float, places: list[TaxelNode]) -> None:
     """Refuse taxels so close to each other that one of them must be wrong."""
     real = np.flatnonzero([place.node for place in places])
-    try:
+    with content.value.refusing(SpecError):
         pairs = beside(surface.positions_m[real], surface.normals[real], OVERLAP * pitch_m)
-    except SpecError as error:
-        raise content.value.refuse(str(error)) from None
     for first, second, distance_m in zip(*pairs, strict=True):
         place, other = places[real[second]], places[real[first]]
         raise place.value.refuse(

@@ -162,14 +162,15 @@ class ContactTracker:
         self.thresholds = thresholds
         self.next_id = first_id
         self._gatherer = Gatherer(layout)
-        self._contacts = NO_CONTACTS
+        self._contacts, self._course = NO_CONTACTS, _NO_COURSE
         self._readings: Readings | None = None
         self._used = thresholds
         self._t_s = math.nan
 
     def forget(self) -> None:
         """Start over: all contacts of the next frame are new."""
-        self._contacts, self._readings, self._t_s = NO_CONTACTS, None, math.nan
+        self._contacts, self._course = NO_CONTACTS, _NO_COURSE
+        self._readings, self._t_s = None, math.nan
         self._gatherer.forget()
 
     def update(self, readings: Readings, t_s: float) -> Contacts:
@@ -178,7 +179,7 @@ class ContactTracker:
             self.forget()
         passed_s, self._t_s = t_s - self._t_s, t_s
         if readings is self._readings and self.thresholds is self._used:
-            self._contacts = _at_rest(self._contacts, passed_s)
+            self._rest(passed_s)
         else:
             self._readings, self._used = readings, self.thresholds
             self._contacts = self._find(readings, passed_s)
@@ -192,23 +193,26 @@ class ContactTracker:
         found = self._gatherer.gather(readings, self._used.contact_pa, self._used.release_pa)
         count = len(found.starts)
         if not count:
+            self._course = _NO_COURSE
             is_same = not len(last) and coverage == last.coverage
             return last if is_same else replace(NO_CONTACTS, coverage=coverage)
         begins = found.starts.tolist()
         ends = [*begins[1:], len(found.taxels)]
-        labels = np.arange(count).repeat(np.subtract(ends, begins))
-        origin, torn = _origins(found.places, labels, len(last), count)
-        torn |= found.torn
+        ids, age_s, then, torn = last.ids, last.age_s + passed_s, self._course, found.torn
         sums = found.moments
         position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
-        ids, age_s, new = last.ids, last.age_s + passed_s, (origin < 0).nonzero()[0]
-        if len(new):
-            ids, age_s = np.append(ids, 0), np.append(age_s, 0.0)  # of these, whose origin is −1
-        ids, age_s = ids[origin], age_s[origin]
-        if len(new):
+        labels = np.arange(count).repeat(np.subtract(ends, begins))
+        goes_on = len(last) == count and np.array_equal(found.places, labels)
+        if not goes_on:  # as it does in most frames
+            origin, jumped = _origins(found.places, labels, len(last), count)
+            new, torn = (origin < 0).nonzero()[0], torn | jumped
+            # The last ones are of new contacts, whose origin is −1; their force rises from zero.
+            ids, age_s = np.append(ids, 0)[origin], np.append(age_s, 0.0)[origin]
+            then = np.concatenate([then, _NO_MOTION])[origin]
+            then[new, :3] = position_m[new]
             ids[new] = np.arange(self.next_id, self.next_id + len(new))
             self.next_id += len(new)
-        velocity, rate = _motion(position_m, force_n, last, origin, torn, passed_s)
+        self._course = course = _course(position_m, force_n, then, torn, passed_s)
         return Contacts(
             coverage=coverage,
             ids=ids,
@@ -221,9 +225,22 @@ class ContactTracker:
             pressure_max_pa=found.pressure_max_pa,
             saturated=found.saturated,
             lower_bound=found.lower_bound,
-            velocity_m_s=velocity,
-            force_rate_n_s=rate,
+            velocity_m_s=course[:, 4:7],
+            force_rate_n_s=course[:, 7],
             taxels=[found.taxels[a:b] for a, b in zip(begins, ends, strict=True)],
+        )
+
+    def _rest(self, passed_s: float) -> None:
+        """Go on with the same contacts after passed_s in which no reading changed."""
+        if not len(self._contacts):
+            return
+        self._course = course = self._course.copy()
+        course[:, 4:] *= _decay(passed_s)
+        self._contacts = replace(
+            self._contacts,
+            age_s=self._contacts.age_s + passed_s,
+            velocity_m_s=course[:, 4:7],
+            force_rate_n_s=course[:, 7],
         )
 
 
@@ -235,8 +252,6 @@ def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple
     earlier contacts, −1 for new ones, and (count,) bool, where contacts merged or split.
     """
     torn = np.zeros(count, dtype=bool)
-    if before == count and np.array_equal(places, labels):  # as in most frames
-        return np.arange(count), torn
     held = places >= 0
     pairs = np.sort(labels[held] * before + places[held])
     if not len(pairs):
@@ -253,47 +268,22 @@ def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple
     return np.array(origin), torn
 
 
-def _motion(
-    position_m: Floats,
-    force_n: Floats,
-    last: Contacts,
-    origin: Indices,
-    torn: Bools,
-    passed_s: float,
-) -> tuple[Floats, Floats]:
-    """Velocities (c, 3), m/s, and force rates (c,), N/s: low-pass filtered differences of frames.
+def _course(
+    position_m: Floats, force_n: Floats, then: Floats, torn: Bools, passed_s: float
+) -> Floats:
+    """(c, 8) position, m, force, N, velocity, m/s, and force rate, N/s, of every contact.
 
-    torn: (c,) contacts that jumped without moving keep their rates. The force of a new contact
-    rises from zero.
+    The latter are low-pass filtered differences of frames. then: (c, 8), those of the frame before.
+    torn: (c,) bool, contacts that jumped without moving keep their rates.
     """
-    before = np.zeros((len(last) + 1, 8))  # position, force and their rates; 0 for new contacts
-    before[:-1, :3], before[:-1, 3] = last.position_m, _length(last.force_n)
-    before[:-1, 4:7], before[:-1, 7] = last.velocity_m_s, last.force_rate_n_s
-    before = before[origin]
-    then, change = before[:, :4], before[:, 4:]
+    now, force = np.empty_like(then), _length(force_n)[:, None]
+    now[:, :3], now[:, 3:4], now[:, 4:] = position_m, force, then[:, 4:]
     if passed_s > 0:  # NaN in the very first frame
-        force = _length(force_n)[:, None]
-        new = origin < 0
-        then[new, :3] = position_m[new]
-        gain = ((1.0 - _decay(passed_s)) * ~torn)[:, None]
-        now = np.concatenate([position_m, force], axis=1)
-        change += gain * ((now - then) / passed_s - change)
-        normals = force_n / force
+        change, normals = now[:, 4:], force_n / force
+        gain = (1.0 - _decay(passed_s)) * ~torn[:, None]
+        change += gain * ((now[:, :4] - then[:, :4]) / passed_s - change)
         change[:, :3] -= (change[:, :3] * normals).sum(axis=1, keepdims=True) * normals
-    return change[:, :3], change[:, 3]
-
-
-def _at_rest(contacts: Contacts, passed_s: float) -> Contacts:
-    """The same contacts after passed_s in which no reading changed."""
-    if not len(contacts):
-        return contacts
-    decay = _decay(passed_s)
-    return replace(
-        contacts,
-        age_s=contacts.age_s + passed_s,
-        velocity_m_s=contacts.velocity_m_s * decay,
-        force_rate_n_s=contacts.force_rate_n_s * decay,
-    )
+    return now
 
 
 def _decay(passed_s: float) -> float:
@@ -307,3 +297,4 @@ def _length(vectors: Floats) -> Floats:
 
 
 _TINY = np.finfo(np.float64).tiny
+_NO_COURSE, _NO_MOTION = np.zeros((0, 8)), np.zeros((1, 8))

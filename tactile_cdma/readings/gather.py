@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gathers the pressed taxels of a frame into contacts."""
+"""Gathers the pressed taxels of a frame into contacts, compiled or in numpy.
+
+Both ways find the same contacts; sums differ by rounding only.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..places.components import connected
 from ..places.layout import Layout
@@ -44,7 +48,7 @@ class Gathered(NamedTuple):
     torn: Bools
 
 
-class Gatherer:
+class NumpyGatherer:
     """Gathers frame by frame; it keeps each taxel's contact, and whether it had a reading."""
 
     def __init__(self, layout: Layout) -> None:
@@ -129,6 +133,47 @@ class Gatherer:
         place = self._place[self._beside[:, weak]].max(axis=0)
         beside = place >= 0
         return weak[beside], place[beside]
+
+
+class CompiledGatherer:
+    """As NumpyGatherer, in the kernel (kernel/contacts.h)."""
+
+    def __init__(self, layout: Layout) -> None:
+        taxels, moments = len(layout), moments_of(layout)
+        self._skin = np.ascontiguousarray(layout.neighbours, dtype=np.int32), moments
+        self._place, self._notes = np.empty(taxels, np.int32), np.empty(taxels, np.uint8)
+        self._scratch = np.empty((3, taxels), np.int32), np.empty(taxels)
+        self._taxels = np.empty((2, taxels), np.int32)
+        self._starts = np.empty(taxels + 1, np.int32)
+        self._sums = np.empty((taxels, moments.shape[1] + 1))
+        self._peak_pa = np.empty(taxels, np.float32)
+        self._flags = np.empty((3, taxels), np.bool_)
+        self.forget()
+
+    def forget(self) -> None:
+        """See NumpyGatherer."""
+        self._place[:], self._notes[:] = -1, 1
+
+    def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
+        """See NumpyGatherer."""
+        assert kernel.compiled is not None
+        count = kernel.compiled.gather_contacts(
+            contact_pa, release_pa, RIM * release_pa, Status.SATURATED, *self._skin,
+            readings.pressure_pa, readings.status, self._place, self._notes, *self._scratch,
+            self._taxels, self._starts, self._sums, self._peak_pa, self._flags,
+        )  # fmt: skip
+        if not count:
+            return _NOTHING
+        starts = self._starts[: count + 1].astype(np.intp)
+        taxels, places = self._taxels[:, : starts[-1]].astype(np.intp)
+        sums = self._sums[:count].copy()
+        return Gathered(
+            *(taxels, places, starts[:-1], sums[:, :-1], sums[:, -1]),
+            *(self._peak_pa[:count].copy(), *self._flags[:, :count].copy()),
+        )
+
+
+Gatherer = NumpyGatherer if kernel.compiled is None else CompiledGatherer
 
 
 def moments_of(layout: Layout) -> Floats:

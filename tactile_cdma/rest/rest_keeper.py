@@ -279,21 +279,16 @@ class RestKeeper:
 
     def _present(self) -> RestState:
         """What is in force; while inactive, what was last."""
-        config = self.config
-        rest_v = drift_v = tared_drift_v = None
-        simulated = self._simulated
+        config, simulated = self.config, self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated
-        if self._driver is not None:
-            baseline = self._driver.pipeline.taxels.baseline
-            rest_v = baseline.rest_v
+        rest_v = drift_v = tared_drift_v = None
+        if (present := self.baseline or self._kept) is not None:
+            rest_v = present.rest_v
             drift_v, tared_drift_v = (
-                some_v if some_v.any() else None
-                for some_v in (baseline.drift_v, baseline.tared_drift_v)
+                some_v if some_v is not None and some_v.any() else None
+                for some_v in (present.drift_v, present.tared_drift_v)
             )
-        elif self._kept is not None:
-            rest_v, drift_v = self._kept.rest_v, self._kept.drift_v
-            tared_drift_v = self._kept.tared_drift_v
         return RestState(
             skin=config.skin,
             simulated=simulated,

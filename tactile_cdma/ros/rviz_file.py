@@ -3,6 +3,7 @@
 """rviz files made to measure: those in config/, with a skin's or a body's names and sizes."""
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -37,28 +38,29 @@ a skin has no squares."""
 
 def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:
     """An rviz file of one skin. template: a file of the skin /skin. node: fully qualified name."""
-    file = _loaded(template)
-    for topic in _topics(file):
-        topic["Value"] = topic["Value"].replace(f"/{NODE_NAME}/", f"{node}/", 1)
+    file = yaml.safe_load(template.read_text())
+    has_squares = np.count_nonzero(layout.nodes) <= MOST_SQUARES
+    size_m = (BEAD_PITCHES if has_squares else BALL_PITCHES) * layout.pitch_m
+    points = {"Size (m)": _rounded(size_m)} | ({} if has_squares else {"Color Transformer": "RGB8"})
+    for display in file["Visualization Manager"]["Displays"]:
+        display.update({key: value for key, value in points.items() if key in display})
+        if topic := display.get("Topic"):
+            topic["Value"] = topic["Value"].replace(f"/{NODE_NAME}/", f"{node}/", 1)
     places_m = layout.positions_m.astype(np.float64)
     low_m, high_m = places_m.min(axis=0), places_m.max(axis=0)
     distance_m = SKIN_SIZES * float(np.linalg.norm(high_m - low_m))
     _look_at(file, (low_m + high_m) / 2, distance_m, frame_id)
-    if np.count_nonzero(layout.nodes) <= MOST_SQUARES:
-        _set(file, "Size (m)", _rounded(BEAD_PITCHES * layout.pitch_m))
-    else:
-        _set(file, "Size (m)", _rounded(BALL_PITCHES * layout.pitch_m))
-        _set(file, "Color Transformer", "RGB8")
     return yaml.safe_dump(file, sort_keys=False)
 
 
 def body_view(template: Path, body: Body) -> str:
     """An rviz file of a body. template: a file of some body, with the markers of a patch."""
-    file = _loaded(template)
-    manager = file["Visualization Manager"]
-    markers = [item for item in manager["Displays"] if _shows(item, "markers")]
-    others = [item for item in manager["Displays"] if item not in markers]
-    manager["Displays"] = others + [_of_patch(markers[0], patch) for patch in body.patches]
+    file = yaml.safe_load(template.read_text())
+    displays = defaultdict[bool, list[Any]](list)  # by whether they show a patch's markers
+    for display in file["Visualization Manager"]["Displays"]:
+        displays[display.get("Topic", {}).get("Value", "").endswith("/markers")].append(display)
+    shown = [_of_patch(displays[True][0], patch) for patch in body.patches]
+    file["Visualization Manager"]["Displays"] = displays[False] + shown
     _see_all(file, np.concatenate([_places_m(patch) for patch in body.patches]), body.frame_id)
     return yaml.safe_dump(file, sort_keys=False)
 
@@ -67,26 +69,6 @@ def patch_values(patch: Patch) -> Values:
     """The parameters that the driver of a patch has."""
     given = read_file(patch.params_file, patch.node) if patch.params_file else {}
     return {**DEFAULTS, **given, **patch.parameters}
-
-
-def _loaded(path: Path) -> Any:
-    return yaml.safe_load(path.read_text())
-
-
-def _topics(file: Mapping[str, Any]) -> list[dict[str, Any]]:
-    displays = file["Visualization Manager"]["Displays"]
-    return [display["Topic"] for display in displays if "Topic" in display]
-
-
-def _shows(display: Mapping[str, Any], topic: str) -> bool:
-    return "Topic" in display and str(display["Topic"]["Value"]).endswith(f"/{topic}")
-
-
-def _set(file: Mapping[str, Any], key: str, value: float | str) -> None:
-    """Set a property in all displays that have it."""
-    for display in file["Visualization Manager"]["Displays"]:
-        if key in display:
-            display[key] = value
 
 
 def _of_patch(display: Mapping[str, Any], patch: Patch) -> dict[str, Any]:

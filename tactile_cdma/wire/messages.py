@@ -219,10 +219,6 @@ class Stretch(Packet):
         return marks | self.turn << TURN_SHIFT
 
 
-def _place(stretch: Stretch) -> tuple[int, int, int]:
-    return stretch.device_time_us, stretch.first_index, stretch.flags
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Stretch):
     """Consecutive samples one by one.
@@ -244,8 +240,8 @@ class Samples(Stretch):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Samples):
             return NotImplemented
-        same = _place(self) == _place(other)
-        return same and np.array_equal(self.counts, other.counts)
+        mine, its = ((one.device_time_us, one.first_index, one.flags) for one in (self, other))
+        return mine == its and np.array_equal(self.counts, other.counts)
 
     def pack(self) -> bytes:
         words = (self.counts ^ _SAMPLE_MASK).astype(_WORD, copy=False)

@@ -188,7 +188,6 @@ class Scanner:
         return packets
 
     def skip(self) -> None:
-        """As PacketParser.skip."""
         self._partial.clear()
         self._skipping = True
 

@@ -111,8 +111,8 @@ class Port:
         try:
             if self._has_file:
                 data, self.had_waited = read_file(self.file, READ_TIMEOUT_MS)
-            else:
-                data = self._wait()
+            elif data := self._serial.read(1):  # waits for one byte, then takes the others
+                data += self._serial.read(self._serial.in_waiting)
         except _LOST as error:
             raise self.lost(error) from None
         return data, time.monotonic()
@@ -138,7 +138,7 @@ class Port:
         try:
             return int(self._serial.in_waiting)
         except _LOST as error:
-            raise lost(self.url, "reading", error) from None
+            raise self.lost(error) from None
 
     def skip(self) -> int:
         """Discard what has arrived, and what waits behind it; returns the number of bytes."""
@@ -156,7 +156,7 @@ class Port:
                 if not data:  # end of file: the next read() raises
                     break
         except _LOST as error:
-            raise lost(self.url, "reading", error) from None
+            raise self.lost(error) from None
         return skipped
 
     def write(self, data: bytes) -> None:
@@ -178,11 +178,6 @@ class Port:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _wait(self) -> bytes:
-        """Reads through pyserial: waits for one byte, then takes the others."""
-        data: bytes = self._serial.read(1)
-        return data + self._serial.read(self._serial.in_waiting) if data else data
 
 
 def _limit_wait_for_host(port: serial.SerialBase, url: str) -> None:

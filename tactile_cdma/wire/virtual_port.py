@@ -77,7 +77,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that can be read at once."""
         with self._changed:
             device = self._opened()
             device.advance(self.READ_AHEAD)
@@ -100,7 +99,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
                 self._changed.wait(min(wait_s, left_s, threading.TIMEOUT_MAX))
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Send bytes to the device; returns their number."""
         sent = to_bytes(data)
         with self._changed:
             self._receive(self._opened(), sent)

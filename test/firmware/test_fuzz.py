@@ -156,6 +156,12 @@ KERNEL_DEFECTS = {
         "measure_block(levels + first, step, bits, nodes - first, measures, first - 1 + !first)",
         "wrong value",
     ),
+    "a contact ends where its first taxel's neighbours do": (
+        "contacts.c",
+        "waiting[left++] = near[n];",
+        "(void)waiting;",
+        "wrong value",
+    ),
     "a run that is too long is not counted": (
         "scanner.c",
         "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",

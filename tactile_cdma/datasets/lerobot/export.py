@@ -16,10 +16,19 @@ from ... import __version__
 from ...base.errors import CaptureError
 from ...base.whole_file import whole_folder
 from ..alignment import Aligner, Row, stale_s
-from ..arrow import pyarrow
 from ..episodes import Episode, samples_of
+from ..parquet_table import pyarrow
 from ..progress import Progress
-from ..samples import NANO, Kind, SampleSource, SampleStream, check_taxels, differences, patches_of
+from ..samples import (
+    DERIVED,
+    NANO,
+    Kind,
+    SampleSource,
+    SampleStream,
+    check_taxels,
+    differences,
+    patches_of,
+)
 from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import TouchStream, slots
@@ -79,7 +88,7 @@ def write_lerobot(
         if not has_times(path):
             raise CaptureError(f"{path}: bytes alone have no times, which a dataset needs")
     sources = [open_source(path, wanted) for path in paths]
-    if not patches_of(sources[0]):
+    if not patches_of(sources[0].streams):
         raise CaptureError(f"{paths[0]}: no frames of a skin in this bag")
     lacking = _lacking(sources, plan.clock)
     layout = _Layout.of(sources[0], plan, lacking)
@@ -96,18 +105,16 @@ def write_lerobot(
         firsts: dict[str, dict[str, Any]] = {}  # by patch
         for source in sources:
             before = writer.frames
-            patches = _export(source, plan, layout, writer, outcome, progress)
+            _export(source, plan, layout, writer, outcome, progress)
             if writer.frames == before:
                 outcome.notes.append(f"{source.path}: no row in its episodes")
                 continue
             files.append(source.path.name)
-            about += patches
-            for patch in patches:
-                first = firsts.setdefault(patch["patch"], patch)
-                outcome.notes += [
-                    f"{source.path}: {difference}"
-                    for difference in differences(patch["patch"], first, patch)
-                ]
+            for patch in patches_of(source.streams).values():  # as all of the file tells
+                about.append(dict(patch.about) | {"patch": patch.name})
+                first = firsts.setdefault(patch.name, about[-1])
+                others = differences(patch.name, first, patch.about)
+                outcome.notes += [f"{source.path}: {difference}" for difference in others]
         if not writer.frames:
             reason = "; ".join(outcome.left_out) or "no sample lies in an episode"
             raise CaptureError(f"{paths[0]}: no row is whole: {reason}")
@@ -129,7 +136,7 @@ def _lacking(sources: Sequence[SampleSource], clock: str | None) -> dict[str, Pa
         column(stream)
         for source in sources
         for stream in source.streams.values()
-        if stream.kind in (Kind.CONTACTS, Kind.WRENCH) and stream.topic != clock
+        if stream.kind in DERIVED and stream.topic != clock
     }
     return {
         name: source.path
@@ -158,11 +165,8 @@ class _Layout:
         streams = _streams(source, lacking)
         clock = _clock(source, streams, plan)
         fps = plan.fps or _rate(source, str(clock))
-        counts = {
-            stream.feature: slots(stream.patch, fps, plan.mode)
-            for stream in patches_of(source)
-            if stream.patch
-        }
+        patches = patches_of(streams).values()
+        counts = {patch.name: slots(patch, fps, plan.mode) for patch in patches}
         features = features_of(streams.values(), counts, plan.mode)
         return cls(streams, lacking, counts, features, fps)
 
@@ -182,12 +186,9 @@ class _Layout:
                 f"{source.path}: {problem}: choose topics that all files have, or export them one "
                 "by one"
             )
-        mine_by, its_by = (
-            {stream.feature: stream.patch for stream in streams.values() if stream.patch}
-            for streams in (self.streams, source.streams)
-        )
-        for feature, patch in mine_by.items():
-            check_taxels(patch, its_by[feature], source.path)
+        others = {patch.name: patch for patch in patches_of(source.streams).values()}
+        for patch in patches_of(self.streams).values():
+            check_taxels(patch, others[patch.name], source.path)
 
 
 def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
@@ -207,14 +208,12 @@ def _export(
     writer: DatasetWriter,
     outcome: Outcome,
     progress: Progress,
-) -> list[dict[str, Any]]:
-    """Write the episodes of one file; returns what is to be said of its patches."""
-    episodes = plan.episodes(source)
+) -> None:
+    """Write the episodes of one file."""
+    episodes, patches = plan.episodes(source), patches_of(source.streams)
     touch = {
-        stream.key: TouchStream(
-            stream.shape[0], layout.slots[stream.feature], plan.mode, plan.policy
-        )
-        for stream in patches_of(source)
+        key: TouchStream(len(patch), layout.slots[patch.name], plan.mode, plan.policy)
+        for key, patch in patches.items()
     }
     taken = _streams(source, layout.lacking)
     clock = _clock(source, taken, plan)
@@ -244,27 +243,21 @@ def _export(
         last_ns = row.tick.time_ns
         stopped.update(one.key for one in streams if one.key in row.stopped)
         writer.add(cells(row, streams, layout.features))
+    notes = []
     for key, one in touch.items():
-        name = source.streams[key].feature
         if plan.from_first_complete:
-            one.completeness.check(source.path, name)
+            one.completeness.check(source.path, patches[key].name)
         elif one.completeness.missing:
             taxels = one.completeness.unread
-            outcome.notes.append(f"{source.path}: {name}: no valid reading of {taxels} at any time")
-    for key, rows in stopped.items():
-        outcome.notes.append(f"{source.path}: {_said_of_stopped(taken[key], rows)}")
+            notes.append(f"{patches[key].name}: no valid reading of {taxels} at any time")
+    notes += [_said_of_stopped(taken[key], rows) for key, rows in stopped.items()]
     if parts:
-        outcome.notes.append(
-            f"{source.path}: {parts} episodes begin only because the one before is {LONGEST_S} s "
-            "long: LeRobot's float32 timestamps would be off by more than it tolerates"
+        notes.append(
+            f"{parts} episodes begin only because the one before is {LONGEST_S} s long: LeRobot's "
+            "float32 timestamps would be off by more than it tolerates"
         )
     outcome.late.update(aligner.late)
-    outcome.notes += [f"{source.path}: {note}" for note in source.notes]
-    return [
-        dict(stream.patch.about) | {"patch": stream.feature}
-        for stream in patches_of(source)
-        if stream.patch
-    ]
+    outcome.notes += [f"{source.path}: {note}" for note in (*notes, *source.notes)]
 
 
 def _said_of_stopped(stream: SampleStream, rows: int) -> str:
@@ -333,18 +326,18 @@ def _rate(source: SampleSource, key: str) -> int:
 
 
 def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[str, Any]:
-    taxels = {}
-    for stream in layout.streams.values():
-        if stream.kind == Kind.TACTILE and (patch := stream.patch) is not None:
-            taxels[stream.feature] = {
-                "rows": patch.rows,
-                "columns": patch.columns,
-                "node": patch.nodes.tolist(),
-                "position_m": known(patch.positions_m),
-                "normal": known(patch.normals),
-                "area_m2": known(patch.areas_m2),
-                "samples": layout.slots[stream.feature],
-            }
+    taxels = {
+        patch.name: {
+            "rows": patch.rows,
+            "columns": patch.columns,
+            "node": patch.nodes.tolist(),
+            "position_m": known(patch.positions_m),
+            "normal": known(patch.normals),
+            "area_m2": known(patch.areas_m2),
+            "samples": layout.slots[patch.name],
+        }
+        for patch in patches_of(layout.streams).values()
+    }
     return {
         "package_version": __version__,
         "samples": plan.mode,

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...base.arrays import Bools, Floats32
 from ..alignment import Row
-from ..arrow import PNG_OR_JPEG
-from ..samples import NANO, Kind, RawImage, SampleStream
+from ..parquet_table import PNG_OR_JPEG
+from ..samples import DERIVED, NANO, Kind, RawImage, SampleStream
 from ..sources.images import check_size, depth, encoded
 from ..touch import DROP, WINDOW, Touch
 
@@ -60,7 +60,7 @@ def features_of(
                 Feature(f"{name}.valid", "float32", size, taxels, mask=True),
                 Feature(f"{name}.age_s", "float32", (len(ages),), ages, "s"),
             ]
-        elif stream.kind in (Kind.CONTACTS, Kind.WRENCH):
+        elif stream.kind in DERIVED:
             features.append(Feature(name, "float32", size, stream.names))
             features.append(Feature(f"{name}.valid", "float32", size, stream.names, mask=True))
         elif stream.kind in (Kind.STATE, Kind.ACTION):
@@ -95,7 +95,7 @@ def obstacle(
     """
     for stream in streams:
         value = row.values.get(stream.key)
-        if value is None and stream.kind not in (Kind.CONTACTS, Kind.WRENCH):
+        if value is None and stream.kind not in DERIVED:
             if (last_ns := row.stopped.get(stream.key)) is None:
                 return f"{column(stream)} had not begun"
             since = f"first at {(last_ns - begin_ns) / NANO:.3f} s of {source}"
@@ -117,7 +117,7 @@ def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]
                 f"{name}.valid": value.valid,
                 f"{name}.age_s": value.age_s,
             }
-        elif stream.kind in (Kind.CONTACTS, Kind.WRENCH):
+        elif stream.kind in DERIVED:
             found[name], found[f"{name}.valid"] = _filled(value, stream.shape)
         elif isinstance(value, RawImage):
             check_size(value.message, stream.key, stream.shape)

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from ...base.arrays import Floats32
 from ...base.errors import CaptureError
-from ..samples import CONTACT_NAMES, WRENCH_NAMES, Kind, PatchInfo, SampleStream
+from ..samples import DERIVED, Kind, PatchInfo, SampleStream, skin_stream
 from ..touch import MODES, POLICIES, slots
 from . import ABOUT, INFO
-from .features import Feature, column, features_of
+from .features import Feature, features_of
 
-_GROUPS = {Kind.CONTACTS: CONTACT_NAMES, Kind.WRENCH: WRENCH_NAMES}
+STATE = "observation.state"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +48,15 @@ class DatasetMeta:
     ) -> DatasetMeta:
         """That of a dataset of these skins and nothing else; contacts: which find contacts."""
         by_name = {patch.name: patch for patch in patches}
-        streams = []
-        for name, patch in by_name.items():
-            key = f"observation.{Kind.TACTILE}.{name}"
-            streams.append(SampleStream(key, Kind.TACTILE, name, (len(patch),), patch=patch))
-            for kind, names in _GROUPS.items() if contacts else ():
-                key = f"observation.{kind}.{name}"
-                streams.append(SampleStream(key, kind, name, (len(names),), names))
         counts = {name: slots(patch, fps, mode) for name, patch in by_name.items()}
-        found = {stream.key: stream for stream in streams}
-        features = features_of(streams, counts, mode)
+        streams = {
+            column: stream
+            for column, stream in _columns(by_name.values()).items()
+            if contacts or stream.patch
+        }
+        features = features_of(streams.values(), counts, mode)
         path = Path("skins")
-        return cls(path, fps, mode, policy, by_name, found, counts, features, [], {})
+        return cls(path, fps, mode, policy, by_name, streams, counts, features, [], {})
 
     @classmethod
     def read(cls, folder: Path) -> DatasetMeta:
@@ -67,8 +65,11 @@ class DatasetMeta:
         try:
             patches = {name: _patch(name, taxels) for name, taxels in tactile["taxels"].items()}
             counts = {name: int(taxels["samples"]) for name, taxels in tactile["taxels"].items()}
-            streams = [_stream(name, patches, info["features"]) for name in info["features"]]
-            found = {column(stream): stream for stream in streams if stream is not None}
+            columns = _columns(patches.values())
+            if STATE in info["features"]:
+                names = tuple(info["features"][STATE]["names"])
+                columns[STATE] = SampleStream(STATE, Kind.STATE, "state", (len(names),), names)
+            found = {name: columns[name] for name in info["features"] if name in columns}
             mode, policy, fps = tactile["samples"], tactile["nan"], int(info["fps"])
             if mode not in MODES or policy not in POLICIES:
                 raise ValueError(f"samples {mode!r}, nan {policy!r}")
@@ -98,44 +99,32 @@ def _content(path: Path) -> dict[str, Any]:
     return found
 
 
-def _stream(
-    name: str, patches: dict[str, PatchInfo], features: dict[str, Any]
-) -> SampleStream | None:
-    """The stream of a column of the skins or of the state; None for any other."""
-    if name == "observation.state":
-        names = tuple(features[name]["names"])
-        return SampleStream(name, Kind.STATE, "state", (len(names),), names)
-    kind, _, feature = name.removeprefix("observation.").partition(".")
-    if feature not in patches:
-        return None
-    if kind == Kind.TACTILE:
-        patch = patches[feature]
-        return SampleStream(name, Kind.TACTILE, feature, (len(patch),), patch=patch)
-    for derived, names in _GROUPS.items():
-        if kind == derived:
-            return SampleStream(name, derived, feature, (len(names),), names)
-    return None
+def _columns(patches: Iterable[PatchInfo]) -> dict[str, SampleStream]:
+    """All streams that skins may have, by their columns."""
+    return {
+        (column := f"observation.{kind}.{patch.name}"): skin_stream(column, kind, patch)
+        for patch in patches
+        for kind in (Kind.TACTILE, *DERIVED)
+    }
 
 
 def _patch(name: str, taxels: dict[str, Any]) -> PatchInfo:
     count = len(taxels["node"])
-    places = [
-        np.full(shape, np.nan) if taxels[key] is None else np.array(taxels[key]).reshape(shape)
-        for key, shape in (
-            ("position_m", (count, 3)),
-            ("normal", (count, 3)),
-            ("area_m2", (count,)),
-        )
-    ]
+
+    def known(key: str, *shape: int) -> Floats32:
+        """NaN where it is not."""
+        values = np.nan if taxels[key] is None else np.array(taxels[key]).reshape(shape)
+        return np.full(shape, values, dtype=np.float32)
+
     return PatchInfo(
         name=name,
         topic="",
         rows=int(taxels["rows"]),
         columns=int(taxels["columns"]),
         nodes=np.array(taxels["node"], dtype=np.uint16),
-        positions_m=places[0].astype(np.float32),
-        normals=places[1].astype(np.float32),
-        areas_m2=places[2].astype(np.float32),
+        positions_m=known("position_m", count, 3),
+        normals=known("normal", count, 3),
+        areas_m2=known("area_m2", count),
         frame_period_s=float("nan"),
         about={},
     )

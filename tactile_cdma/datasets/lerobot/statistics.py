@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.arrays import Bools, Floats
+from ...base.arrays import Bools
 
 
 class Statistics:
@@ -62,11 +62,9 @@ class Statistics:
             "mean": np.where(some, self._origin + mean, 0.0),
             "std": np.sqrt(variance),
         }
-        content = {name: self._full(value).tolist() for name, value in values.items()}
+        full = {name: np.broadcast_to(value, self._shape) for name, value in values.items()}
+        content = {name: value.tolist() for name, value in full.items()}
         return content | {"count": [int(self._count.max())]}
-
-    def _full(self, value: Floats) -> Floats:
-        return np.broadcast_to(value, self._shape)
 
 
 def mask_content(shape: tuple[int, ...], count: int) -> dict[str, Any]:

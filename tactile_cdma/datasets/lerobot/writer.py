@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrow import PNG_OR_JPEG, pyarrow
-from ..parquet_table import ParquetTable
+from ..parquet_table import PNG_OR_JPEG, ParquetTable, pyarrow
 from ..sources.images import decoded
 from . import INFO
 from .features import Feature

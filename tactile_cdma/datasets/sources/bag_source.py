@@ -14,16 +14,15 @@ from rosbags.interfaces import Connection
 
 from ...base.errors import CaptureError
 from ..samples import (
-    CONTACT_NAMES,
     NANO,
     PUBLISHER,
-    WRENCH_NAMES,
     Kind,
     RawImage,
     Sample,
     SampleStream,
     Value,
     feature_name,
+    skin_stream,
 )
 from . import bag_messages as fields
 from . import images
@@ -40,6 +39,12 @@ STAMP_OFF_S = 10.0
 """The most that a believed stamp is from the time of recording, s; chosen: far above what messages
 wait, and below any error of a clock that was never set."""
 
+ASTRAY = (
+    f"were recorded more than {FAR_NS / NANO / 3600:g} h before or after the others, by the bag "
+    "(damaged, or was the clock set meanwhile?)"
+)
+UNREAD = "do not fit their definition (damaged?)"
+"""Why messages are left out."""
 _SPLIT = re.compile(r"_\d+(\.(?:mcap|db3))$")
 """Ends of the names of a split bag's files: NAME_0.mcap, NAME_1.mcap, …"""
 
@@ -59,8 +64,7 @@ class BagSource:
         self.path, self.problem = path, None
         self._notes: list[str] = []
         self._off: dict[str, tuple[int, int]] = {}  # stamps not believed: how many, first error, ns
-        self._astray: Counter[str] = Counter()  # messages whose time of recording is not believed
-        self._unread: Counter[str] = Counter()  # messages that do not fit their definition
+        self._left_out: Counter[tuple[str, str]] = Counter()  # messages by topic and reason
         self._takes: defaultdict[str, list[tuple[str, _Take]]] = defaultdict(list)  # by topic
         with BagFile(path) as bag:
             self.counts = {one.topic: (one.msgtype, one.msgcount) for one in bag.channels}
@@ -80,18 +84,11 @@ class BagSource:
             "is taken for them"
             for topic, (number, first_ns) in sorted(self._off.items())
         )
-        astray = (
-            f"{topic}: {number} of {self.counts[topic][1]} messages were recorded more than "
-            f"{FAR_NS / NANO / 3600:g} h before or after the others, by the bag (damaged, or was "
-            "the clock set meanwhile?); they are left out"
-            for topic, number in sorted(self._astray.items())
+        left_out = (
+            f"{topic}: {number} of {self.counts[topic][1]} messages {reason}; they are left out"
+            for (topic, reason), number in sorted(self._left_out.items())
         )
-        unread = (
-            f"{topic}: {number} of {self.counts[topic][1]} messages do not fit their definition "
-            "(damaged?); they are left out"
-            for topic, number in sorted(self._unread.items())
-        )
-        return (*self._notes, *off, *astray, *unread)
+        return (*self._notes, *off, *left_out)
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
         stop_ns = None if end_ns is None else end_ns + 1
@@ -145,15 +142,15 @@ class BagSource:
                 raise CaptureError(f"{self.path}: two patches are {patch.name}; choose by --topic")
             names.add(patch.name)
             self._takes[topic].append((topic, partial(fields.skin_frame, patch=patch)))
-            yield SampleStream(topic, Kind.TACTILE, patch.name, (len(patch),), patch=patch)
-            for name, kind, type_, elements, take in (
-                ("contacts", Kind.CONTACTS, fields.CONTACTS_TYPE, CONTACT_NAMES, fields.contacts),
-                ("wrench", Kind.WRENCH, fields.WRENCH_TYPE, WRENCH_NAMES, fields.wrench),
+            yield skin_stream(topic, Kind.TACTILE, patch)
+            for kind, type_, take in (
+                (Kind.CONTACTS, fields.CONTACTS_TYPE, fields.contacts),
+                (Kind.WRENCH, fields.WRENCH_TYPE, fields.wrench),
             ):
-                beside = f"{stem}/{name}"
+                beside = f"{stem}/{kind}"
                 if wanted.derived and kinds.get(beside) == type_ and self._first(bag, beside):
                     self._takes[beside].append((beside, _without_time(take)))
-                    yield SampleStream(beside, kind, patch.name, (len(elements),), elements)
+                    yield skin_stream(beside, kind, patch)
         pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
         others = (
             t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
@@ -266,14 +263,14 @@ class BagSource:
         Without those that cannot be read, or that were not recorded when the bag says: these are
         counted.
         """
-        for channel in channels:
-            self._astray.pop(channel.topic, None)
-            self._unread.pop(channel.topic, None)
+        for channel in channels:  # counted anew
+            for reason in (ASTRAY, UNREAD):
+                self._left_out.pop((channel.topic, reason), None)
         for topic, seen_ns, message in bag.messages(channels, begin_ns, stop_ns):
             if not self.begin_ns - FAR_NS <= seen_ns <= self.end_ns + FAR_NS:
-                self._astray[topic] += 1
+                self._left_out[topic, ASTRAY] += 1
             elif message is None:
-                self._unread[topic] += 1
+                self._left_out[topic, UNREAD] += 1
             else:
                 yield topic, seen_ns, message
 

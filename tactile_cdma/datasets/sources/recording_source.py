@@ -15,15 +15,15 @@ from ...recording.capture import is_text
 from ...recording.offline import RawCapture
 from ...recording.recording_file import describe, is_recording, read_end
 from ..samples import (
-    CONTACT_NAMES,
+    DERIVED,
     NANO,
-    WRENCH_NAMES,
     Kind,
     PatchInfo,
     Sample,
     SampleStream,
     SkinFrame,
     feature_name,
+    skin_stream,
 )
 from ..skin_samples import patch_info, samples_of
 
@@ -46,12 +46,8 @@ class RecordingSource:
     @property
     def streams(self) -> Mapping[str, SampleStream]:
         """Those of the skin, as far as the file has been decoded; see patch."""
-        patch = self.patch
-        found = [SampleStream(Kind.TACTILE, Kind.TACTILE, self.name, (len(patch),), patch=patch)]
-        if self._derived:
-            for kind, names in ((Kind.CONTACTS, CONTACT_NAMES), (Kind.WRENCH, WRENCH_NAMES)):
-                found.append(SampleStream(kind, kind, self.name, (len(names),), names))
-        return {stream.key: stream for stream in found}
+        kinds = (Kind.TACTILE, *DERIVED) if self._derived else (Kind.TACTILE,)
+        return {kind: skin_stream(kind, kind, self.patch) for kind in kinds}
 
     @property
     def patch(self) -> PatchInfo:
@@ -80,7 +76,7 @@ class RecordingSource:
                 end_ns is not None and stamp_ns > end_ns
             ):
                 continue  # every frame is decoded: a reading rests on all words before it
-            keys = Kind.TACTILE, Kind.CONTACTS, Kind.WRENCH
+            keys = Kind.TACTILE, *DERIVED
             yield from samples_of(keys, skin_frame(frame, wall_s), found, stamp_ns, stamp_ns)
 
 

@@ -67,7 +67,6 @@ class Touches:
 
     @property
     def message(self) -> bytes:
-        """The message."""
         writer = CdrWriter()
         writer.header(self.heading)
         writer.add(_SEQUENCE.pack(self.sequence, self.info_id, self.stamp_uncertainty_s), 8)
@@ -98,7 +97,7 @@ class Touches:
         absent = [reader.text() for _ in range(reader.count())]
         in_service, valid, touched, untouched = reader.numbers(_COVERAGE, 4)
         [area_m2] = reader.numbers(_AREA, 4)
-        sums = np.frombuffer(reader.take(_SUMS.size, 8), dtype="<f8")
+        sums = np.frombuffer(reader.take(_SUMS.size, 8), dtype="<f8").reshape(3, 3)
         patches, ids, states, taxels = [], [], [], []
         for _ in range(reader.count()):
             patches.append(reader.text())
@@ -111,22 +110,9 @@ class Touches:
                 f"frame {sequence} has {len(patches)} contacts and {valid} of {in_service} taxels "
                 f"valid, and claims touched={touched}, untouched={untouched}"
             )
+        arrays = np.frombuffer(b"".join(ids), ID), np.frombuffer(b"".join(states), STATE)
         return cls(
-            heading,
-            sequence,
-            info_id,
-            uncertainty_s,
-            absent,
-            in_service,
-            valid,
-            touched,
-            untouched,
-            area_m2,
-            sums[:3],
-            sums[3:6],
-            sums[6:],
-            patches,
-            np.frombuffer(b"".join(ids), dtype=ID),
-            np.frombuffer(b"".join(states), dtype=STATE),
-            taxels,
+            *(heading, sequence, info_id, uncertainty_s, absent),
+            *(in_service, valid, touched, untouched, area_m2, sums[0], sums[1], sums[2]),
+            *(patches, *arrays, taxels),
         )

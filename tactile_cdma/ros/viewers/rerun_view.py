@@ -68,7 +68,6 @@ class RerunView(Node):
                 self._watch(patch)
 
     def _watch(self, patch: str) -> None:
-        """Subscribe to a patch's topics."""
         path = patch.strip("/")
         scene = PatchScene(self._recording, path, len(self._scenes), self._max_pa)
         self._scenes[path] = scene

@@ -28,7 +28,6 @@ class Tally:
         self._first_age_s = self._least_age_s = 0.0
 
     def add(self, info_id: int, sequence: int, age_s: float, now_s: float) -> None:
-        """Count a message."""
         continues = self._run is not None and self._run[0] == info_id and sequence > self._run[1]
         self.published += sequence - self._run[1] if continues and self._run else 1
         self._run = (info_id, sequence)

@@ -187,6 +187,26 @@ patches:
     assert groups == [["mf_tip"], ["mf_mid"]]
 
 
+def test_more_processes_than_dds_lets_find_each_other_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By hand, Fast DDS on LOCALHOST: of 90 participants a late one finds 32, of 110 none."""
+    path = tmp_path / "body.yaml"
+
+    def processes(patches: int, process: str, reach: str) -> int:
+        names = [*range(patches)]
+        path.write_text(f"process: {process}\npatches: {{'p{{}}': {{repeat: {names}}}}}")
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
+        return len(read_body(path).processes())
+
+    assert processes(110, "one", "LOCALHOST") == 1
+    assert [processes(28, "per_patch", "localhost"), processes(90, "per_patch", "")] == [28, 90]
+    with pytest.raises(BodyError, match=r"110 processes .* no more than 90 .* find all"):
+        processes(110, "per_patch", "SUBNET")
+    with pytest.raises(BodyError, match=r"29 processes .* 28 .*=LOCALHOST: .* process: one"):
+        processes(29, "per_patch", "LOCALHOST")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

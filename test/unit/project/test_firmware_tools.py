@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The message of `make firmware-tools` if the RP2040's emulator cannot be installed."""
+"""What `make firmware-tools` and `make test` say of what cannot be installed."""
 
 import sys
 from pathlib import Path
@@ -57,3 +57,23 @@ def test_nodejs_too_old_is_told_before_npm_is_tried(
 ) -> None:
     problem = emulator_problem(tmp_path, monkeypatch, version)
     assert problem is not None and problem.startswith("Node.js 18 or newer with npm")
+
+
+@pytest.mark.parametrize(("argument", "code", "told"), [("--require", 1, False), ("", 0, True)])
+def test_what_will_be_skipped_is_told_with_the_way_to_get_it(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    argument: str,
+    code: int,
+    told: bool,
+) -> None:
+    monkeypatch.setattr(firmware_tools, "PACKAGES", {"ngspice": "/no/such/file", "sh": "sh"})
+    monkeypatch.setattr(firmware_tools, "OPTIONAL", {"json": "x", "sh": "x", "no_module": "get it"})
+    monkeypatch.setattr(firmware_tools, "install", lambda packages: None)
+    monkeypatch.setattr(firmware_tools, "emulator_problem", lambda: "Node.js 18")
+    monkeypatch.setattr(sys, "argv", ["firmware_tools.py", *filter(None, [argument])])
+    assert firmware_tools.main() == code
+    said = capsys.readouterr()
+    assert "needed on this machine: sudo apt install ngspice\n" in said.err
+    skipped = "skips tests that need sudo apt install ngspice; Node.js 18; no_module (get it)\n"
+    assert said.out == (f"make test: {skipped}" if told else "")
