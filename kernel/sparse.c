@@ -26,7 +26,7 @@ struct sparse {
     float *left;            /* what words leave over of them */
     float *sums;            /* (k, 2^m + APART_BY) levels of all codes, times the chips per bit */
     float *told;            /* (2^m) the chips of a bit's words, wherever a chip may be */
-    float *spread;          /* (2^m) 0, but for a bit's words while they are transformed */
+    float *spread;          /* (2^m) 0, but for a bit's chips or words while they are transformed */
     float *loud, *belief;   /* (2^m): mean |r|; share of a word that is believed */
     float *straight, *squares; /* (2^m) of those that are listed: see soften; squares of a frame's levels */
     float *amplitude;       /* (2^m) of a node, V: when it last spoke, in a frame that settled */
@@ -160,10 +160,10 @@ VECTORS static bool any_above(size_t rows, const float *values, float most)
 }
 
 VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
-                         float level, float *restrict flipped)
+                         float *restrict flipped)
 {
     for (size_t i = 0; i < count; i++)
-        flipped[i] = (chips[i] - level) * flips[i];
+        flipped[i] = chips[i] * flips[i];
 }
 
 VECTORS static double product(size_t count, const float *restrict some, const float *restrict others)
@@ -189,16 +189,16 @@ static void correlate(struct sparse *sparse)
     const struct listed *now = &sparse->now;
     const int32_t *places = book->places;
     const float *left = sparse->left;
-    float *loud = sparse->loud, order = (float)book->order;
+    float *loud = sparse->loud, *spread = sparse->spread, order = (float)book->order;
 
     memset(loud, 0, book->rows * sizeof *loud);
     for (size_t bit = 0; bit < book->bits; bit++, left += book->order, places += book->order) {
         const float *words = now->words + bit * book->rows;
         float *sums = sums_of(sparse, bit);
-        memset(sums, 0, book->rows * sizeof *sums);
         for (size_t i = 0; i < book->order; i++)
-            sums[places[i]] = left[i];
-        transform_multiply(book->walsh, sums, sums, 1);
+            spread[places[i]] = left[i];
+        transform_multiply(book->walsh, spread, sums, 1);
+        memset(spread, 0, book->rows * sizeof *spread);
         for (size_t i = 0; i < now->count; i++)
             sums[now->codes[i]] += order * words[i];
         add_loud(book->rows, sums, loud);
@@ -349,20 +349,45 @@ static double soften(struct sparse *sparse, double noise, double odds, float dam
     return slopes * rules->swing * per / (double)book->bits;
 }
 
+/* The hard words of one bit. */
+VECTORS static void say_hard(size_t count, const int32_t *restrict codes, const float *restrict sums,
+                             const float *restrict loud, float *restrict words)
+{
+    for (size_t i = 0; i < count; i++)
+        words[i] = copysignf(loud[codes[i]], sums[codes[i]]);
+}
+
 /* The words of those that are loud enough. */
 static void harden(struct sparse *sparse, float least)
 {
     const struct sparse_book *book = &sparse->book;
     struct listed *next = &sparse->next;
-    const float *loud = sparse->loud;
 
-    next->count = list_above(book->rows, loud, least, next->codes);
-    for (size_t bit = 0; bit < book->bits; bit++) {
-        const float *sums = sums_of(sparse, bit);
-        float *words = next->words + bit * book->rows;
-        for (size_t i = 0; i < next->count; i++)
-            words[i] = copysignf(loud[next->codes[i]], sums[next->codes[i]]);
+    next->count = list_above(book->rows, sparse->loud, least, next->codes);
+    for (size_t bit = 0; bit < book->bits; bit++)
+        say_hard(next->count, next->codes, sums_of(sparse, bit), sparse->loud, next->words + bit * book->rows);
+}
+
+/* Sum of squares of the differences; INFINITY if any two have other signs, or are 0. */
+VECTORS static double distance(size_t count, const float *restrict some, const float *restrict others)
+{
+    double sums[LANES] = {0}, sum = 0;
+    int differ = 0;
+    size_t i = 0;
+
+    for (; i + LANES <= count; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++) {
+            float a = some[i + lane], b = others[i + lane];
+            differ |= !(a * b > 0);
+            sums[lane] += (double)(a - b) * (double)(a - b);
+        }
+    for (; i < count; i++) {
+        differ |= !(some[i] * others[i] > 0);
+        sum += (double)(some[i] - others[i]) * (double)(some[i] - others[i]);
     }
+    for (size_t lane = 0; lane < LANES; lane++)
+        sum += sums[lane];
+    return differ ? INFINITY : sum;
 }
 
 /* Power by which the next words change, per chip; INFINITY if they are not the same but for their amplitudes. */
@@ -373,15 +398,8 @@ static double change_of(const struct sparse *sparse)
 
     if (now->count != next->count || memcmp(now->codes, next->codes, now->count * sizeof *now->codes) != 0)
         return INFINITY;
-    for (size_t bit = 0; bit < sparse->book.bits; bit++) {
-        const float *words = now->words + bit * sparse->book.rows;
-        const float *newer = next->words + bit * sparse->book.rows;
-        for (size_t i = 0; i < now->count; i++) {
-            if (!(newer[i] * words[i] > 0))
-                return INFINITY;
-            change += (double)(newer[i] - words[i]) * (double)(newer[i] - words[i]);
-        }
-    }
+    for (size_t at = 0; at < sparse->book.bits * sparse->book.rows; at += sparse->book.rows)
+        change += distance(now->count, next->words + at, now->words + at);
     return change / (double)sparse->book.bits;
 }
 
@@ -392,10 +410,12 @@ VECTORS static void take(size_t count, const float *restrict chips, const float 
         left[i] = chips[i] - told[places[i]] + onsager * left[i];
 }
 
-VECTORS static void shift(size_t count, const float *restrict flips, float level, float *restrict left)
+/* Chips, which may be `left`, without the level. */
+VECTORS static void shift(size_t count, const float *chips, const float *restrict flips, float level, float *left)
 {
+    APART
     for (size_t i = 0; i < count; i++)
-        left[i] -= level * flips[i];
+        left[i] = chips[i] - level * flips[i];
 }
 
 /* What words leave of the chips, without the level, which is found if it is NAN. */
@@ -417,7 +437,7 @@ static void take_off(struct sparse *sparse, double level, float onsager)
         take(book->order, sparse->chips + first, told, book->places + first, onsager, sparse->left + first);
     }
     sparse->level = isnan(level) ? product(chips, sparse->left, book->flips) / (double)chips : level;
-    shift(chips, book->flips, (float)sparse->level, sparse->left);
+    shift(chips, sparse->left, book->flips, (float)sparse->level, sparse->left);
 }
 
 /* ---- a frame ----------------------------------------------------------------------------------- */
@@ -485,8 +505,8 @@ static bool detect(struct sparse *sparse, const float *chips, double damping)
 
     sparse->now.count = sparse->next.count = 0;
     sparse->level = mean_of(chips, count);
-    flip(count, chips, book->flips, 0, sparse->chips);
-    flip(count, chips, book->flips, (float)sparse->level, sparse->left);
+    flip(count, chips, book->flips, sparse->chips);
+    shift(count, sparse->chips, book->flips, (float)sparse->level, sparse->left);
     for (size_t turn = 0; turn < rules->turns; turn++) {
         correlate(sparse);
         double power = power_left(sparse), noise = power / (double)book->order;
@@ -551,7 +571,7 @@ void sparse_detect(struct sparse *sparse, const float *chips, double damping, st
     memset(found->heard, 0, book->nodes * sizeof *found->heard);
     for (size_t i = 0; i < sparse->next.count; i++)
         found->heard[sparse->nodes[sparse->next.codes[i]]] = true;
-    flip(book->bits * book->order, sparse->left, book->flips, 0, found->left);
+    flip(book->bits * book->order, sparse->left, book->flips, found->left);
 }
 
 /* ---- the certificate ------------------------------------------------------------------------------ */
@@ -639,17 +659,18 @@ static void tell_spoken(struct sparse *sparse, float *rows, int32_t *spoke)
     const struct listed *next = &sparse->next;
     int32_t *nodes = sparse->told_nodes;
 
-    for (size_t bit = 0; bit < book->bits; bit++)
-        for (size_t i = 0; i < sparse->told_count; i++)
-            rows[bit * book->rows + (size_t)nodes[i] + 1] = 0;
-    sparse->told_count = next->count;
     for (size_t i = 0; i < next->count; i++)
-        nodes[i] = spoke[i] = sparse->nodes[next->codes[i]];
+        spoke[i] = sparse->nodes[next->codes[i]];
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *sums = sums_of(sparse, bit);
+        float *levels = rows + bit * book->rows + 1;
+        for (size_t i = 0; i < sparse->told_count; i++)
+            levels[nodes[i]] = 0;
         for (size_t i = 0; i < next->count; i++)
-            rows[bit * book->rows + (size_t)nodes[i] + 1] = sums[next->codes[i]] * (1.0f / (float)book->order);
+            levels[spoke[i]] = sums[next->codes[i]] * (1.0f / (float)book->order);
     }
+    sparse->told_count = next->count;
+    memcpy(nodes, spoke, next->count * sizeof *nodes);
 }
 
 bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, int32_t *spoke,

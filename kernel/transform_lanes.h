@@ -83,9 +83,9 @@ TARGET static void NAMED(pass_of)(const float *from, float *to, size_t stride, u
 TARGET INLINE lanes NAMED(inside)(lanes x)
 {
 #if LANES == 8
-    x = SHUFFLE8(x, 4, 5, 6, 7, 0, 1, 2, 3) + x * (lanes){1, 1, 1, 1, -1, -1, -1, -1};
-    x = SHUFFLE8(x, 2, 3, 0, 1, 6, 7, 4, 5) + x * (lanes){1, 1, -1, -1, 1, 1, -1, -1};
-    x = SHUFFLE8(x, 1, 0, 3, 2, 5, 4, 7, 6) + x * (lanes){1, -1, 1, -1, 1, -1, 1, -1};
+    x = FUSED8(x, ((lanes){1, 1, 1, 1, -1, -1, -1, -1}), SHUFFLE8(x, 4, 5, 6, 7, 0, 1, 2, 3));
+    x = FUSED8(x, ((lanes){1, 1, -1, -1, 1, 1, -1, -1}), SHUFFLE8(x, 2, 3, 0, 1, 6, 7, 4, 5));
+    x = FUSED8(x, ((lanes){1, -1, 1, -1, 1, -1, 1, -1}), SHUFFLE8(x, 1, 0, 3, 2, 5, 4, 7, 6));
 #elif LANES == 4
     x = SHUFFLE4(x, 2, 3, 0, 1) + x * (lanes){1, 1, -1, -1};
     x = SHUFFLE4(x, 1, 0, 3, 2) + x * (lanes){1, -1, 1, -1};

@@ -24,7 +24,7 @@ from .config.parameters import DEFAULTS, SIMULATION
 from .messages.rounds import Rounds
 from .places.poses import Pose
 from .readings.status import Status
-from .skin import LOOK_S, TIMEOUT_S, Frame, Skin
+from .skin import LOOK_S, TIMEOUT_S, Frame, Skin, check_timeout
 
 STALE_S = 1.0
 """A patch without a frame for longer, s, and two of its frame periods at least, is missing; chosen
@@ -90,6 +90,7 @@ class Body:
         contacts: bool = False,
         timeout_s: float | None = TIMEOUT_S,
     ) -> None:
+        check_timeout(timeout_s)
         found = read_body(Path(path))
         self.path, self.timeout_s = Path(path), timeout_s
         self.skins: dict[str, Skin] = {}

@@ -115,6 +115,10 @@ class LiveObservation:
         """
         by_name = {skins.config.skin: skins} if isinstance(skins, Skin) else skins
         named = {feature_name(name): skin for name, skin in by_name.items()}
+        if not named or len(named) < len(by_name):
+            raise ParameterError(
+                f"skins {', '.join(by_name) or 'none'}: the dataset would have {len(named)} patches"
+            )
         patches = [patch_info(one.config, one.source, name, {}) for name, one in named.items()]
         contacts = all(one.contacts for one in named.values())
         return cls(DatasetMeta.of(patches, contacts, ROWS_HZ, LAST, HOLD), named)
@@ -138,7 +142,8 @@ class LiveObservation:
         return [
             difference
             for name, skin in self._skins.items()
-            for difference in _differences(name, skin, self._meta.about.get(name, {}))
+            if (about := self._meta.about.get(name)) is not None  # else there is no dataset
+            for difference in _differences(name, skin, about)
         ]
 
     def state(

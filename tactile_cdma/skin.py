@@ -166,8 +166,7 @@ class Skin:
         **parameters: Setting,
     ) -> None:
         values: Values = _checked({"port": port, **parameters})
-        if timeout_s is not None and not (isinstance(timeout_s, float | int) and timeout_s > 0):
-            raise ParameterError(f"timeout_s is {timeout_s!r}; it must be above 0 s, or None")
+        check_timeout(timeout_s)
         self.config, self.port, self.timeout_s = SkinConfig.of(values), values["port"], timeout_s
         self.parameters = values
         self.contacts = contacts
@@ -351,7 +350,7 @@ class Skin:
             try:
                 return self._tare(force)
             except RestError as error:
-                if not error.reason.may_pass or time.monotonic() >= end_s:
+                if not (error.reason.may_pass and time.monotonic() < end_s):
                     raise
             time.sleep(LOOK_S)
 
@@ -608,6 +607,12 @@ def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
     for, if the file cannot be read.
     """
     return read_bytes(Path(path))
+
+
+def check_timeout(timeout_s: float | None) -> None:
+    """Raises ParameterError unless it is above 0 s, or None."""
+    if timeout_s is not None and not (isinstance(timeout_s, float | int) and timeout_s > 0):
+        raise ParameterError(f"timeout_s is {timeout_s!r}; it must be above 0 s, or None")
 
 
 def _checked(parameters: Mapping[str, object]) -> dict[str, Value]:

@@ -45,10 +45,14 @@ def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Times, s, and voltages, V, of a netlist's transient analysis that saves one of them."""
     with TemporaryDirectory() as folder:
         raw = Path(folder) / "out.raw"
-        _run(Path(folder), text, "-r", str(raw))
-        head, _, body = raw.read_bytes().partition(b"Binary:\n")
-    if b"No. Variables: 2" not in head:
-        raise SpiceError(f"ngspice wrote something else than two variables: {head.decode()}")
+        said = _run(Path(folder), text, "-r", str(raw))
+        written = raw.read_bytes() if raw.exists() else b""
+    head, _, body = written.partition(b"Binary:\n")
+    points = re.search(rb"No. Variables: 2\s*No. Points: (\d+)", head)
+    if points is None:
+        raise SpiceError(f"ngspice wrote no two variables: {head[:500]!r}; it said {said[-500:]}")
+    if len(body) != (wanted := int(points[1]) * 16) or not body:
+        raise SpiceError(f"ngspice wrote {len(body)} of {wanted} bytes: is the disk full?")
     times, volts = np.frombuffer(body, "<f8").reshape(-1, 2).T
     return times, volts
 
@@ -80,7 +84,11 @@ def _run(folder: Path, text: str, *options: str) -> str:
     source = folder / "circuit.cir"
     source.write_text(text)
     result = subprocess.run(
-        [program, "-b", *options, str(source)], capture_output=True, text=True, cwd=folder
+        # -n: a .spiceinit of the user's could ask for another format
+        [program, "-n", "-b", *options, str(source)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
     )
     said = result.stdout + result.stderr
     if result.returncode or "aborted" in said:

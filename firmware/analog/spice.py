@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from amplifier import CIRCUITS, DIRECT, RAIL_V, FrontEnd, design
 from ngspice import SpiceError, noise_v, waveform
 from passive_spice import PassiveRun, passive_runs
+from tactile_cdma.base.errors import TactileError
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import Value, read_file
@@ -31,17 +32,10 @@ from tactile_cdma.wire.messages import FrameLayout, Info, Packet, Samples
 from tactile_cdma.wire.packets import PacketWriter
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-SKINS: dict[int, dict[str, Value]] = {
-    16: {},
-    64: {"frame_period_ms": 36.0},
-    900: {
-        name: value
-        for name, value in read_file(CONFIG / "thousand_skin.yaml").items()
-        if name not in ("port", "amplitude_mv")  # which is computed here
-    },
-    4000: read_file(CONFIG / "sparse_skin.yaml"),
-}
-"""Parameters by number of nodes; the rest are the driver's defaults. As many send as may."""
+SKINS = (16, 64, 900, 4000)
+"""Numbers of nodes."""
+FILES = {900: "thousand_skin.yaml", 4000: "sparse_skin.yaml"}
+"""Parameter files of skins; those of the others are the driver's defaults."""
 PERIODS = 3
 """Periods that the decoder sees, all of them the same frame."""
 STEP_CHIPS = 8
@@ -66,16 +60,23 @@ class Figures:
     wrong: int
 
 
+def parameters(nodes: int) -> dict[str, Value]:
+    """Of a skin, but for the amplitude, which is computed. Raises ParameterError."""
+    found = read_file(CONFIG / FILES[nodes]) if nodes in FILES else {}
+    given = {name: value for name, value in found.items() if name not in ("port", "amplitude_mv")}
+    return {"nodes": nodes, **({"frame_period_ms": 36.0} if nodes == 64 else {}), **given}
+
+
 def simulate(
     nodes: int, seed: int = 1, circuit: str = DIRECT
 ) -> tuple[SkinConfig, FrontEnd, Figures]:
     """Design, simulate and decode a skin."""
-    values = {"nodes": nodes, "rows": 0, "columns": 0, **SKINS[nodes]}
-    asked = SkinConfig.of({key: value for key, value in values.items() if value})
+    values = parameters(nodes)
+    asked = SkinConfig.of(values)
     front = design(asked.spec, asked.samples_per_chip, circuit=circuit)
     config = SkinConfig.of(
         {
-            **{key: value for key, value in values.items() if value},
+            **values,
             "polarity": front.polarity,
             "amplitude_mv": round(front.amplitude_v * 1e3, 2),
         }
@@ -189,14 +190,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Print a line per skin and the wrong words last; exit code 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--circuit", choices=CIRCUITS, default=DIRECT, help="of a node")
-    circuit = parser.parse_args(argv).circuit
+    try:
+        return run(parser.parse_args(argv).circuit)
+    except (SpiceError, TactileError) as error:
+        print(f"spice: {error}", file=sys.stderr)
+        return 1
+
+
+def run(circuit: str) -> int:
+    """Simulate all skins; returns the exit code. Raises SpiceError and ParameterError."""
     words = wrong = 0
     for nodes in SKINS:
-        try:
-            config, front, found = simulate(nodes, circuit=circuit)
-        except SpiceError as error:
-            print(f"spice: {error}", file=sys.stderr)
-            return 1
+        config, front, found = simulate(nodes, circuit=circuit)
         print(
             f"nodes={nodes} chip_us={config.spec.chip_s * 1e6:g} groups={front.groups} "
             f"amplitude_mv={found.amplitude_v * 1e3:.2f} computed={front.amplitude_v * 1e3:.2f} "

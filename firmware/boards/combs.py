@@ -117,7 +117,7 @@ def main() -> int:
     stale = []
     for comb in COMBS:
         file = LIBRARY / f"{comb.name}.kicad_mod"
-        if not file.exists() or file.read_text(encoding="utf-8") != comb.text():
+        if not file.exists() or file.read_bytes() != comb.text().encode():
             stale.append(file.name)
             if not check:
                 file.write_text(comb.text(), encoding="utf-8")

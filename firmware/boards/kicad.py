@@ -62,9 +62,7 @@ def draw(folder: Path, pictures: Path) -> None:
             _kicad(folder, "sch", "export", "pdf", *options, f"{board}.kicad_sch", "-o", str(pdf))
             size = ("-r", str(DOTS_PER_INCH), "-f", str(page), "-l", str(page), "-singlefile")
             target = str(pictures / f"board-{name}")
-            subprocess.run(
-                [_need("pdftoppm"), "-png", "-gray", *size, str(pdf), target], check=True
-            )
+            _run_program("pdftoppm", "-png", "-gray", *size, str(pdf), target)
 
 
 def fabricate(folder: Path, board: str, target: Path) -> None:
@@ -90,17 +88,15 @@ def _run(*arguments: str, to: str, folder: Path) -> str:
 
 
 def _kicad(folder: Path, *arguments: str) -> None:
-    result = subprocess.run(
-        [_need("kicad-cli"), *arguments], cwd=folder, capture_output=True, text=True
-    )
+    _run_program("kicad-cli", *arguments, folder=folder)
+
+
+def _run_program(name: str, *arguments: str, folder: Path | None = None) -> None:
+    path = shutil.which(name)
+    if path is None:
+        raise KicadError(f"no {name} on this machine (Debian 13: kicad, poppler-utils)")
+    result = subprocess.run([path, *arguments], cwd=folder, capture_output=True, text=True)
     if result.returncode:
         out = Path(arguments[-1])
         report = out.read_text(encoding="utf-8") if out.is_file() else result.stderr
-        raise KicadError(f"{' '.join(arguments[:3])}: {report}")
-
-
-def _need(program: str) -> str:
-    path = shutil.which(program)
-    if path is None:
-        raise KicadError(f"no {program} on this machine (Debian 13: kicad, poppler-utils)")
-    return path
+        raise KicadError(f"{name} {' '.join(arguments[:3])}: {report}")

@@ -10,13 +10,13 @@ spokes, reaches into its pads. test/firmware/test_boards.py compares the nets wi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from netlist import Terminal, parse
+from kicad_file import Item, load
+from netlist import Terminal
 
 COPPER = ("F.Cu", "In1.Cu", "In2.Cu", "B.Cu")
 NEAR_MM = 1e-3
@@ -42,8 +42,8 @@ class Copper:
 
 
 def read_board(path: Path) -> list[Copper]:
-    """All copper of a board that has a net."""
-    tree = parse(path.read_text(encoding="utf-8"))
+    """All copper of a board that has a net. Raises KicadFileError."""
+    tree = load(path)
     return [*_pads(tree), *_tracks(tree), *_zones(tree)]
 
 
@@ -149,16 +149,20 @@ def _box(outline: tuple[Point, ...]) -> tuple[float, float, float, float]:
     return min(xs), min(ys), max(xs), max(ys)
 
 
-def _all(tree: list[Any], kind: str) -> list[list[Any]]:
-    return [item for item in tree if isinstance(item, list) and item and item[0] == kind]
+def _point(item: Item) -> Point:
+    return item.number(), item.number(1)
 
 
-def _one(tree: list[Any], kind: str) -> list[Any]:
-    return _all(tree, kind)[0]
+def _turn(at: Item) -> float:
+    """Of a place, degrees."""
+    return at.number(2) if len(at.texts) > 2 else 0.0
 
 
-def _point(item: list[Any]) -> Point:
-    return float(item[1]), float(item[2])
+def _outline(item: Item, points: Iterable[Point]) -> tuple[Point, ...]:
+    outline = tuple(points)
+    if len(outline) < 2:
+        raise item.error("it has no outline")
+    return outline
 
 
 def _turned(middle: Point, offset: Point, turn: float) -> Point:
@@ -173,60 +177,62 @@ def _layers(names: list[str]) -> frozenset[str]:
     return frozenset(COPPER if "*.Cu" in names else (name for name in names if name in COPPER))
 
 
-def _pads(tree: list[Any]) -> Iterator[Copper]:
-    for footprint in _all(tree, "footprint"):
-        fields = {field[1]: field[2] for field in _all(footprint, "property")}
-        at = _one(footprint, "at")
-        (x, y), turn = _point(at), math.radians(float(at[3]) if len(at) > 3 else 0.0)
-        for pad in _all(footprint, "pad"):
-            net = _all(pad, "net")
-            if not net:
-                continue
-            place = _one(pad, "at")
-            middle = _turned((x, y), _point(place), turn)
-            width, height = _point(_one(pad, "size"))
-            own = float(place[3]) if len(place) > 3 else 0.0
-            layers = _layers(_one(pad, "layers")[1:])
-            terminal = (fields["Reference"], pad[1])
-            yield Copper(
-                "pad", net[0][-1], layers, (middle,), (width / 2, height / 2), own, terminal
-            )
-            for primitives in _all(pad, "primitives"):  # of any shape: its box, about its middle
-                left, top, right, bottom = _box(tuple(_places(primitives)))
-                box = ((right - left) / 2, (bottom - top) / 2)
-                centre = _turned(
-                    middle, ((left + right) / 2, (top + bottom) / 2), math.radians(own)
-                )
-                yield Copper("pad", net[0][-1], layers, (centre,), box, own, terminal)
+def _pads(tree: Item) -> Iterator[Copper]:
+    for footprint in tree.all("footprint"):
+        reference, at = footprint.field("Reference"), footprint.one("at")
+        middle, turn = _point(at), math.radians(_turn(at))
+        for pad in footprint.all("pad"):
+            for net in pad.all("net"):
+                yield from _pad(pad, net.text(-1), (reference, pad.text()), middle, turn)
 
 
-def _places(tree: list[Any]) -> Iterator[Point]:
+def _pad(pad: Item, net: str, terminal: Terminal, middle: Point, turn: float) -> Iterator[Copper]:
+    place = pad.one("at")
+    at, own = _turned(middle, _point(place), turn), _turn(place)
+    width, height = _point(pad.one("size"))
+    layers = _layers(pad.one("layers").texts)
+    yield Copper("pad", net, layers, (at,), (width / 2, height / 2), own, terminal)
+    for primitives in pad.all("primitives"):  # of any shape: its box, about its middle
+        left, top, right, bottom = _box(_outline(primitives, _places(primitives)))
+        box, offset = (
+            ((right - left) / 2, (bottom - top) / 2),
+            ((left + right) / 2, (top + bottom) / 2),
+        )
+        centre = _turned(at, offset, math.radians(own))
+        yield Copper("pad", net, layers, (centre,), box, own, terminal)
+
+
+def _places(tree: Item) -> Iterator[Point]:
     """Every place in a drawing."""
-    for item in tree[1:]:
-        if item and item[0] in ("xy", "start", "end", "center"):
-            yield _point(item)
-        elif isinstance(item, list):
-            yield from _places(item)
-
-
-def _tracks(tree: list[Any]) -> Iterator[Copper]:
-    names = {item[1]: item[2] for item in _all(tree, "net")}
-    for kind in ("segment", "via"):
-        for item in _all(tree, kind):
-            net = names.get(_one(item, "net")[1], "")
-            if kind == "via":
-                half = (float(_one(item, "size")[1]) / 2, 0.0)
-                points: tuple[Point, ...] = (_point(_one(item, "at")),)
-                yield Copper("via", net, frozenset(COPPER), points, half)
+    for item in tree.values:
+        if isinstance(item, Item):
+            if item.kind in ("xy", "start", "end", "center"):
+                yield _point(item)
             else:
-                half = (float(_one(item, "width")[1]) / 2, 0.0)
-                points = (_point(_one(item, "start")), _point(_one(item, "end")))
-                yield Copper("track", net, _layers([_one(item, "layer")[1]]), points, half)
+                yield from _places(item)
 
 
-def _zones(tree: list[Any]) -> Iterator[Copper]:
-    for zone in _all(tree, "zone"):
-        net = _one(zone, "net_name")[1]
-        for filled in _all(zone, "filled_polygon"):
-            points = tuple(_point(xy) for xy in _all(_one(filled, "pts"), "xy"))
-            yield Copper("zone", net, _layers([_one(filled, "layer")[1]]), points)
+def _tracks(tree: Item) -> Iterator[Copper]:
+    names = {net.text(): net.text(1) for net in tree.all("net")}
+    for item in tree.all("segment"):
+        points = (_point(item.one("start")), _point(item.one("end")))
+        half, layers = item.one("width").number() / 2, _layers([item.one("layer").text()])
+        yield Copper("track", _net(item, names), layers, points, (half, 0.0))
+    for item in tree.all("via"):
+        half, at = item.one("size").number() / 2, _point(item.one("at"))
+        yield Copper("via", _net(item, names), frozenset(COPPER), (at,), (half, 0.0))
+
+
+def _net(item: Item, names: dict[str, str]) -> str:
+    number = item.one("net").text()
+    if number not in names:
+        raise item.error(f"there is no net {number}")
+    return names[number]
+
+
+def _zones(tree: Item) -> Iterator[Copper]:
+    for zone in tree.all("zone"):
+        net = zone.one("net_name").text()
+        for filled in zone.all("filled_polygon"):
+            points = _outline(filled, map(_point, filled.one("pts").all("xy")))
+            yield Copper("zone", net, _layers([filled.one("layer").text()]), points)

@@ -18,54 +18,88 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kicad import BOARDS, LAYOUTS, KicadError, check, draw, fabricate
-from layout import read_board, unconnected
+from kicad_file import KicadFileError
+from layout import nets, read_board, unconnected
+from netlist import Netlist, read
+from parts import PartError
 from parts_list import FEW, MORE, assembly_csv, csv_text, markdown, read_parts
+from tactile_cdma.base.errors import TactileError
+from tactile_cdma.base.whole_file import replace_file
 
 ROOT = Path(__file__).resolve().parents[2]
 KICAD, BUILD = ROOT / "firmware" / "boards" / "kicad", ROOT / "firmware" / "build" / "boards"
 PARTS, DOCUMENT = Path("firmware/boards/parts.csv"), Path("docs/building.md")
+MOST_SHOWN = 8
+"""Pins of a net that are printed; chosen."""
 BEGIN, END = "<!-- begin parts -->\n", "<!-- end -->"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing, list stale files")
-    only_check = parser.parse_args().check
-    stale = []
-    for path, text in outputs():
-        target = ROOT / path
-        if not target.exists() or target.read_text(encoding="utf-8") != text:
-            stale.append(path)
-            if not only_check:
-                target.write_text(text, encoding="utf-8")
+    try:
+        return lists_stale() if parser.parse_args().check else make()
+    except (KicadError, KicadFileError, PartError, TactileError) as error:
+        print(f"boards: {error}", file=sys.stderr)
+    except OSError as error:
+        print(f"boards: {error.filename}: {error.strerror}", file=sys.stderr)
+    return 1
+
+
+def lists_stale() -> int:
+    """Name the generated files that are stale; returns 1 if there are any."""
+    stale = [path for path, text in outputs() if not is_fresh(ROOT / path, text)]
     for path in stale:
-        print(f"{path}: {'stale; run make boards' if only_check else 'written'}")
-    if only_check:
-        return int(bool(stale))
-    apart = {board: unconnected(read_board(KICAD / f"{board}.kicad_pcb")) for board in LAYOUTS}
-    for board, nets in apart.items():
-        for net, parts in nets:
-            print(f"boards: {board}: {net} is in {len(parts)} parts", file=sys.stderr)
-    if any(apart.values()):
+        print(f"{path}: stale; run make boards")
+    return int(bool(stale))
+
+
+def make() -> int:
+    """Write what is stale, check the boards, and have KiCad do what it can; returns the exit code.
+
+    Raises KicadError, KicadFileError, PartError and OSError.
+    """
+    schematics = {board: read(KICAD / f"{board}.kicad_sch") for board in BOARDS}
+    faults = [fault for board in LAYOUTS for fault in faults_of(board, schematics[board])]
+    for fault in faults:
+        print(f"boards: {fault}", file=sys.stderr)
+    if faults:
         return 1
+    for path, text in outputs():
+        if not is_fresh(ROOT / path, text):
+            replace_file(ROOT / path, text)
+            print(f"{path}: written")
     if shutil.which("kicad-cli") is None:
         print("boards: no kicad-cli (Debian 13: kicad): no rules, Gerbers or parts lists")
         print(f"boards={len(BOARDS)} layouts={len(LAYOUTS)} unconnected=0")
         return 0
-    try:
-        print(check(KICAD))
-        draw(KICAD, ROOT / "docs" / "img")
-        for board in LAYOUTS:
-            fabricate(KICAD, board, BUILD / board)
-            for nodes in (FEW, MORE):
-                lines = assembly_csv(KICAD / f"{board}.kicad_sch", nodes)
-                file = BUILD / board / f"{board}-bom-{nodes}-nodes.csv"
-                file.write_text(lines, encoding="utf-8")
-    except KicadError as error:
-        print(f"boards: {error}", file=sys.stderr)
-        return 1
+    print(check(KICAD))
+    draw(KICAD, ROOT / "docs" / "img")
+    for board in LAYOUTS:
+        fabricate(KICAD, board, BUILD / board)
+        for nodes in (FEW, MORE):
+            lines = assembly_csv(KICAD / f"{board}.kicad_sch", nodes)
+            replace_file(BUILD / board / f"{board}-bom-{nodes}-nodes.csv", lines)
     print(f"for the maker: {BUILD.relative_to(ROOT)}")
     return 0
+
+
+def faults_of(board: str, schematic: Netlist) -> Iterator[str]:
+    """Nets of a layout that are in parts, or that are not the schematic's."""
+    copper = read_board(KICAD / f"{board}.kicad_pcb")
+    for net, parts in unconnected(copper):
+        yield f"{board}.kicad_pcb: {net} is in {len(parts)} parts"
+    wanted, laid_out = {*schematic.nets}, nets(copper)
+    for kind, missing in (("pcb", wanted - laid_out), ("sch", laid_out - wanted)):
+        for pads in sorted(map(sorted, missing)):
+            pins = [f"{reference}.{pin}" for reference, pin in pads]
+            more = f" and {len(pins) - MOST_SHOWN} more" if len(pins) > MOST_SHOWN else ""
+            yield f"{board}.kicad_{kind} has no net of {' '.join(pins[:MOST_SHOWN])}{more}"
+
+
+def is_fresh(path: Path, text: str) -> bool:
+    """Whether a file is there with this text."""
+    return path.exists() and path.read_bytes() == text.encode()
 
 
 def outputs() -> Iterator[tuple[Path, str]]:
@@ -76,7 +110,7 @@ def outputs() -> Iterator[tuple[Path, str]]:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end:
-        raise SystemExit(f"{DOCUMENT} has no {BEGIN.strip()} … {END}")
+        raise SystemExit(f"boards: {DOCUMENT} has no {BEGIN.strip()} … {END}")
     yield DOCUMENT, before + begin + markdown(parts) + end + after
 
 

@@ -8,17 +8,18 @@ their own. test/firmware/test_boards.py compares it with KiCad's own netlist.
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from kicad_file import Item, load
+
 Terminal = tuple[str, str]
 """A part's reference, and the number of its pin."""
-_PARTS = re.compile(r'[()]|"(?:\\.|[^"\\])*"|[^\s()"]+')
+Place = tuple[int, int]
+"""On a sheet, µm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,47 +49,29 @@ class Netlist:
         return net
 
 
-def parse(text: str) -> list[Any]:
-    """The file as nested lists."""
-    stack: list[list[Any]] = [[]]
-    for part in _PARTS.findall(text):
-        if part == "(":
-            stack.append([])
-        elif part == ")":
-            done = stack.pop()
-            stack[-1].append(done)
-        else:
-            stack[-1].append(json.loads(part) if part[0] == '"' else part)
-    (tree,) = stack[0]
-    return list(tree)
-
-
 def read(path: Path) -> Netlist:
-    """The board whose first sheet is this file."""
+    """The board whose first sheet is this file. Raises KicadFileError."""
     reader = _Reader()
-    root = parse(path.read_text(encoding="utf-8"))
-    reader.sheet(root, "/" + _one(root, "uuid")[1], path.parent)
+    root = load(path)
+    reader.sheet(root, "/" + root.one("uuid").text())
     return reader.netlist()
 
 
-def components(tree: list[Any], path: str = "") -> Iterator[tuple[Component, list[Any]]]:
-    """Parts of a sheet with their items, without supplies.
+def components(tree: Item, path: str = "") -> Iterator[tuple[Component, Item, Item]]:
+    """Parts of a sheet, each with its item and its symbol, without supplies.
 
     path: of the sheet's use; without it, parts are named as in the first one.
     """
-    definitions = {item[1]: item for item in _one(tree, "lib_symbols")[1:]}
-    for item in _all(tree, "symbol"):
-        definition = definitions[_one(item, "lib_id")[1]]
-        if _all(definition, "power"):
+    for item, definition in _symbols(tree):
+        if any(definition.all("power")):
             continue
-        fields = {field[1]: field[2] for field in _all(item, "property")}
+        reference, value, fields = item.field("Reference"), item.field("Value"), item.fields
         pins = {number: name for number, name, _ in _pins(definition)}
-        reference, value = fields.pop("Reference"), fields.pop("Value")
-        for use in _all(_one(_one(item, "instances"), "project"), "path"):
-            if use[1] == path:
-                reference = _one(use, "reference")[1]
-        symbol = _one(item, "lib_id")[1].partition(":")[2]
-        yield Component(reference, symbol, value, fields, pins), item
+        for use in item.one("instances").one("project").all("path"):
+            if use.text() == path:
+                reference = use.one("reference").text()
+        symbol = definition.text().partition(":")[2]
+        yield Component(reference, symbol, value, fields, pins), item, definition
 
 
 class _Reader:
@@ -98,40 +81,36 @@ class _Reader:
         self.terminals: list[Terminal] = []
         self.named: set[str] = set()
 
-    def sheet(self, tree: list[Any], path: str, folder: Path) -> None:
-        """Take in a sheet, and those in it."""
-        definitions = {item[1]: item for item in _one(tree, "lib_symbols")[1:]}
-        wires = [tuple(_point(xy) for xy in _one(wire, "pts")[1:]) for wire in _all(tree, "wire")]
+    def sheet(self, tree: Item, path: str, above: tuple[Path, ...] = ()) -> None:
+        """Take in a sheet, and those in it. above: files that it is in."""
+        wires = [_ends(wire) for wire in tree.all("wire")]
         for begin, end in wires:
             self._join((path, begin), (path, end))
-        touching = [_point(_one(item, "at")) for item in _all(tree, "junction")]
-        for kind in ("label", "global_label"):
-            for label in _all(tree, kind):
-                at = _point(_one(label, "at"))
-                touching.append(at)
-                name = label[1] if kind == "global_label" else f"{path} {label[1]}"
-                self._name(name, (path, at))
+        touching = [_point(item.one("at")) for item in tree.all("junction")]
+        for label in tree.all("label", "global_label"):
+            touching.append(at := _point(label.one("at")))
+            name = label.text() if label.kind == "global_label" else f"{path} {label.text()}"
+            self._name(name, (path, at))
         for at in touching:
             for begin, end in wires:
                 if _on(at, begin, end):
                     self._join((path, at), (path, begin))
-        for component, item in components(tree, path):
+        for component, item, definition in components(tree, path):
             self.components[component.reference] = component
-            for number, _, at in _pins(definitions[_one(item, "lib_id")[1]]):
+            for number, _, at in _pins(definition):
                 terminal = (component.reference, number)
                 self.terminals.append(terminal)
-                self._join((path, _placed(at, _one(item, "at"))), terminal)
-        for item in _all(tree, "symbol"):
-            definition = definitions[_one(item, "lib_id")[1]]
-            if _all(definition, "power"):
-                fields = {field[1]: field[2] for field in _all(item, "property")}
-                ((_, name, at),) = _pins(definition)
-                if name != "PWR_FLAG":
-                    self._name(fields["Value"], (path, _placed(at, _one(item, "at"))))
-        for child in _all(tree, "sheet"):
-            fields = {field[1]: field[2] for field in _all(child, "property")}
-            text = (folder / fields["Sheetfile"]).read_text(encoding="utf-8")
-            self.sheet(parse(text), f"{path}/{_one(child, 'uuid')[1]}", folder)
+                self._join((path, _placed(at, item.one("at"))), terminal)
+        for item, definition in _symbols(tree):
+            if any(definition.all("power")):
+                for _, name, at in _pins(definition):
+                    if name != "PWR_FLAG":
+                        self._name(item.field("Value"), (path, _placed(at, item.one("at"))))
+        for child in tree.all("sheet"):
+            file = tree.file.parent / child.field("Sheetfile")
+            if file in (above := (*above, tree.file)):
+                raise child.error("it is within itself")
+            self.sheet(load(file), f"{path}/{child.one('uuid').text()}", above)
 
     def netlist(self) -> Netlist:
         nets: dict[Any, set[Terminal]] = {}
@@ -156,34 +135,42 @@ class _Reader:
         self.above[self._root(one)] = self._root(other)
 
 
-def _all(tree: list[Any], kind: str) -> list[list[Any]]:
-    return [item for item in tree if isinstance(item, list) and item and item[0] == kind]
+def _symbols(tree: Item) -> Iterator[tuple[Item, Item]]:
+    """Symbols of a sheet, each with its definition."""
+    definitions = {item.text(): item for item in tree.one("lib_symbols").all("symbol")}
+    for item in tree.all("symbol"):
+        name = item.one("lib_id").text()
+        if name not in definitions:
+            raise item.error(f"{name} is not in (lib_symbols …)")
+        yield item, definitions[name]
 
 
-def _one(tree: list[Any], kind: str) -> list[Any]:
-    return _all(tree, kind)[0]
+def _ends(wire: Item) -> tuple[Place, Place]:
+    ends = [_point(xy) for xy in wire.one("pts").all("xy")]
+    if len(ends) != 2:
+        raise wire.error(f"it has {len(ends)} ends")
+    return ends[0], ends[1]
 
 
-def _point(item: list[Any]) -> tuple[int, int]:
-    """A place in µm."""
-    return round(float(item[1]) * 1e3), round(float(item[2]) * 1e3)
+def _point(item: Item) -> Place:
+    return round(item.number() * 1e3), round(item.number(1) * 1e3)
 
 
-def _pins(definition: list[Any]) -> Iterator[tuple[str, str, tuple[int, int]]]:
+def _pins(definition: Item) -> Iterator[tuple[str, str, Place]]:
     """Number, name and place of every pin of a symbol."""
-    for unit in _all(definition, "symbol"):
-        for pin in _all(unit, "pin"):
-            yield _one(pin, "number")[1], _one(pin, "name")[1], _point(_one(pin, "at"))
+    for unit in definition.all("symbol"):
+        for pin in unit.all("pin"):
+            yield pin.one("number").text(), pin.one("name").text(), _point(pin.one("at"))
 
 
-def _placed(pin: tuple[int, int], at: list[Any]) -> tuple[int, int]:
+def _placed(pin: Place, at: Item) -> Place:
     """A pin's place on the sheet: symbols are drawn y up, sheets y down."""
-    turn = math.radians(float(at[3]))
+    turn = math.radians(at.number(2))
     cosine, sine = round(math.cos(turn)), round(math.sin(turn))
     x, y = _point(at)
     return x + pin[0] * cosine - pin[1] * sine, y - pin[0] * sine - pin[1] * cosine
 
 
-def _on(at: tuple[int, int], begin: tuple[int, int], end: tuple[int, int]) -> bool:
+def _on(at: Place, begin: Place, end: Place) -> bool:
     """Whether a point is on a level or upright wire."""
     return all(min(b, e) <= p <= max(b, e) for p, b, e in zip(at, begin, end, strict=True))

@@ -11,6 +11,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+
+class PartError(ValueError):
+    """A symbol or value that there is no part for; or one whose fields tell another."""
+
+
 TYPICAL = 1.25
 """An op-amp's typical figures over the computed need, at least: they scatter by some 20 %."""
 
@@ -121,18 +126,21 @@ _OTHERS = {
 def part(symbol: str, value: str = "") -> Part:
     """The part of a symbol; value: of a resistor or capacitor, or what an op-amp is used for.
 
-    Raises KeyError where there is none.
+    Raises PartError where there is none.
     """
     if symbol == "R":
         return _resistor(value)
     if symbol == "C":
         return _capacitor(value)
-    return OPAMPS[value] if symbol == "OpAmp" else _OTHERS[symbol.removesuffix("End")]
+    found = OPAMPS.get(value) if symbol == "OpAmp" else _OTHERS.get(symbol.removesuffix("End"))
+    if found is None:
+        raise PartError(f"parts.py has no {symbol} {value}")
+    return found
 
 
 def _resistor(value: str) -> Part:
     """Yageo's, whose numbers tell the value: 3.9k is 3K9, 820 is 820R."""
-    digits, letter = re.fullmatch(r"([0-9.]+)(k?)", value).groups()  # type: ignore[union-attr]
+    digits, letter = _digits(value, "R", "k?")
     unit = letter.upper() or "R"
     code = digits.replace(".", unit) if "." in digits else digits + unit
     what = f"{value} Ω, 1 %".replace("k Ω", " kΩ")
@@ -144,10 +152,19 @@ def _capacitor(value: str) -> Part:
     if value in _LARGE_CAPACITORS:
         number, cost, footprint, what = _LARGE_CAPACITORS[value]
         return Part("Murata", number, cost, footprint, f"{_farad(value)}, {what}")
-    pico = float(value[:-1]) * {"p": 1, "n": 1000}[value[-1]]
+    digits, letter = _digits(value, "C", "[pn]")
+    pico = float(digits) * {"p": 1, "n": 1000}[letter]
     zeros = len(f"{pico:g}") - 2
     code = f"{pico / 10**zeros:g}{zeros}"
     return Part("Murata", f"GRM1555C1H{code}JA01D", 0.02, _C0402, f"{_farad(value)}, C0G 50 V, 5 %")
+
+
+def _digits(value: str, symbol: str, letters: str) -> tuple[str, str]:
+    """Digits and prefix of a value."""
+    found = re.fullmatch(rf"([0-9]+(?:\.[0-9]+)?)({letters})", value)
+    if found is None:
+        raise PartError(f"{value!r} is no value of a {symbol}, as 3.9k, 820, 220p or 1u are")
+    return found[1], found[2]
 
 
 def _farad(value: str) -> str:

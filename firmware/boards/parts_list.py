@@ -11,8 +11,9 @@ from collections import Counter
 from math import ceil
 from pathlib import Path
 
-from netlist import Component, components, parse, read
-from parts import SENSOR_SHEET, SUPPLY_5V, Part, part
+from kicad_file import load
+from netlist import Component, components, read
+from parts import SENSOR_SHEET, SUPPLY_5V, Part, PartError, part
 from tactile_cdma.config.skin_config import SkinConfig
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "analog"))
@@ -30,15 +31,15 @@ Parts = dict[str, list[Component]]
 
 def front_end(nodes: int) -> FrontEnd:
     """The front end of a skin, as `make spice` simulates it."""
-    config = SkinConfig.of({"nodes": nodes, **spice.SKINS[nodes]})
+    config = SkinConfig.of(spice.parameters(nodes))
     return design(config.spec, config.samples_per_chip)
 
 
 def read_parts(folder: Path) -> Parts:
-    """Of every sheet of a skin, by itself."""
-    trees = {name: parse((folder / f"{name}.kicad_sch").read_text("utf-8")) for name in SHEETS}
+    """Of every sheet of a skin, by itself. Raises KicadFileError."""
+    trees = {name: load(folder / f"{name}.kicad_sch") for name in SHEETS}
     return {
-        name: [c for c, _ in components(tree) if "MPN" in c.fields] for name, tree in trees.items()
+        name: [c for c, *_ in components(tree) if "MPN" in c.fields] for name, tree in trees.items()
     }
 
 
@@ -54,11 +55,15 @@ def boards_of(nodes: int) -> dict[str, int]:
 
 
 def needed(parts: Parts, nodes: int) -> Counter[Part]:
-    """The parts of a skin, without boards, cables and assembly."""
+    """The parts of a skin, without boards, cables and assembly. Raises PartError."""
     counts: Counter[Part] = Counter()
     for board, number in boards_of(nodes).items():
         for component in parts[board]:
-            counts[bought(component, nodes)] += number
+            try:
+                counts[bought(component, nodes)] += number
+            except PartError as error:
+                place = f"{board}.kicad_sch: {component.reference}"
+                raise PartError(f"{place}: {error}") from None
     counts[SENSOR_SHEET] = ceil(nodes / SENSOR_SHEET_TAXELS)
     if front_end(nodes).groups > 1:
         counts[SUPPLY_5V] = 1
@@ -70,14 +75,14 @@ SENSOR_SHEET_TAXELS = 27 * 27
 
 
 def bought(component: Component, nodes: int) -> Part:
-    """The part of a symbol on a skin's boards."""
+    """The part of a symbol on a skin's boards. Raises PartError."""
     fields, key = component.fields, "MPN"
     value = fields.get("Use", component.value)
     if nodes == MORE and f"MPN{MORE}" in fields:
-        value, key = fields["Note"].partition(":")[0], f"MPN{MORE}"
+        value, key = fields.get("Note", "").partition(":")[0], f"MPN{MORE}"
     found = part(component.symbol, value)
     if found.number != fields[key]:
-        raise ValueError(f"{component.reference} is {fields[key]}, not {found.number}")
+        raise PartError(f"its {key} is {fields[key]}; {component.symbol} {value} is {found.number}")
     return found
 
 
@@ -110,10 +115,10 @@ def assembly_csv(schematic: Path, nodes: int = FEW) -> str:
     writer.writerow(["Comment", "Designator", "Footprint", "Number", "Quantity"])
     for number, same in sorted(lines.items()):
         places = ",".join(sorted(component.reference for component in same))
-        footprint = same[0].fields["Footprint"].partition(":")[2]
-        value = same[0].value
-        if number != same[0].fields["MPN"]:
-            value = same[0].fields["Note"].partition(":")[0]
+        fields, value = same[0].fields, same[0].value
+        footprint = fields.get("Footprint", "").partition(":")[2]
+        if number != fields["MPN"]:
+            value = fields.get("Note", "").partition(":")[0]
         writer.writerow([value, places, footprint, number, len(same)])
     return out.getvalue()
 

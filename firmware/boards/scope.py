@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "firmware" / folder) for folder in ("analog", "sim")]
 from amplifier import FrontEnd, design  # noqa: E402
-from emulated import EmulatedNodes  # noqa: E402
-from ngspice import transient, waveform  # noqa: E402
+from emulated import EmulatedNodes, EmulationError  # noqa: E402
+from ngspice import SpiceError, transient, waveform  # noqa: E402
 from skin import Spread, reference_nodes  # noqa: E402
+from tactile_cdma.base.errors import TactileError  # noqa: E402
 from tactile_cdma.config.parameters import read_file  # noqa: E402
 from tactile_cdma.config.skin_config import SkinConfig  # noqa: E402
 from tactile_cdma.hardware.node_memory import FAST  # noqa: E402
@@ -152,8 +153,18 @@ def cut(trace: Trace, begin_s: float, end_s: float) -> Trace:
 
 
 def main() -> int:
-    """Draw the pictures of docs/building.md."""
+    """Draw the pictures of docs/building.md; returns the exit code."""
     matplotlib.use("Agg")
+    try:
+        draw_all()
+    except (EmulationError, SpiceError, TactileError) as error:
+        print(f"scope: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def draw_all() -> None:
+    """Draw the pictures. Raises EmulationError, SpiceError and ParameterError."""
     slow = SkinConfig.of(read_file(CONFIG / "wired_skin.yaml"))
     front, period_s = design(slow.spec, slow.samples_per_chip), slow.spec.frame_period_s
     pulse = sync(slow, period_s)
@@ -181,7 +192,6 @@ def main() -> int:
     alone = line(front, pins(single, FAST, step_s, 110e-6), step_s, "GPIO26")
     title = "5  one fast node of 900: 3 µs of chips that nobody uses, from 64 µs on chips of 2 µs"
     draw("scope-fast.png", [(title, 1e-6, [cut(alone, 50e-6, 105e-6)])])
-    return 0
 
 
 if __name__ == "__main__":

@@ -8,6 +8,10 @@
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
+/* Tells programs apart for those who join them with memories. Behind the vectors, as the linker drops what
+ * nobody reads everywhere else. */
+__attribute__((used, section(".vectors"))) static const char name[] = BOARD_NAME;
+
 volatile uint16_t board_overflows;
 
 ISR(TIMER1_OVF_vect)

@@ -21,6 +21,7 @@
 
 #define BOARD_ORDER 4096 /* 512 bytes of the 1 kB EEPROM, and of the 2 kB RAM */
 #ifdef NODE_FAST
+#define BOARD_NAME "node-atmega328p-fast"
 #define BOARD_CHIP_NS 500u /* shortest that test_fast_node.py runs without a wrong edge */
 #define BOARD_SCRAMBLED_CHIP_NS 1750u
 #define BOARD_SPARSE_CHIP_NS 2000u
@@ -29,6 +30,7 @@
 #define BOARD_BITS_RESTART true
 #define BOARD_RESTART_US 80u
 #else
+#define BOARD_NAME "node-atmega328p"
 #define BOARD_CHIP_NS 35000u /* shortest that test_node_image.py runs without a wrong edge */
 #define BOARD_SCRAMBLED_CHIP_NS 35000u
 #define BOARD_SPARSE_CHIP_NS 35000u

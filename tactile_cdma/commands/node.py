@@ -11,8 +11,16 @@ from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
-from ..hardware.node_image import CRYSTALS_MHZ, node_image
-from ..hardware.node_memory import MCUS, check_timing, describe_memory, node_memory, usual_heartbeat
+from ..framing.sparse_timing import capacity, groups_for_all
+from ..hardware.node_image import node_image
+from ..hardware.node_memory import (
+    CRYSTALS_MHZ,
+    MCUS,
+    check_timing,
+    describe_memory,
+    node_memory,
+    usual_heartbeat,
+)
 from ..hardware.programmer import (
     EEPROM,
     FLASH,
@@ -157,6 +165,12 @@ def run(arguments: argparse.Namespace) -> int:
             write_memory(path, *content)
     if arguments.threshold:
         _warn_of_silence(heartbeat, config)
+    if config.spec.sparse:
+        groups = groups_for_all(config.spec)
+        print(
+            f"sparse codes: {capacity(config.spec)} of {config.spec.nodes} nodes may speak in one "
+            f"frame, and all {f'by turns, in {groups} groups' if groups else 'never'}"
+        )
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
     kind, usual = (FLASH, ARDUINO[crystal_mhz]) if of_flash else (EEPROM, "usbasp")
     if programmer:

@@ -14,6 +14,7 @@ from typing import Any
 from ..base.errors import SpecError
 from ..base.named_file import expanded
 from ..code.frame import MAX_STRETCH, MEASURING_S, FrameSpec
+from ..framing.sparse_timing import capacity, groups_for_all
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
@@ -22,7 +23,7 @@ from ..readings.baseline import RestRules
 from ..readings.calibration import AdcScale, Calibration, PressureCurve
 from ..readings.calibration_file import read_calibration
 from ..readings.contact import ContactThresholds
-from ..wire._protocol import TAIL_CHIPS
+from ..wire._protocol import TAIL_CHIPS, TURN_MOST_LOG2
 from ..wire.identity import parse_id, shown_id
 from .parameters import DEFAULTS, GAP, NATURAL_SIGNS, Values, check_values
 
@@ -73,6 +74,13 @@ class SkinConfig:
         for is_so, reason in _contradictions(*combination):
             if is_so:
                 raise SpecError(reason)
+        if spec.sparse and not groups_for_all(spec):
+            _log.warning(
+                "if all %d nodes speak at once, their codes are not told apart, not even in %d "
+                "groups by turns, and all is in doubt; %d may in one frame: set order to more than "
+                "%d",
+                *(spec.nodes, 1 << TURN_MOST_LOG2, capacity(spec), spec.order),
+            )
         if fills_period(spec, get["samples_per_chip"]):
             _log.warning(
                 "a frame of %g ms fills its period of %g ms, and is decoded one period late, as "

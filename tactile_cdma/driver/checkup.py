@@ -95,8 +95,9 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
     if window.rises.overloads and (load := pipeline.load):
         text = (
             f"{window.rises.overloads} frames are flagged, because more nodes spoke at once than "
-            f"the {load.capacity} that their codes tell apart, up to about {load.peak}: raise "
-            "order, or the nodes' thresholds; or is amplitude_mv too low?"
+            f"the {load.capacity} that their codes tell apart, up to about {load.peak}, or some "
+            "whose codes add up to nothing: raise order, or the nodes' thresholds; or is "
+            "amplitude_mv too low?"
         )
         yield Finding(text, event=True, key="overload")
     if share > FAST:
@@ -255,7 +256,7 @@ def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
     0 and NaN if unknown.
     """
     amplitude_v = pipeline.health.amplitude_v
-    amplitude_v[[number - 1 for number in pipeline.taxels.missing]] = np.nan
+    amplitude_v[np.array(pipeline.taxels.missing, np.intp) - 1] = np.nan
     if np.isnan(amplitude_v).all() or not window.noise_rms_v > 0:
         return 0, math.nan
     node = int(np.nanargmin(amplitude_v))

@@ -235,7 +235,7 @@ class Pipeline:
         self._follows = stamp.sequence + 1
         words, readings = self._read(heard, stamp.t_middle)
         if (load := self.load) is not None:
-            self.groups.take(heard.turn, load.now, words.active)
+            self.groups.take(heard.turn, load.now, words.active, load.crowded)
         if heard.turn:
             readings = self.taxels.waiting(readings, out_of_turn(heard.turn, spec.nodes))
         return TactileFrame(*stamp, heard.clipped, words, readings)

@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats, Floats32
+from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..code.amplitude import LEAST_SHARE, most_noise_power, rises
 from ..code.detect import Certificate, Detected, Detector, turn_pairs
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import rows_of
+from ..wire._protocol import TURN_MOST_LOG2
 from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from .timing import Rails, blinding_noise_v
 
@@ -60,18 +61,24 @@ class Load(NamedTuple):
 
     capacity: most that are told apart. now, peak: in the newest frame, and in any so far; of those
     that are not told apart, as many as have the line's power. overloads: frames of more than the
-    capacity.
+    capacity, or of nodes whose codes are not told apart; crowded: the newest one is of these.
     """
 
     capacity: int
     now: int = 0
     peak: int = 0
     overloads: int = 0
+    crowded: bool = False
 
-    def after(self, now: int) -> "Load":
+    def after(self, now: int, crowded: bool = False) -> "Load":
         """With a frame more, in which so many spoke."""
-        overloads = self.overloads + (now > self.capacity)
-        return Load(self.capacity, now, max(self.peak, now), overloads)
+        overloads = self.overloads + (crowded or now > self.capacity)
+        return Load(self.capacity, now, max(self.peak, now), overloads, crowded)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether too many spoke in the newest frame."""
+        return self.crowded or self.now > self.capacity
 
 
 class SparseTiming(MarkedTiming):
@@ -88,7 +95,8 @@ class SparseTiming(MarkedTiming):
     def _noted(self, verdict: Verdict) -> Verdict:
         frame = verdict.frame
         if frame is not None:
-            self.load = self.load.after(self._own.speakers if frame.levels else 0)
+            spoke = (self._own.speakers, self._own.crowded) if frame.levels else (0,)
+            self.load = self.load.after(*spoke)
             if frame.levels is None:  # all of it was noise
                 self.line.noise = learnt(self.line.noise, frame.noise_rms_v**2)
         return super()._noted(verdict)
@@ -99,6 +107,20 @@ def capacity(spec: FrameSpec) -> int:
     if not spec.sparse:
         return spec.nodes
     return min(spec.nodes, max(1, int(CAPACITY * (spec.order - LOST * math.sqrt(spec.order)))))
+
+
+def groups_for_all(spec: FrameSpec) -> int:
+    """In how many groups all nodes may speak by turns, and are told apart; 0: in none."""
+    codes = spec.code_numbers[spec.rows]
+    products = _products(spec) if spec.order < ALIKE_BELOW else None
+    for log2 in range(TURN_MOST_LOG2 + 1):
+        groups = [codes[first :: 1 << log2] for first in range(1 << log2)]
+        most = max(each.size for each in groups)
+        if most <= capacity(spec) and (
+            products is None or all(_told_apart(each, products, MORE) for each in groups)
+        ):
+            return len(groups)
+    return 0
 
 
 def learnt(noise: float, newest: float) -> float:
@@ -130,22 +152,18 @@ class SparseRecogniser:
     The kernel reads those that leave nothing to decide, by the same rules: `sparse_read` in
     kernel/sparse.c. The line's noise is what frames leave over, as there is no gap.
 
-    speakers: nodes that spoke in the last frame that was not silent; see Load. detector: finds the
-    words.
+    speakers, crowded: of the last frame that was not silent; see Load. detector: finds the words.
     """
 
     def __init__(self, line: MarkedLine) -> None:
-        self.speakers = 0
+        self.speakers, self.crowded = 0, False
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
         self._rules = certificate(line.spec)
         self._unlearnt = _Unlearnt(line.spec.chips, HIDDEN * self._swing2)
         self.detector = Detector(line.spec, self._rules)
         line.noise_share = 1 - self._rules.chance
-        # Of codes i and j, at i XOR j: those of code 0, whose chips are the flips, with all.
-        assert line.spec.flips is not None, "sparse codes are scrambled"
-        self._products = np.empty((line.spec.line_bits, line.spec.row_count), np.float32)
-        self._products[:, line.spec.code_numbers] = rows_of(line.spec.flips, line.spec)
+        self._products = _products(line.spec)
 
     def open(self, start: int, called: bool, since: int | None) -> int:
         """See Recogniser."""
@@ -190,6 +208,8 @@ class SparseRecogniser:
             doubtful = ~found.heard
         noise = sum(self._noise_of(found).tolist()) / spec.line_bits  # in the kernel's order
         rows, spoke, noise_v = found.rows, None, math.sqrt(noise / spec.order)
+        understood = self._is_understood(found) and self._line.noise > 0
+        self.crowded = not explained and understood and not self._are_told_apart(found)
         if self._settled(found):
             self.speakers = int(np.count_nonzero(found.heard))
         else:
@@ -265,15 +285,8 @@ class SparseRecogniser:
         if self._spec.order >= ALIKE_BELOW:
             return True
         codes = self._spec.code_numbers[self._spec.rows[found.heard]]
-        products = self._products[:, codes[:, None] ^ codes].astype(np.float64)
-        least = (MORE + _by_chance(self._spec.order) * self._line.noise / self._swing2) / 8
-        diagonal = np.arange(codes.size)
-        products[:, diagonal, diagonal] -= least
-        try:
-            np.linalg.cholesky(products)
-        except np.linalg.LinAlgError:
-            return False
-        return True
+        least = MORE + _by_chance(self._spec.order) * self._line.noise / self._swing2
+        return _told_apart(codes, self._products, least)
 
     @property
     def _hides_nodes(self) -> bool:
@@ -296,6 +309,27 @@ class SparseRecogniser:
         for lateness in LATENESSES:
             late |= self.detector.loudness(found.chips, lateness) > least
         return tuple(np.flatnonzero(late).tolist())
+
+
+def _products(spec: FrameSpec) -> Floats32:
+    """Of codes i and j, over the chips per bit, at i XOR j, (k, 2^m)."""
+    assert spec.flips is not None, "sparse codes are scrambled"
+    products = np.empty((spec.line_bits, spec.row_count), np.float32)
+    # Those of code 0, whose chips are the flips, with all.
+    products[:, spec.code_numbers] = rows_of(spec.flips, spec)
+    return products
+
+
+def _told_apart(codes: Indices, products: Floats32, least: float) -> bool:
+    """Whether all other bits of these codes change a bit's power by so much, amplitudes squared."""
+    gram = products[:, codes[:, None] ^ codes].astype(np.float64)
+    diagonal = np.arange(codes.size)
+    gram[:, diagonal, diagonal] -= least / 8
+    try:
+        np.linalg.cholesky(gram)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _by_chance(chips: int) -> float:

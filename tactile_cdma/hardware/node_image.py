@@ -7,34 +7,18 @@ if its EEPROM has no valid record.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..base.errors import NodeMemoryError, SpecError
 from ..base.named_file import naming, read_named
 from ..wire._protocol import NODE_FLASH, NODE_FLASH_END
-from ..wire.messages import WIRE, Message
 from .intel_hex import from_hex, joined_hex
-from .node_memory import MCUS
+from .node_memory import MCUS, NodeTable
 
 PROGRAMS = Path(__file__).resolve().parents[2] / "firmware" / "build" / "node"
 """Where `make firmware` puts the nodes' programs."""
 MOST_BYTES = 1 << 18
 """Largest program file read; chosen: Intel HEX of 32 kB takes 90 kB."""
-CRYSTALS_MHZ = (8, 16)
-
-
-@dataclass(frozen=True, slots=True)
-class NodeTable(Message):
-    """Before the memories in a node's flash. count: of them. crystal_mhz: 16 is divided by 2."""
-
-    count: int
-    crystal_mhz: int
-
-
-def first_memory(flash: bytes) -> bytes:
-    """Where the first memory in a node's flash begins, and all behind it; b"" if there is none."""
-    return flash[NODE_FLASH + WIRE["NodeTable"].size :]
 
 
 def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: Path | None) -> str:
@@ -63,11 +47,14 @@ def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: P
     with naming(path, NodeMemoryError):
         text = read_named(path, MOST_BYTES).decode("latin-1")
     try:
-        size = len(from_hex(text))
+        flash = from_hex(text)
     except NodeMemoryError as error:
         raise NodeMemoryError(f"{path}: {error}") from None
-    if not 0 < size <= NODE_FLASH:
+    if len(flash) > NODE_FLASH:
         raise NodeMemoryError(
-            f"{path}: {size} bytes; a node's program ends before 0x{NODE_FLASH:X}: is this one?"
+            f"{path}: {len(flash)} bytes; a node's program ends before 0x{NODE_FLASH:X}: has it "
+            "memories already?"
         )
+    if f"node-{mcu}\0".encode() not in flash:  # the firmware's BOARD_NAME
+        raise NodeMemoryError(f"{path}: no program of this firmware for the {mcu}")
     return joined_hex(text, table, NODE_FLASH)

@@ -63,6 +63,8 @@ _OF_LAYOUT = (
 )
 """Fields of NodeRecord that are those of FrameLayout."""
 CRC_BYTES = 4
+CRYSTALS_MHZ = (8, 16)
+"""Of a node that has its memory in flash."""
 SHOWN_CHIPS = 64
 """Chips of a row that are printed, what fits on a line; chosen."""
 
@@ -97,6 +99,14 @@ class NodeRecord(Message):
     threshold: int
     heartbeat: int
     turn: int
+
+
+@dataclass(frozen=True, slots=True)
+class NodeTable(Message):
+    """Before the memories in a node's flash. count: of them. crystal_mhz: 16 is divided by 2."""
+
+    count: int
+    crystal_mhz: int
 
 
 def check_timing(timing: str) -> None:
@@ -273,7 +283,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
             f"the memory has a record of version {found['version']}, this is for {NODE_VERSION}: "
             "write it anew"
         )
-    size = wire.size + (found["digits"] or _octets(found["order"])) + CRC_BYTES
+    size = _size(found["digits"], found["order"])
     if len(data) < size:
         raise NodeMemoryError(
             f"the memory is truncated: a code of {found['order']} chips takes {size} bytes, "
@@ -295,8 +305,10 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
     return record, np.where(ones[-record.order :], 1, -1).astype(np.int8)
 
 
-def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
-    """A node's memory as a few lines of text."""
+def describe_memory(
+    record: NodeRecord, chips: NDArray[np.int8], table: NodeTable | None = None
+) -> str:
+    """A node's memory as a few lines of text. table: that it is the first of, in an image."""
     code = "".join("+" if chip > 0 else "-" for chip in chips[:SHOWN_CHIPS])
     if chips.size > SHOWN_CHIPS:
         code += f" and {chips.size - SHOWN_CHIPS} more"
@@ -305,9 +317,19 @@ def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
     rest = "learnt after power-up" if record.rest == NODE_LEARN_REST else f"code {record.rest}"
     change = f"more than {record.threshold} LSB from rest ({rest}) or from what it sent last"
     beat = f"once in {record.heartbeat} frames, first after {record.turn}"
+    own = f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}"
+    node, image = f"{record.node} of {record.nodes}", {}
+    if table:
+        image = {"image": f"program and memory, of a node with {table.crystal_mhz} MHz"}
+    if table and table.count > 1:
+        image = {"image": f"program and memories, of any node with {table.crystal_mhz} MHz"}
+        node = f"1 to {table.count} of {record.nodes}: it takes its number when it is pressed"
+        own = f"of node 1 {own}"
+        beat = f"once in {record.heartbeat} frames"
     lines = {
-        "node": f"{record.node} of {record.nodes}",
-        "code": f"{kind} {record.row} of order {record.order}, sign {record.sign:+d}: {code}",
+        **image,
+        "node": node,
+        "code": own,
         "word": f"{record.bits} bits" + (" and parity" if record.parity else ""),
         "chip": f"{record.chip_ns / 1e3:g} µs"
         + (", following the sync edges" if record.discipline else ", of the node's own clock"),
@@ -318,6 +340,39 @@ def describe_memory(record: NodeRecord, chips: NDArray[np.int8]) -> str:
         "heartbeat": beat if record.heartbeat else "none",
     }
     return "\n".join(f"{name + ':':<10} {text}" for name, text in lines.items())
+
+
+def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTable]:
+    """As read_node_memory, of the first memory in a table, which is its last result.
+
+    All of them are checked.
+    """
+    wire = WIRE["NodeTable"]
+    if data[: wire.size].count(0xFF) == wire.size:
+        raise NodeMemoryError(
+            "this is a program without a node's memory: node --hex joins them, or the EEPROM has it"
+        )
+    if len(data) < wire.size:
+        raise NodeMemoryError("the image is truncated: it ends where its memories begin")
+    count, crystal_mhz = wire.unpack_from(data)
+    if not count or crystal_mhz not in CRYSTALS_MHZ:
+        raise NodeMemoryError(f"no node's image: it says {count} nodes with {crystal_mhz} MHz")
+    table, memories = NodeTable(count, crystal_mhz), data[wire.size :]
+    record, chips = read_node_memory(memories)
+    size = _size(record.digits, record.order)
+    for number in range(2, table.count + 1):
+        try:
+            node = read_node_memory(memories[(number - 1) * size :])[0].node
+        except NodeMemoryError as error:
+            raise NodeMemoryError(f"memory {number} of {table.count}: {error}") from None
+        if node != number:
+            raise NodeMemoryError(f"memory {number} of {table.count} is that of node {node}")
+    return record, chips, table
+
+
+def _size(digits: int, order: int) -> int:
+    """Bytes of a memory."""
+    return WIRE["NodeRecord"].size + (digits or _octets(order)) + CRC_BYTES
 
 
 def _octets(order: int) -> int:

@@ -17,6 +17,9 @@ UNCLEAR_FRAMES = 25
 frames/s, more than a disturbance."""
 TALKING_FRAMES = 400
 """Frames after which nodes that do not fall silent are told of. Chosen: 5 s at 78 frames/s."""
+EARLY_FRAMES = 50
+"""Frames that a pressed node takes to get a number, at least: 8 alike, then one per octet of its
+memory (54 or more). One that is clear before had it already, and nobody has pressed anything."""
 FORGET_FRAMES = 40
 """For which nodes are told to forget; they want 9 alike, and a node that talks may miss some."""
 
@@ -34,6 +37,8 @@ class Numbering:
         self._nodes = nodes
         self._forgets, self._left = 0, FORGET_FRAMES  # all of them, first
         self._clear = self._unclear = self._talking = 0
+        self._frames = 0  # of this request
+        self._early: int | None = None  # the number that somebody had before it was asked for
 
     @property
     def request(self) -> Number:
@@ -64,6 +69,7 @@ class Numbering:
         if self.asked is None:
             return None
         node = self.asked - 1
+        self._frames += 1
         heard = bool(words.active[node] or words.doubtful[node])
         clear = bool(words.active[node] and not words.doubtful[node] and not words.doubled[node])
         self._clear = self._clear + 1 if clear else 0
@@ -72,6 +78,8 @@ class Numbering:
             return self.unclear()
         if self._clear < TAKEN_FRAMES:
             return None
+        if self._frames < EARLY_FRAMES + TAKEN_FRAMES:
+            return self._had_before(self.asked)
         self._ask(self.asked + 1)
         return f"node {node + 1} has its number"
 
@@ -101,10 +109,22 @@ class Numbering:
         self._forget(skipped)  # whoever took it meanwhile
         return f"node {skipped} is left out"
 
+    def _had_before(self, number: int) -> str | None:
+        """It forgets the number, unless that is one of its own: then nobody else can have it."""
+        if self._early == number:
+            self._clear = self._frames = 0
+            return None
+        self._early = number
+        self._forget(number)
+        return (
+            f"node {number} speaks before it is pressed: has it a number of its own? All nodes "
+            "take one image (node --any)"
+        )
+
     def _ask(self, number: int) -> None:
         self.asked = number if number <= self._nodes else None
-        self._clear = self._unclear = 0
+        self._clear = self._unclear = self._frames = 0
 
     def _forget(self, number: int) -> None:
         self._forgets, self._left = number, FORGET_FRAMES
-        self._clear = self._unclear = 0
+        self._clear = self._unclear = self._frames = 0

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ..base.errors import NodeMemoryError
 from ..base.named_file import naming, read_named
 from ..base.whole_file import replace_file, replacing
+from ..wire._protocol import NODE_FLASH
 from .intel_hex import from_hex, to_hex
-from .node_image import first_memory
-from .node_memory import MCUS, NodeRecord, read_node_memory
+from .node_memory import MCUS, NodeRecord, NodeTable, read_node_memory, read_node_table
 
 _log = logging.getLogger(__name__)
 
@@ -54,8 +54,10 @@ def node_files(directory: Path, nodes: int) -> list[Path]:
     return [directory / f"node{node:0{width}}.hex" for node in range(1, nodes + 1)]
 
 
-def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
+def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8], NodeTable | None]:
     """Record and chips in a file that write_memory, write_image or avrdude made.
+
+    Of an image those of the first node, and its table.
 
     Raises NodeMemoryError, naming the file and what is wrong.
     """
@@ -64,7 +66,9 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8]]:
         content = read_named(path, MOST_BYTES)
     try:
         memory = from_hex(content.decode("latin-1")) if is_hex else content
-        return read_node_memory(first_memory(memory) or memory)
+        if len(memory) > NODE_FLASH:
+            return read_node_table(memory[NODE_FLASH:])
+        return *read_node_memory(memory), None
     except NodeMemoryError as error:
         raise NodeMemoryError(f"{path}: {error}") from None
 

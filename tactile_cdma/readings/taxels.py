@@ -144,9 +144,7 @@ class Taxels:
     @property
     def missing(self) -> list[int]:
         """Numbers of the nodes in service that were not heard for stale_after_s, as of now_s."""
-        unheard = (self.now_s - self._heard_s > self.stale_after_s) & ~self._masked
-        numbers: list[int] = (np.flatnonzero(unheard) + 1).tolist()
-        return numbers
+        return _numbers(self._is_missing)
 
     @property
     def dead(self) -> list[int]:
@@ -156,22 +154,24 @@ class Taxels:
         """
         if self.now_s - self._began_s <= self.stale_after_s:
             return []
-        return [number for number in self.missing if np.isinf(self._heard_s[number - 1])]
+        return _numbers(self._is_missing & np.isinf(self._heard_s))
 
     @property
     def stale(self) -> list[int]:
         """The missing nodes that were heard before."""
-        return [number for number in self.missing if np.isfinite(self._heard_s[number - 1])]
+        return _numbers(self._is_missing & np.isfinite(self._heard_s))
 
     @property
     def unheard(self) -> list[int]:
         """Numbers of the nodes in service that are UNHEARD, as of now_s."""
         kept = self._kept.heard_s >= self.now_s - self.stale_after_s
         silent = kept & (self._kept.heard_s < self.now_s)
-        numbers: list[int] = (
-            np.flatnonzero(silent & (self._kept.flags != 0) & ~self._masked) + 1
-        ).tolist()
-        return numbers
+        return _numbers(silent & (self._kept.flags != 0) & ~self._masked)
+
+    @property
+    def _is_missing(self) -> Bools:
+        late: Bools = self.now_s - self._heard_s > self.stale_after_s
+        return late & ~self._masked
 
     def miss(self, nodes_repeat: bool, round_s: float = 0.0) -> None:
         """Note that a frame was not heard, in which any node may have spoken.
@@ -385,6 +385,12 @@ class Taxels:
         pressure_pa[..., nobody] = voltage_v[..., nobody] = np.nan
         status[..., nobody] = Status.MASKED
         return Readings(pressure_pa, voltage_v, status)
+
+
+def _numbers(nodes: Bools) -> list[int]:
+    """The numbers of these nodes, (n,), which count from 1."""
+    numbers: list[int] = (np.flatnonzero(nodes) + 1).tolist()
+    return numbers
 
 
 _SATURATED = np.uint8(Status.SATURATED)

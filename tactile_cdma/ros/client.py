@@ -119,6 +119,8 @@ class SkinClient:
 
     Methods that wait for an answer are for threads other than the one that spins the node: in
     callbacks use tare_async.
+
+    ParameterError: raised for a silent_after_s that is no time.
     """
 
     def __init__(
@@ -129,6 +131,8 @@ class SkinClient:
         frames: bool = False,
         silent_after_s: float = SILENT_S,
     ) -> None:
+        if not 0 < silent_after_s < math.inf:
+            raise ParameterError(f"silent_after_s is {silent_after_s}; it must be above 0 s")
         self.info: TactileSkinInfo | None = None
         self._node, self._on_touch = node, on_touch
         self._silent_after_s = silent_after_s

@@ -20,6 +20,8 @@ DEEPEST_M = 0.02
 """Farthest that an object is moved, m. Chosen: the cover of a finger is thinner."""
 MOST_STEPS, SOUGHT_M = 20, 1e-8
 """Newton's steps on a curved skin end where they are this short, m, or so many; about 5 suffice."""
+_LIMIT_M = 1e-4
+"""As close to DEEPEST_M there is no end in sight, m; chosen: where eight halvings come."""
 Press = tuple[Indenter, float, Sequence[float]]
 """An object, its force, N, and the direction in which it is moved, as at_force takes them."""
 _LEAST_SHARE = 0.05
@@ -69,7 +71,7 @@ def at_force(
         moved = thing.moved(shift_m * way)
         if abs(step_m) < SOUGHT_M:
             break
-    if DEEPEST_M - abs(shift_m) < SOUGHT_M or _goes_through(height_m, leaves_m, share * step_m):
+    if DEEPEST_M - abs(shift_m) < _LIMIT_M or _goes_through(height_m, leaves_m, share * step_m):
         return thing
     return moved
 

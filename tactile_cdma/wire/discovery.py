@@ -4,6 +4,7 @@
 
 import logging
 import os
+import stat
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -111,6 +112,21 @@ def is_away(url: str) -> bool:
     return not os.access(url, os.R_OK | os.W_OK, effective_ids=effective)
 
 
+def is_serial(device: str) -> bool:
+    """Whether a path can be a serial port: no file, folder, pipe, nor a device of another kind.
+
+    The device is not opened. True for a path that is not there.
+    """
+    try:
+        status = os.stat(device)
+    except (OSError, ValueError):
+        return True
+    number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
+    kind = os.path.realpath(f"/sys/dev/char/{number}/subsystem")  # pseudo-terminals have none
+    is_tty = os.path.basename(kind) == "tty" or not os.path.exists(kind)
+    return stat.S_ISCHR(status.st_mode) and is_tty
+
+
 def holders(device: str) -> list[str]:
     """Programs that have a device open, as far as this user may see: 'minicom (pid 42)'.
 
@@ -134,8 +150,12 @@ def program_of(process: str) -> str:
 
 
 def leave_alone_if_open(url: str) -> None:
-    """Raises PortError if another program has this port open, whether or not it has locked it."""
-    if others := holders(device_of(url)):
+    """Raises PortError if another program has this port open, whether or not it has locked it.
+
+    Not for what is no serial port, which opening it tells: many programs have /dev/null open.
+    """
+    device = device_of(url)
+    if is_serial(device) and (others := holders(device)):
         raise PortError(f"{url}: busy: another program has it open ({', '.join(others)})")
 
 

@@ -6,7 +6,7 @@ import errno
 from urllib.parse import urlsplit
 
 from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
-from .discovery import holders, in_words, serial_ports
+from .discovery import holders, in_words, is_serial, serial_ports
 
 try:
     import termios
@@ -30,6 +30,8 @@ def why_not_open(error: Exception, device: str) -> str:
         return f"no port is named; {in_words(serial_ports())}"
     if code == errno.ENOENT:
         return f"no such port; is the digitizer plugged in? {in_words(serial_ports())}"
+    if not is_serial(device) or code in _NOT_SERIAL:
+        return "not a serial port"
     if code in (errno.EACCES, errno.EPERM):
         return (
             "no permission; add yourself to the port's group "
@@ -38,7 +40,7 @@ def why_not_open(error: Exception, device: str) -> str:
     if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
         who = ", ".join(holders(device)) or "another driver, a serial monitor?"
         return f"busy: another program has it open ({who})"
-    if "could not configure port" in str(error).lower() or code in _NOT_SERIAL:
+    if "could not configure port" in str(error).lower():
         return "not a serial port"
     if device.startswith(SOCKET) and not _names_host_and_port(device):
         return NO_HOST

@@ -6,11 +6,14 @@ import csv
 import math
 import re
 import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
+import make_boards
 from amplifier import FrontEnd, Stage, design
 from kicad import BOARDS, LAYOUTS, KicadError, check
 from kicad import netlist as kicads_netlist
@@ -136,6 +139,58 @@ def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
     told, counts = result.stdout.splitlines()
     assert "no kicad-cli" in told and counts == "boards=6 layouts=3 unconnected=0"
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "told"),
+    [
+        ("strip.kicad_pcb", None, "No such file"),
+        ("strip.kicad_pcb", lambda text: text[: len(text) // 2], "ends in it: is it truncated?"),
+        ("strip.kicad_pcb", lambda _: "PK\x03\x04", "was it written by KiCad?"),
+        ("strip.kicad_pcb", lambda text: text.replace("20241229", "20171130"), "save it with"),
+        (
+            "strip.kicad_pcb",
+            lambda text: text.replace("(at ", "(at x", 1),
+            "line 292: (at …): 'x25'",
+        ),
+        ("electrodes.kicad_pcb", lambda text: f"{text})", "brackets do not match"),
+        (
+            "electrodes.kicad_pcb",
+            lambda text: text.replace("(net_name", "(name", 1),
+            "no (net_name",
+        ),
+        ("digitizer.kicad_pcb", lambda text: text[: text.find("(footprint")] + ")", "no net of"),
+        ("node.kicad_sch", lambda text: text.replace('"34k"', '"34q"'), "R4: '34q' is no value"),
+        (
+            "node.kicad_sch",
+            lambda text: text.replace('(lib_id "', '(lib_id "x', 1),
+            "not in (lib_symb",
+        ),
+        ("group.kicad_sch", lambda text: text.replace('"GND"', '"GND', 1), "a text in it does not"),
+        ("strip.kicad_sch", lambda text: text.replace("node.kic", "strip.kic"), "within itself"),
+    ],
+)
+def test_what_is_amiss_in_a_file_is_named(
+    file: str,
+    damage: Callable[[str], str] | None,
+    told: str,
+    kicad_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = kicad_folder / file
+    if damage is None:
+        path.unlink()
+    else:
+        text = path.read_text()
+        path.write_text(damage(text))
+        assert path.read_text() != text
+    monkeypatch.setattr(make_boards, "KICAD", kicad_folder)
+    monkeypatch.setattr(sys, "argv", ["make_boards.py"])
+    assert make_boards.main() == 1
+    said = capsys.readouterr()
+    assert said.out == "" and file in said.err and told in said.err
+    assert (said.err.count("\n") == 1 or "no net of" in told) and said.err.startswith("boards: ")
 
 
 @pytest.fixture
@@ -427,25 +482,16 @@ def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) 
 
 
 @pytest.mark.parametrize(
-    ("value", "number"),
+    ("symbol", "value", "number"),
     [
-        *(("820", "RC0402FR-07820RL"), ("3.9k", "RC0402FR-073K9L"), ("100k", "RC0402FR-07100KL")),
-        ("33", "RC0402FR-0733RL"),
+        *(("R", "820", "RC0402FR-07820RL"), ("R", "3.9k", "RC0402FR-073K9L")),
+        *(("R", "33", "RC0402FR-0733RL"), ("R", "100k", "RC0402FR-07100KL")),
+        *(("C", "220p", "GRM1555C1H221JA01D"), ("C", "10p", "GRM1555C1H100JA01D")),
+        *(("C", "1n", "GRM1555C1H102JA01D"), ("C", "100n", "GRM155R71C104KA88D")),
     ],
 )
-def test_resistors_numbers(value: str, number: str) -> None:
-    assert part("R", value).number == number
-
-
-@pytest.mark.parametrize(
-    ("value", "number"),
-    [
-        *(("220p", "GRM1555C1H221JA01D"), ("10p", "GRM1555C1H100JA01D")),
-        *(("1n", "GRM1555C1H102JA01D"), ("100n", "GRM155R71C104KA88D")),
-    ],
-)
-def test_capacitors_numbers(value: str, number: str) -> None:
-    assert part("C", value).number == number
+def test_numbers_of_resistors_and_capacitors(symbol: str, value: str, number: str) -> None:
+    assert part(symbol, value).number == number
 
 
 # Layouts

@@ -183,3 +183,22 @@ def test_a_node_that_goes_on_talking_is_told() -> None:
     told = [text for text in said if text]
     assert len(told) == 2 and "node 5 goes on talking" in told[0]
     assert numbering.forgets and not numbering.waits
+
+
+def test_a_node_with_a_number_of_its_own_is_told_and_does_not_count() -> None:
+    """It answers its number at once, and forgets nothing. A pressed one takes 54 frames."""
+    numbering, quiet = Numbering(2), silent(2, 1e-3)
+    words = replace(quiet, active=np.arange(2) == 0)
+    for _ in range(40):
+        numbering.take(quiet)
+    assert numbering.waits
+    said = []
+    for _ in range(500):
+        said.append(numbering.take(quiet if numbering.forgets else words))
+    assert numbering.asked == 1 and [text for text in said if text] == [
+        "node 1 speaks before it is pressed: has it a number of its own? All nodes take one image "
+        "(node --any)"
+    ]
+    for _ in range(54):
+        numbering.take(quiet)
+    assert [numbering.take(words) for _ in range(5)][-1] == "node 1 has its number"

@@ -47,6 +47,9 @@ def test_touch_is_sure_while_it_is_felt_and_never_while_the_skin_is_silent() -> 
         wait_for(lambda: skin.touch.is_sure)
         with pytest.raises(ParameterError, match="no transition 'start': configure, activate"):
             skin.change("start")
+        for silent_s in (0.0, -1.0, np.nan):
+            with pytest.raises(ParameterError, match="silent_after_s is"):
+                SkinClient(node, silent_after_s=silent_s)
 
 
 def test_a_skin_that_is_blind_in_part_is_not_sure_of_anything() -> None:

@@ -29,12 +29,10 @@ FILE_MB, CHUNK_FILES = 100, 1000
 """A new data file begins after so many MB, a new folder after so many files: lerobot's own."""
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+_INDICES = ("frame_index", "episode_index", "index", "task_index")
 COUNTERS = (
     Feature("timestamp", "float32", (1,), ()),
-    Feature("frame_index", "int64", (1,), ()),
-    Feature("episode_index", "int64", (1,), ()),
-    Feature("index", "int64", (1,), ()),
-    Feature("task_index", "int64", (1,), ()),
+    *(Feature(name, "int64", (1,), ()) for name in _INDICES),
 )
 """Columns that every dataset has; the order of the rows is their index."""
 
@@ -175,14 +173,13 @@ class DatasetWriter:
         """As pandas writes a table whose index is the task."""
         library = self._arrow
         table = library.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
-        described = {
-            "index_columns": ["task"],
-            "column_indexes": [],
-            "columns": [
-                _pandas_column("task_index", "int64", "int64"),
-                _pandas_column("task", "unicode", "object"),
-            ],
-        }
+        types = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+        columns = [
+            {"name": name, "field_name": name, "metadata": None}
+            | {"pandas_type": pandas, "numpy_type": numpy}
+            for name, (pandas, numpy) in types.items()
+        ]
+        described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
         library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
 
@@ -191,13 +188,3 @@ def _statistics(feature: Feature) -> Statistics | ImageStatistics:
     if feature.dtype == PNG_OR_JPEG:
         return ImageStatistics()
     return Statistics(feature.shape, feature.pooled)
-
-
-def _pandas_column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
-    return {
-        "name": name,
-        "field_name": name,
-        "pandas_type": pandas_type,
-        "numpy_type": numpy_type,
-        "metadata": None,
-    }

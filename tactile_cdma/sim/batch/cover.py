@@ -61,8 +61,20 @@ class BatchCover:
         thing: its shape, size and stiffness, not its pose; no HeightMap. position_m: (e, 3), m, and
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
-        is until the cover answers with this force; with none where it is beside the skin.
+        is until the cover answers with this force; with none where it is beside the skin. NaN where
+        something of this is. Raises ParameterError for other shapes, or no Indenter.
         """
+        if not isinstance(thing, Indenter) or isinstance(thing, HeightMap):
+            raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
+        count = getattr(position_m, "shape", ())[:1]
+        for name, array, rest in (
+            ("position_m", position_m, (3,)),
+            ("orientation_xyzw", orientation_xyzw, (4,)),
+            ("force_n", force_n, ()),
+        ):
+            shape = getattr(array, "shape", None)
+            if array is not None and (not shape or tuple(shape) != (*count, *rest)):
+                raise ParameterError(f"{name} is {shape or array!r}; it must be {('e', *rest)}")
         given, envs = (position_m, orientation_xyzw, force_n), position_m.shape[0]
         few = max(1, AT_ONCE // len(self._points_m))
         if envs <= few or not array_api().is_numpy_array(position_m):
@@ -88,17 +100,21 @@ class BatchCover:
         def here(array: Any) -> Array:
             return xp.asarray(array, dtype=position_m.dtype, device=where)
 
+        doubt = 0 * xp.sum(position_m, axis=-1)  # NaN where something is
+        if orientation_xyzw is not None:
+            doubt = doubt + 0 / xp.sum(orientation_xyzw * orientation_xyzw, axis=-1)
         enters_m, leaves_m = self._spans(thing, position_m, orientation_xyzw, xp, here)
         if force_n is None:
             depth_m = xp.where((leaves_m > 0) & (enters_m < 0), -enters_m, 0.0)
         else:
             if not self._is_flat:
                 raise ParameterError("objects are pressed with a force on flat skins only")
+            doubt = doubt + 0 * force_n
             volume_m3 = force_n / thing.stiffness_pa_per_m
             shift_m = self._shift_m(enters_m, volume_m3, xp, here)[:, None]
             depth_m = xp.where(enters_m < shift_m, shift_m - enters_m, 0.0)
         by_taxel = xp.reshape(depth_m, (depth_m.shape[0], -1, self._per_taxel))
-        return thing.stiffness_pa_per_m * xp.mean(by_taxel, axis=-1)
+        return thing.stiffness_pa_per_m * xp.mean(by_taxel, axis=-1) + doubt[:, None]
 
     def _spans(
         self, thing: Indenter, position_m: Array, turned: Array | None, xp: Any, here: Any
@@ -116,8 +132,6 @@ class BatchCover:
             offset_m = xp.sum(row * position_m, axis=-1)[:, None]
             return row @ here(points_m.T) - offset_m, row @ here(_once(normals).T)
 
-        if isinstance(thing, HeightMap):
-            raise ParameterError("BatchCover knows no HeightMap")
         return thing.spans(tuple(map(along, range(3))), xp)
 
     def _shift_m(self, enters_m: Array, volume_m3: Array, xp: Any, here: Any) -> Array:

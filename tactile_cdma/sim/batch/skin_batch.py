@@ -110,12 +110,12 @@ class SkinBatch:
         array_api()  # where it is missing this is told first
         options, spec = SimOptions.from_url(simulator), config.spec
         _check(config, options)
-        if envs < 1:
-            raise ParameterError(f"envs is {envs}; it must be 1 or more")
+        if not (isinstance(envs, int | np.integer) and envs >= 1):
+            raise ParameterError(f"envs is {envs!r}; it must be a whole number, 1 or more")
         least = math.ceil(delay_s(config) / spec.frame_period_s)
         self.delay_frames = least if delay_frames is None else delay_frames
-        if self.delay_frames < 0:
-            raise ParameterError(f"delay_frames is {delay_frames}; it must be 0 or more")
+        if not (isinstance(self.delay_frames, int | np.integer) and self.delay_frames >= 0):
+            raise ParameterError(f"delay_frames is {delay_frames!r}; it must be a whole number")
         self.config, self.envs, self.taxels = config, envs, len(config.layout)
         self._sensors, self._rules = options.sensors, options.rules(spec)
         self._stale_frames = math.floor(config.stale_after_s / spec.frame_period_s + 1e-6)
@@ -181,6 +181,10 @@ class SkinBatch:
 
     def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
         """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave."""
+        if tuple(done.shape) != (self.envs,) or not self._xp.isdtype(done.dtype, "bool"):
+            raise ParameterError(
+                f"done is {tuple(done.shape)} of {done.dtype}; it must be ({self.envs},) of bool"
+            )
         where, done = self._xp.where, done[:, None]
 
         def chosen(new: Any, old: Any) -> Any:

@@ -21,7 +21,7 @@ from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
 from tactile_cdma.code.sparse import TAPS
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.framing.sparse_timing import certificate
+from tactile_cdma.framing.sparse_timing import certificate, groups_for_all
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout
 from test.support.sparse_codes import code_number, node_chips, octets
@@ -206,6 +206,18 @@ def test_how_sparse_codes_cannot_be_read_is_refused(changes: dict[str, Any], rea
     SkinConfig.of(values)
     with pytest.raises(SpecError, match=reason):
         SkinConfig.of({**values, **changes})
+
+
+@pytest.mark.parametrize(
+    ("nodes", "order", "groups"),
+    [(16, 64, 1), (4000, 912, 8), (80, 64, 8), (20, 8, 0), (16_000, 912, 0)],
+)
+def test_that_all_cannot_speak_by_turns_is_told(
+    nodes: int, order: int, groups: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    values = {"codes": "sparse", "nodes": nodes, "order": order, "samples_per_chip": 1}
+    assert groups_for_all(SkinConfig.of({**values, "frame_period_ms": 0.0}).spec) == groups
+    assert ("set order to more than" in caplog.text) == (groups == 0)
 
 
 def test_the_wire_says_it() -> None:

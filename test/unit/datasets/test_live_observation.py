@@ -72,7 +72,7 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
 ) -> None:
     dataset = exported(recording, tmp_path / "set")
     with Skin("sim://?scene=all&seed=3", contacts=True) as skin:
-        observation = LiveObservation(dataset, skin)
+        observation, without = LiveObservation(dataset, skin), LiveObservation.of(skin)
         with pytest.raises(ObservationError, match=r"observation.tactile.skin had not begun"):
             observation.read()
 
@@ -88,6 +88,7 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
         ages_s = found["observation.tactile.skin.age_s"]
         assert (np.diff(ages_s) < 0).all() and 0 <= ages_s[-1] < 0.1
         assert "amplitude_mv of patch skin is 300.0, in the dataset 0.0" in observation.notes[-1]
+        assert without.notes == [], "there is no dataset to differ from"
 
 
 def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
@@ -129,6 +130,9 @@ def test_what_does_not_fit_the_dataset_is_refused(recording: Path, tmp_path: Pat
         LiveObservation(dataset, Skin("sim://"))
     with pytest.raises(ParameterError, match=r"skins palm; .* has skin"):
         LiveObservation(dataset, {"palm": Skin("sim://", contacts=True)})
+    for skins in ({}, {"left palm": Skin("sim://"), "left_palm": Skin("sim://")}):
+        with pytest.raises(ParameterError, match=r"(none|palm): the dataset would have \d patches"):
+            LiveObservation.of(skins)
     with pytest.raises(CaptureError, match=r"meta/info\.json: not read: No such file"):
         LiveObservation(tmp_path, Skin("sim://", contacts=True))
     about = dataset / "meta/tactile.json"

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
+from tactile_cdma.framing.sparse_timing import groups_for_all
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -32,12 +33,14 @@ def hug(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
 class Robot:
     """A driver and its digitizer, in steps of a frame."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, compiled: bool, options: str = "") -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, compiled: bool, **changes: int | float
+    ) -> None:
         monkeypatch.setitem(SCENES, "press", hug)
         self.now_s = 0.0
-        options = f"sim://?scene=press&seed=1&noise=0.01{options}"
+        options = "sim://?scene=press&seed=1&noise=0.01"
         self.digitizer = VirtualDigitizer(SimOptions.from_url(options), lambda: self.now_s)
-        self.config = SkinConfig.of(SKIN)
+        self.config = SkinConfig.of({**SKIN, **changes})
         self.pipeline = Pipeline(self.config, compiled=compiled)
         self.session = Session(self.config)
         self.digitizer.receive(self.session.open())
@@ -84,6 +87,24 @@ def test_all_are_heard_within_a_round_and_none_is_told_wrong(
     assert not any(
         frame.words.doubtful.any() for frame in frames if truth[frame.sequence].start_s > RELEASE_S
     )
+
+
+def test_groups_whose_codes_are_not_told_apart_are_divided_until_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 80 nodes four groups of 20 are fewer than 64 chips tell apart, but one adds up to 0."""
+    robot = Robot(monkeypatch, True, nodes=80, order=64, resync_chips=64)
+    frames, truth = robot.frames(RELEASE_S), Truth(robot.digitizer)
+    assert groups_for_all(robot.config.spec) == 8
+    assert {groups_of(truth[frame.sequence].turn) for frame in frames} == {1, 4, 8}
+    heard = np.zeros(80, np.bool_)
+    for frame in frames:
+        true, words = truth[frame.sequence], frame.words
+        sure = ~words.doubtful
+        assert np.array_equal(words.active[sure], true.active[sure])
+        assert np.array_equal(words.codes[sure & true.active], true.codes[sure & true.active])
+        heard |= sure & true.active & (true.start_s > HUG_S)
+    assert heard.all()
 
 
 def test_a_lost_frame_leaves_no_value_of_its_group_certain(
@@ -133,6 +154,16 @@ def test_how_many_groups_there_are_follows_from_how_many_speak() -> None:
     who[:] = False
     assert asked(16, *[12] * round_and_rest) == 3  # what was kept until now does not come at once
     assert [asked(1 << log2, *[12] * (1 << log2)) for log2 in (3, 2, 1)] == [2, 1, 0]
+
+
+def test_one_of_four_groups_whose_codes_are_not_told_apart_divides_all() -> None:
+    groups, who = Groups(80, 31, 0.01), np.zeros(80, np.bool_)
+    for frame in range(16):
+        assert groups.wanted_log2 == (3 if frame > 7 else 0)
+        groups.take(4 + frame % 4, 20, who, crowded=frame % 4 == 3)
+    for frame in range(round(2 * CALM_S / 0.01)):  # and for longer than where they are too many
+        assert groups.wanted_log2 == 3
+        groups.take(8 + frame % 8, 1, who)
 
 
 @pytest.mark.parametrize("turn", [0, 2, 3, 5, 16, 31])

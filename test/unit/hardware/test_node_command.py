@@ -22,6 +22,7 @@ from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
 PARAMS = ["--params", str(ROOT / "config/skin.yaml")]
+PROGRAM = bytes(range(200)) + b"node-atmega328p\0"
 
 
 def test_the_memory_of_a_node_follows_the_parameter_file(
@@ -91,7 +92,7 @@ def test_program_and_record_are_one_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     program = tmp_path / "program.hex"
-    program.write_text(to_hex(bytes(range(200))))
+    program.write_text(to_hex(PROGRAM))
     options = [*PARAMS, "--image", str(program), "--crystal-mhz", "16"]
     assert main(["node", "--all", "--hex", str(tmp_path / "skin"), *options]) == 0
     out = capsys.readouterr().out
@@ -99,11 +100,43 @@ def test_program_and_record_are_one_file(
     for number in (1, 16):
         path = tmp_path / "skin" / f"node{number:02}.hex"
         flash = from_hex(path.read_text())
-        assert flash[:200] == bytes(range(200)) and set(flash[200:0x3000]) == {0xFF}
+        assert flash.startswith(PROGRAM) and set(flash[len(PROGRAM) : 0x3000]) == {0xFF}
         assert flash[0x3000:0x3003] == bytes([1, 0, 16])
         assert flash[0x3003:] == node_memory(FrameSpec(), number)
         assert main(["node", "--read", str(path)]) == 0
-        assert f"{number} of 16" in capsys.readouterr().out
+        out = capsys.readouterr().out
+        assert f"{number} of 16\n" in out and "memory, of a node with 16 MHz" in out
+
+
+def test_an_image_for_any_node_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+) -> None:
+    (program := tmp_path / "program.hex").write_text(to_hex(PROGRAM))
+    image = tmp_path / "any.hex"
+    assert main(["node", *PARAMS, "--any", "--hex", str(image), "--image", str(program)]) == 0
+    capsys.readouterr()
+    assert main(["node", "--read", str(image)]) == 0
+    out = capsys.readouterr().out
+    assert "of any node with 8 MHz" in out and "once in 78 frames\n" in out
+    assert "1 to 16 of 16: it takes its number when it is pressed" in out
+    flash = from_hex(image.read_text())
+    for octets, told in (
+        (
+            {0x3003 + 2 * len(node_memory(FrameSpec(), 1)): 0},
+            "memory 3 of 16: this is not a node's memory",
+        ),
+        ({0x3000: 17}, "memory 17 of 17: the memory is"),
+        ({0x3002: 20}, "it says 16 nodes with 20 MHz"),
+        (dict.fromkeys(range(0x3000, 0x3003), 0xFF), "a program without a node's memory"),
+    ):
+        damaged = bytes(octets.get(at, octet) for at, octet in enumerate(flash))
+        image.write_text(to_hex(damaged + b"\xff" * 64))
+        assert told in refused("node", "--read", str(image))
+    (tmp_path / "any.bin").write_bytes(flash[:0x3001])
+    assert "the image is truncated" in refused("node", "--read", str(tmp_path / "any.bin"))
+    program.write_text(to_hex(PROGRAM.replace(b"p\0", b"p-fast\0")))
+    said = refused("node", *PARAMS, "--any", "--hex", str(image), "--image", str(program))
+    assert "no program of this firmware for the atmega328p" in said
 
 
 @pytest.mark.parametrize("heartbeat", ["0", "300"])

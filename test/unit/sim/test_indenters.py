@@ -268,3 +268,8 @@ def test_what_cannot_have_the_force_stays_where_it_is() -> None:
         assert at_force(COVER, thing, 5.0) is thing
         presses = [(thing, 5.0, (0.0, 0.0, -1.0))]
         assert np.array_equal(pressed_pa(COVER, presses), COVER.pressure_pa([thing]))
+    bent = cylinder(12, 8, 4e-3, 0.015)  # across it the ball never meets enough of the cover
+    cover, normal = Foundation(bent.positions_m, bent.normals, bent.areas_m2), bent.normals[21]
+    way = np.array([0.5, 0, 0]) - normal
+    ball = Sphere(radius_m=8e-3, position_m=(bent.positions_m[21] + 8e-3 * normal).tolist())
+    assert at_force(cover, ball, 8.0, (way / np.linalg.norm(way)).tolist()) is ball

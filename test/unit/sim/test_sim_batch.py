@@ -185,8 +185,9 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
         SkinBatch(config, 1, "sim://?warming=20")
     with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):
         SkinBatch(config, 1, "sim://?nodes=12")
-    with pytest.raises(ParameterError, match="envs is 0"):
-        SkinBatch(config, 0)
+    for envs, delay in ((0, 1), (2.5, 1), (1, -1), (1, 0.5)):
+        with pytest.raises(ParameterError, match=r"is (0|2\.5|-1|0\.5); it must be a whole number"):
+            SkinBatch(config, envs, delay_frames=delay)  # type: ignore[arg-type]
     batch = SkinBatch(config, 2, "sim://?sensor_noise=0.01")
     with pytest.raises(ParameterError, match="begin before"):
         batch.step(None, np.zeros((2, 16)))  # type: ignore[arg-type]
@@ -202,6 +203,9 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
             batch.step(state, wrong)
     with pytest.raises(ParameterError, match="give `deviates`"):
         batch.step(state, np.zeros((2, 16)))
+    for done in (np.zeros(3, bool), np.zeros(2)):
+        with pytest.raises(ParameterError, match=r"done .* must be \(2,\) of bool"):
+            batch.reset(state, state, done)
 
 
 THINGS = [
@@ -261,6 +265,25 @@ def test_pressed_with_a_force_the_cover_answers_with_it(asarray: Callable[..., A
         layout = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
                                 "frame_period_ms": 40.0}).layout  # fmt: skip
         BatchCover(layout).pressure_pa(THINGS[0], places_m, force_n=force_n)
+
+
+def test_what_is_unknown_presses_with_nan_and_what_is_no_pose_is_refused() -> None:
+    cover, ball, places_m = (
+        BatchCover(Layout.grid(16, 4, 4, 7e-3, 5e-3)),
+        THINGS[0],
+        np.zeros((3, 3)),
+    )
+    turned, force_n = np.tile([0.0, 0, 0, 1], (3, 1)), np.ones(3)
+    for array in (places_m, turned, force_n):
+        array[1] = np.nan
+        felt_pa = cover.pressure_pa(ball, places_m, turned, force_n)
+        assert np.isnan(felt_pa).all(axis=1).tolist() == [False, True, False]
+        array[1] = array[0]
+    for wrong in ({"position_m": places_m[0]}, {"orientation_xyzw": places_m}, {"force_n": 2.0}):
+        with pytest.raises(ParameterError, match=f"{next(iter(wrong))} is .* it must be"):
+            cover.pressure_pa(ball, **({"position_m": places_m} | wrong))  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="knows no str"):
+        cover.pressure_pa("ball", places_m)  # type: ignore[arg-type]
 
 
 def test_the_example_grips_what_it_does_not_know(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -154,6 +154,21 @@ def test_programs_that_hold_a_file_are_named(tmp_path: Path) -> None:
         other.stdin.close()
 
 
+def test_what_is_no_serial_port_is_not_busy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Though somebody has it open: this program."""
+    (tmp_path / "file").touch()
+    os.mkfifo(tmp_path / "pipe")
+    paths = ["/dev/null", *(str(tmp_path / name) for name in ("file", "pipe", "."))]
+    opened = [os.open(path, os.O_RDONLY | os.O_NONBLOCK) for path in paths]
+    assert all(map(holders, paths))
+    assert main(["ports", *paths]) == 0
+    assert capsys.readouterr().out.count("no digitizer: not a serial port") == len(paths)
+    for file in opened:
+        os.close(file)
+
+
 def test_programs_that_end_during_the_look_are_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
