@@ -196,7 +196,7 @@ static bool are_in_time(const struct fit_code *code, const struct gap_rules *rul
         return false;
     size_t count = code->span < rules->most_turned ? code->span : rules->most_turned;
     double by_noise = 2 * noise / (rules->inner * chip);
-    return fit_turned(line, &seen->fit, rules->inner, rules->refining.blur, count) <=
+    return fit_turned(line, &seen->fit, rules->inner, rules->blur, count) <=
            rules->turned * least * least + by_noise * (1 + rules->scatter * sqrt(2 / (double)count));
 }
 
@@ -222,20 +222,20 @@ static bool view_frame(const struct fit_code *code, const struct gap_rules *rule
         return false;
     view->likely = (size_t)-earliest;
     view->count = view->likely + 1 + (size_t)latest;
-    fit_levels(line, &seen->fit, rules->refining.blur, view->likely, code->span + view->count - 1, levels);
+    fit_levels(line, &seen->fit, rules->blur, view->likely, code->span + view->count - 1, levels);
     read_words(code, levels + view->likely, &seen->words);
     return true;
 }
 
 /* As GapSearch.carried, with the words of the frame that it finds. */
-static bool carry(const struct fit_code *code, const struct gap_rules *rules, const struct gap_expected *expected,
-                  const struct fit_line *line, struct gap_seen *seen, struct judge_view *view, float *levels,
+static bool carry(const struct fit_code *code, const struct gap_rules *rules, const struct fit_refining *refining,
+                  const struct gap_expected *expected, const struct fit_line *line, struct gap_seen *seen, struct judge_view *view, float *levels,
                   float *scratch)
 {
     seen->fit = (struct fit){expected->start, expected->chip};
     if (view_frame(code, rules, line, seen, view, levels) && (double)*seen->words.misfit < rules->still_misfit)
         return true;
-    seen->fit = fit_refine(code, line, &rules->refining, seen->fit, -INFINITY, INFINITY, scratch);
+    seen->fit = fit_refine(code, line, refining, seen->fit, -INFINITY, INFINITY, scratch);
     seen->proven = 0;
     return seen->fit.chip > rules->least_chip * expected->chip && view_frame(code, rules, line, seen, view, levels);
 }
@@ -264,7 +264,7 @@ VECTORS static double share_clipped(const struct gap_rules *rules, const double 
 }
 
 bool gap_look(const struct fit_code *code, const struct burst_search *search, const struct gap_rules *rules,
-              const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
+              const struct fit_refining *refining, const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
               const struct gap_expected *expected, struct gap_seen *seen, enum gap_look *look, double *values,
               float *scratch)
 {
@@ -294,7 +294,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search, co
     struct judge_view view = {.levels = levels};
     fit_sums(volts, size, line.level, sums);
     scratch += code->span + JUDGE_MOST;
-    if (!carry(code, rules, expected, &line, seen, &view, levels, scratch))
+    if (!carry(code, rules, refining, expected, &line, seen, &view, levels, scratch))
         return true;
     view.noise = burst->variance * (double)search->half / seen->fit.chip;
     if (!is_decided(code, rules, expected, &view, seen, scratch))

@@ -14,8 +14,7 @@
  * spare, spare_count: rows that show the noise. twins: whether a node out of time may be taken for another one. */
 struct gap_rules {
     struct judge_limits judge;
-    struct fit_refining refining;
-    double shortest, longest, bit, period;
+    double blur, settled_chips, shortest, longest, bit, period;
     double beyond, carried_noise, carried_misfit, doubt, disturbed, wide, ruled_out;
     double rail_low, rail_high, deafened, still_misfit, least_chip, uneven, spread, left, misfit;
     double faint, near, far, beside, perhaps, inner, turned, scatter, stray_left, clear;
@@ -56,7 +55,7 @@ size_t gap_scratch(const struct fit_code *code, const struct burst_search *searc
 
 /* volts: as searched. raw: as they came, with hum. False where the samples are too few for a gap, or one is NaN. */
 bool gap_look(const struct fit_code *code, const struct burst_search *search, const struct gap_rules *rules,
-              const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
+              const struct fit_refining *refining, const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
               const struct gap_expected *expected, struct gap_seen *seen, enum gap_look *look, double *values,
               float *scratch);
 

@@ -69,7 +69,7 @@ static const struct field burst_fields[] = {
 static const struct field rules_fields[] = {
     FIELD(gap_rules, judge.distortion),     FIELD(gap_rules, judge.most),
     FIELD(gap_rules, judge.most_deviations), FIELD(gap_rules, judge.vote),
-    FIELD(gap_rules, refining.blur),        FIELD(gap_rules, refining.settled_chips),
+    FIELD(gap_rules, blur),                 FIELD(gap_rules, settled_chips),
     FIELD(gap_rules, shortest),             FIELD(gap_rules, longest),
     FIELD(gap_rules, bit),                  FIELD(gap_rules, period),
     FIELD(gap_rules, beyond),               FIELD(gap_rules, carried_noise),

@@ -116,7 +116,8 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd'
     const struct fit_code *code = &((struct code *)held_by(call->self))->code;
     const union value *value = call->value;
     const struct burst_search *search = value[0].data;
-    struct gap_rules rules = *(const struct gap_rules *)value[1].data;
+    const struct gap_rules *rules = value[1].data;
+    const struct fit_refining refining = {rules->blur, rules->settled_chips, axis(call, 'r'), value[2].data};
     struct burst_gap known = {value[6].number, value[7].number, 0};
     struct gap_expected expected = {value[8].number, value[9].number, value[10].number, value[11].number};
     struct gap_seen seen = {.words = {value[12].data, value[13].data, value[14].data, value[15].data, value[16].data,
@@ -128,15 +129,13 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd'
         return NULL;
     if (!is_search(search))
         return refuse(call, "burst_search: a length is 0 or too large");
-    if (rules.spare > code->frame.order || rules.spare_count > code->frame.order - rules.spare)
+    if (rules->spare > code->frame.order || rules->spare_count > code->frame.order - rules->spare)
         return refuse(call, "gap_rules: spare rows beyond the order");
     if (!(axis(call, 'v') >= gap_values(search, samples) && axis(call, 'f') >= gap_scratch(code, search)))
         return refuse(call, "values, scratch: %zu and %zu expected", gap_values(search, samples),
                       gap_scratch(code, search));
-    rules.refining.turns = axis(call, 'r');
-    rules.refining.reaches = value[2].data;
-    if (!gap_look(code, search, &rules, value[3].data, value[4].data, samples, value[5].number, &known, &expected, &seen,
-                  &look, value[19].data, value[20].data))
+    if (!gap_look(code, search, rules, &refining, value[3].data, value[4].data, samples, value[5].number, &known, &expected,
+                  &seen, &look, value[19].data, value[20].data))
         Py_RETURN_NONE;
     return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddOd)Odd", (int)look, seen.gap.level, seen.gap.variance,
                          (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last, seen.burst.slack,

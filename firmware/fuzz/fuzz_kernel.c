@@ -456,9 +456,10 @@ static void look_for_frame(struct input *input)
     double reaches[] = {0.5, 0.25};
     struct fit_code code = {{bits, order, first, nodes, false, NAN, 0.25f, 0.5f, 2.2},
                             chips, correlate, spread, NULL, places};
+    const struct fit_refining refining = {0.3, 0.02, 2, reaches};
     const double chip = (double)per_chip, length = (double)frame;
     const struct gap_rules rules = {
-        {0.3, 0.8, 1.28, 6}, {0.3, 0.02, 2, reaches}, length, 1.1 * length, 1.1 * (double)order * chip, 1.6 * length,
+        {0.3, 0.8, 1.28, 6}, 0.3, 0.02, length, 1.1 * length, 1.1 * (double)order * chip, 1.6 * length,
         2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, -2.5, 2.5, 0.25, 1e-3, 0.5, 0.02, 0.12, 3, 0.15, 0.02, 0.25, 1.25, 0.3, 2.5,
         0.35, 1, 4, 2, 0.15, 512, first + nodes, order - first - nodes, false};
     size_t half = per_chip / 2, group = frame / half < 320 ? 1 : frame / half / 320, cell = half * group;
@@ -492,7 +493,7 @@ static void look_for_frame(struct input *input)
     double *values = malloc(gap_values(&search, size) * sizeof *values);
     float *scratch = malloc(gap_scratch(&code, &search) * sizeof *scratch);
     seen.words = (struct judge_words){words, words + chips, words + chips + nodes, four, four + 1, four + 2, four + 3};
-    bool has_gap = gap_look(&code, &search, &rules, volts, volts, size, 0, &known, &expected, &seen, &look, values,
+    bool has_gap = gap_look(&code, &search, &rules, &refining, volts, volts, size, 0, &known, &expected, &seen, &look, values,
                             scratch);
     for (size_t i = 0; has_gap && look == GAP_FRAME && !disturbed && i < chips; i++)
         MUST(sent[i] == 0 || sent[i] * words[i] > 0, WRONG_VALUE);
