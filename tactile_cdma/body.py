@@ -65,9 +65,10 @@ class Body:
     >>> from tactile_cdma import Body
     >>> with Body("config/body.yaml") as body:
     ...     for frame in body:
-    ...         print(frame.pressure_pa.shape, frame.missing)
-    ...         break
-    (249,) ()
+    ...         if not frame.missing:  # all patches are there
+    ...             print(frame.pressure_pa.shape)
+    ...             break
+    (249,)
 
     A frame comes as soon as every patch that is there has delivered one since the last, or one is
     about to deliver its second: so none is skipped.

@@ -15,6 +15,8 @@ from pathlib import Path
 import serial
 from serial.tools.list_ports import comports
 
+from tactile_cdma.wire.port_failures import why_not_open
+
 LABEL = "RPI-RP2"
 """Name of the drive, from the RP2040's boot ROM; INFO_UF2.TXT is a file on it."""
 DEMONSTRATOR = "Tactile skin demonstrator"
@@ -42,7 +44,11 @@ def main() -> int:
     if drive is None:
         print(BY_HAND.format(image=image, label=LABEL))
     else:
-        (drive / image.name).write_bytes(image.read_bytes())
+        try:
+            (drive / image.name).write_bytes(image.read_bytes())
+        except OSError as error:
+            print(f"{error.filename or drive}: {error.strerror}", file=sys.stderr)
+            return 1
         print(f"copied to {drive}; the board starts by itself")
     print("then: make run PARAMS=config/demo_skin.yaml PORT=/dev/ttyACM0")
     return 0
@@ -67,7 +73,7 @@ def restarted(port: str) -> bool:
     try:
         serial.Serial(ports[0], BAUD_OF_BOOTSEL).close()
     except (OSError, serial.SerialException) as error:
-        print(f"{ports[0]} cannot be restarted: {error}")
+        print(f"{ports[0]} cannot be restarted: {why_not_open(error, ports[0])}")
         return False
     print(f"{ports[0]} restarts as a drive")
     return True

@@ -6,14 +6,18 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import time
 from collections.abc import Callable, Iterator
+from multiprocessing.pool import Pool
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..report import QUICK, Report
+from ..report import QUICK, ROOT, Report
 from . import lines, mixtures, stamps, touches, zeros
+from .kept import Kept, Result, loaded_code
 from .tally import Condition, Tally, total
 
 SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (
@@ -30,8 +34,12 @@ FRAMES = 60 if QUICK else 250
 RECORDINGS = 1 if QUICK else 4
 ALL_RIGHT = 0.99
 """Share of right words beyond which a condition is left out of the picture."""
+SEARCHED = "gap:"
+"""Frames of these are searched for, which takes ten times as long: half as many recordings."""
 SHOWN = 5
-"""False claims of a condition that are listed with ONLY."""
+"""False claims of a recording that are listed."""
+PROGRESS_S = 20.0
+"""From one line that says how far the run is to the next."""
 
 
 class Job(NamedTuple):
@@ -41,24 +49,61 @@ class Job(NamedTuple):
     seed: int
 
 
-def run(job: Job) -> tuple[Tally, list[str]]:
+def run(job: Job) -> tuple[Job, Result]:
     """Counts of one recording, and its first false claims."""
-    return job.condition.run(FRAMES, job.seed)
+    tally, complaints = job.condition.run(FRAMES, job.seed)
+    return job, (tally, complaints[:SHOWN])
+
+
+def jobs_of(conditions: list[Condition]) -> list[Job]:
+    """All recordings: the first of each condition, then the second ones."""
+    return [
+        Job(condition, seed)
+        for seed in range(RECORDINGS)
+        for condition in conditions
+        if not (seed % 2 and condition.name.startswith(SEARCHED))
+    ]
+
+
+def run_all(jobs: list[Job], kept: Kept) -> None:
+    """Run what is not kept yet, on all cores; shows how far it is, and all false claims."""
+    rest = [job for job in jobs if (job.condition.name, job.seed) not in kept.found]
+    false, shown = 0, time.monotonic()
+    with _pool() as pool:
+        for count, (job, result) in enumerate(pool.imap_unordered(run, rest), 1):
+            kept.add(job.condition.name, job.seed, result)
+            tally, complaints = result
+            false += tally.false
+            for complaint in complaints:
+                print(f"{job.condition.name}, recording {job.seed}:{complaint}")
+            if time.monotonic() > shown + PROGRESS_S:
+                shown = time.monotonic()
+                done = len(jobs) - len(rest) + count
+                print(f"{done} of {len(jobs)} recordings, {false} claims false", flush=True)
+
+
+def _pool() -> Pool:
+    """A process for each core; they leave Ctrl-C to this one."""
+    context, cores = multiprocessing.get_context("spawn"), len(os.sched_getaffinity(0))
+    return context.Pool(cores, signal.signal, (signal.SIGINT, signal.SIG_IGN))
 
 
 def main() -> None:
     report = Report("doubt", "Claims that are false and not flagged", QUICK or bool(ONLY))
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # of the processes
     chosen = [some for source in SOURCES for some in source() if ONLY in some.name]
-    jobs = [Job(condition, seed) for condition in chosen for seed in range(RECORDINGS)]
-    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
-        results = pool.map(run, jobs, chunksize=1)
+    jobs = jobs_of(chosen)
+    code = f"{loaded_code()} {FRAMES}"
+    path = ROOT / "build" / "benchmarks" / f"doubt{'_quick' if QUICK else ''}.jsonl"
+    with Kept(path, code) as kept:
+        try:
+            run_all(jobs, kept)
+        except KeyboardInterrupt:
+            raise SystemExit(f"{path} has what is done: the same command goes on there") from None
+        found = kept.found
     each: dict[str, list[Tally]] = {condition.name: [] for condition in chosen}
-    for job, (tally, complaints) in zip(jobs, results, strict=True):
-        each[job.condition.name].append(tally)
-        if ONLY:
-            for complaint in complaints[:SHOWN]:
-                print(f"{job.condition.name}, recording {job.seed}:{complaint}")
+    for job in jobs:
+        each[job.condition.name].append(found[job.condition.name, job.seed][0])
     tallies = {name: total(some) for name, some in each.items()}
     report.table(
         ["condition", *(field.replace("_", " ") for field in Tally._fields)],
@@ -70,6 +115,7 @@ def main() -> None:
     report.finish(
         picture(tallies),
         words=everything.words,
+        claims=everything.words + everything.silences + everything.claims,
         unflagged=everything.unflagged,
         rail_silent=everything.rail_silent,
         phantom=everything.phantom,
@@ -79,6 +125,7 @@ def main() -> None:
         right_flagged_share=round(sound.flagged_share, 4),
         silent_flagged_share=round(sound.silent_flagged_share, 4),
     )
+    path.unlink()
 
 
 def picture(tallies: dict[str, Tally]) -> Figure:

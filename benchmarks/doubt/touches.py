@@ -22,7 +22,7 @@ from tactile_cdma.readings.status import Status
 from test.support.independent_line import SILENT, Digitizer, Floats, Ints, Line, Skin, Talk, render
 
 from .tally import Tally
-from .words import TIMINGS, play
+from .words import DAMAGED, LATE, LOST, REPEATED, TIMINGS, play
 
 LIKE = 4
 """Frames for one of a condition of the line: claims of touch are few."""
@@ -80,7 +80,7 @@ class Presses(Talk):
 class TouchCondition:
     """What is lost of a line, and how its nodes speak.
 
-    lost: share of the packets.
+    lost: share of the packets. how: what becomes of these.
     """
 
     name: str
@@ -89,6 +89,7 @@ class TouchCondition:
     digitizer: Digitizer = Digitizer()  # noqa: RUF009
     skin: Skin = Skin()  # noqa: RUF009
     lost: float = 0.0
+    how: str = LOST
     rough: bool = True
 
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
@@ -102,7 +103,7 @@ class TouchCondition:
         tracker: ContactTracker | None = None
         stale, claims, unclaimed, complaints = 0, 0, 0, list[str]()
         for frame, _, layout in play(
-            recording, lost=self.lost, seed=seed, nodes_repeat=talk.repeats
+            recording, lost=self.lost, seed=seed, how=self.how, nodes_repeat=talk.repeats
         ):
             tracker = tracker or ContactTracker(layout, ContactThresholds(1000, 500))
             contacts, readings = tracker.update(frame.readings, frame.t_middle), frame.readings
@@ -122,7 +123,7 @@ class TouchCondition:
         return Tally(claims=claims, stale_claims=stale, unclaimed=unclaimed), complaints
 
 
-LOST = 0.05, 0.2, 0.4
+SHARES = 0.05, 0.2, 0.4
 """Shares of the packets."""
 SPIKES = Line(hum_v=0.6, impulses_hz=300)
 """Hum of 2 A and spikes, by which frames are rejected."""
@@ -136,9 +137,12 @@ def conditions() -> Iterator[TouchCondition]:
             for name, condition in {
                 "sound": heard,
                 **{
-                    f"{share:.0%} of the packets lost": replace(heard, lost=share) for share in LOST
+                    f"{share:.0%} of the packets lost": replace(heard, lost=share)
+                    for share in SHARES
                 },
                 "5 losses/s": replace(heard, digitizer=replace(digitizer, losses_hz=5)),
                 "hum of 2 A, spikes": replace(heard, line=SPIKES),
             }.items():
                 yield replace(condition, name=f"{heard.name}, {name}")
+    for how in (DAMAGED, REPEATED, LATE):
+        yield TouchCondition(f"marks: touch, 20% of the packets {how}", lost=0.2, how=how)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -40,6 +40,8 @@ RAW = Digitizer()
 MEANS = Digitizer(integrated=True, samples_per_chip=8)
 BLIND = Digitizer(marked=False)
 TIMINGS = {"marks": RAW, "means": MEANS, "gap": BLIND}
+LOST, DAMAGED, REPEATED, LATE = "lost", "damaged", "repeated", "late"
+"""What may become of packets."""
 AT_RAIL = 0.5
 """Share of a frame's samples at a rail beyond which nobody can tell who was silent."""
 LEARNING = 30
@@ -94,23 +96,45 @@ def play(
     learnt: bool = False,
     lost: float = 0.0,
     seed: int = 0,
+    how: str = LOST,
     **parameters: bool,
 ) -> Iterator[tuple[TactileFrame, Bools, Layout]]:
     """The driver's frames of a recording, which nodes count as broken, and the taxels' layout.
 
-    lost: share of the packets that do not arrive, drawn by the seed. parameters: of the driver.
+    lost: share of the packets that do not arrive as they should, drawn by the seed. how: see
+    arrivals. parameters: of the driver.
     """
     config, writer = config_of(recording, learnt, **parameters), PacketWriter()
-    pipeline, lots = Pipeline(config, background=False), np.random.default_rng(seed)
+    pipeline = Pipeline(config, background=False)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
         raise ValueError(pipeline.problem)
-    for _, t_host, data in packets(recording, writer):
-        if lots.random() >= lost:
-            for frame in pipeline.feed(data, t_host):
-                yield frame, pipeline.health.invalid.copy(), config.layout
+    for t_host, data in arrivals(packets(recording, writer), lost, how, seed):
+        for frame in pipeline.feed(data, t_host):
+            yield frame, pipeline.health.invalid.copy(), config.layout
     for frame in pipeline.flush():
         yield frame, pipeline.health.invalid, config.layout
+
+
+def arrivals(
+    sent: Iterable[tuple[float, float, bytes]], share: float, how: str, seed: int
+) -> Iterator[tuple[float, bytes]]:
+    """Host time and bytes of what arrives of packets.
+
+    share: of them, drawn by the seed, are LOST, DAMAGED in a bit, REPEATED (the one before, in its
+    place), or LATE by one.
+    """
+    lots, before, late = np.random.default_rng(seed), b"", b""
+    for _, t_host, data in sent:
+        is_hit, middle = lots.random() < share, len(data) // 2
+        broken = {
+            LOST: b"",
+            DAMAGED: data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :],
+            REPEATED: before,
+            LATE: b"",
+        }
+        yield t_host, (broken[how] if is_hit else data) + late
+        before, late = data, data if is_hit and how == LATE else b""
 
 
 def config_of(recording: Recording, learnt: bool = False, **more: float) -> SkinConfig:

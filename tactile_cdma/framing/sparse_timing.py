@@ -306,7 +306,7 @@ class SparseRecogniser:
         by_chance = math.sqrt(float(found.left.mean()) / spec.order)
         by_chance *= 0.8 + 0.6 * BY_CHANCE / math.sqrt(spec.line_bits)
         least = np.float32(max(LATE_SHARE * (spec.node_swing_v or 0.0), by_chance))
-        for lateness in LATENESSES:
+        for lateness in (each for each in LATENESSES if abs(each) < spec.order):
             late |= self.detector.loudness(found.chips, lateness) > least
         return tuple(np.flatnonzero(late).tolist())
 

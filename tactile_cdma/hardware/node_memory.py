@@ -20,7 +20,14 @@ from ..code.codes import scrambler_state
 from ..code.frame import MEASURING_S, FrameSpec
 from ..code.sparse import TAPS, code_digits, code_numbers
 from ..config.parameters import LINE
-from ..wire._protocol import FIELDS, NODE_LEARN_REST, NODE_MAGIC, NODE_VERSION, Polarity
+from ..wire._protocol import (
+    FIELDS,
+    NODE_LEARN_REST,
+    NODE_MAGIC,
+    NODE_VERSION,
+    TURN_NUMBER_BITS,
+    Polarity,
+)
 from ..wire.messages import WIRE, FrameLayout, Message
 
 
@@ -65,6 +72,8 @@ _OF_LAYOUT = (
 CRC_BYTES = 4
 CRYSTALS_MHZ = (8, 16)
 """Of a node that has its memory in flash."""
+MOST_IN_FLASH = (1 << TURN_NUMBER_BITS) - 1
+"""Memories there: numbers that the digitizer can announce."""
 SHOWN_CHIPS = 64
 """Chips of a row that are printed, what fits on a line; chosen."""
 
@@ -355,7 +364,7 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
     if len(data) < wire.size:
         raise NodeMemoryError("the image is truncated: it ends where its memories begin")
     count, crystal_mhz = wire.unpack_from(data)
-    if not count or crystal_mhz not in CRYSTALS_MHZ:
+    if count not in range(1, MOST_IN_FLASH + 1) or crystal_mhz not in CRYSTALS_MHZ:
         raise NodeMemoryError(f"no node's image: it says {count} nodes with {crystal_mhz} MHz")
     table, memories = NodeTable(count, crystal_mhz), data[wire.size :]
     record, chips = read_node_memory(memories)

@@ -31,7 +31,7 @@ PORT = "sim://?scene=external&speed=0&threshold=0"
 _OF_BOTH = {name: name for name in ("nodes", "rows", "columns", "pitch_mm")}
 _OF_BOTH |= {"layout_file": "layout"}
 """Parameters that the simulated skin needs as options, too, so that it is the same skin."""
-START_S = 30.0
+START_S = 120.0
 """Longest wait for a driver's start, s; chosen for a busy computer."""
 
 

@@ -3,6 +3,7 @@
 """The firmware, built for the tests: its portable core as a library, its images by make."""
 
 import ctypes
+import fcntl
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -23,12 +24,19 @@ COMPILERS = {
 
 
 @pytest.fixture(scope="session")
-def core(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    """All of firmware/core and the tests' own C functions as a shared library."""
-    library = tmp_path_factory.mktemp("core") / "libcore.so"
-    sources = [*sorted(CORE.glob("*.c")), *sorted(Path(__file__).parent.glob("shim_*.c"))]
-    sanitize = SANITIZE if SANITIZED in os.environ else ()
-    run(need("cc"), *STRICT, "-O1", "-g", "-fPIC", "-shared", *sanitize, *sources, "-o", library)
+def core(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    """All of firmware/core and the tests' own C functions as a shared library, built once."""
+    folder = tmp_path_factory.getbasetemp()
+    if hasattr(request.config, "workerinput"):
+        folder = folder.parent  # of all workers of this run
+    library = folder / "libcore.so"
+    with (folder / "libcore.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not library.exists():
+            sources = [*sorted(CORE.glob("*.c")), *sorted(Path(__file__).parent.glob("shim_*.c"))]
+            sanitize = SANITIZE if SANITIZED in os.environ else ()
+            options = (*STRICT, "-O1", "-g", "-fPIC", "-shared", *sanitize)
+            run(need("cc"), *options, *sources, "-o", library)
     return ctypes.CDLL(str(library))
 
 

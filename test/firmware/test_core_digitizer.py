@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
@@ -42,6 +42,7 @@ from tactile_cdma.wire.messages import (
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 from test.support.core_digitizer import Board, CoreDigitizer, Pulse
+from test.support.examples import examples
 
 LAYOUT = FrameLayout.of(FrameSpec(), 4)
 REFUSED = Result.UNSUPPORTED
@@ -162,7 +163,7 @@ def test_a_bad_command_is_refused_and_changes_nothing(
     assert (status.commands_refused, status.command_errors, status.streaming) == (1, 0, True)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.lists(st.binary(max_size=60), max_size=6), st.integers(1, 50))
 def test_whatever_is_received_is_answered_or_counted(
     core: ctypes.CDLL, bodies: list[bytes], piece: int
@@ -615,7 +616,7 @@ def test_reports_that_find_no_room_are_counted_too(core: ctypes.CDLL) -> None:
     digitizer.close()
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.lists(st.integers(0, 3000), min_size=1, max_size=12), st.integers(0, 3))
 def test_what_is_sent_is_whole_however_it_is_taken(
     core: ctypes.CDLL, takes: list[int], quick: int

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
@@ -19,12 +19,13 @@ from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start, Stop
 from tactile_cdma.wire.packets import MAX_PACKET, PacketParser, PacketWriter, wrap
 from test.support.core_digitizer import declare
+from test.support.examples import examples
 from test.support.firmware import CORE, STRICT, need, run
 
 VECTORS = json.loads((CORE.parent / "vectors" / "protocol.json").read_text())
 KEPT = 36  # bytes of a payload that the reader keeps
 MOST = 20_000  # bytes of the longest thing here
-few = settings(max_examples=60, deadline=None)
+few = examples(60)
 data = st.one_of(
     st.binary(max_size=600),
     st.lists(st.sampled_from([b"\0", b"\1" * 253, b"\2" * 254, b"\3" * 255]), max_size=5).map(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -48,6 +48,7 @@ from tactile_cdma.wire.messages import (
     Status,
 )
 from test.support.core_digitizer import Board, CoreDigitizer
+from test.support.examples import examples
 from test.support.firmware import FIRMWARE
 
 MIDDLE = 2048  # count of the middle of the converter's range, which the simulator calls 0
@@ -389,7 +390,7 @@ def drifts(frame: FrameLayout) -> bool:
     return frame.chip_ns < SHORT_NS and frame.chip_ns * 48 % 1000 > 0
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(
     frame=layouts(),
     integrated=st.booleans(),

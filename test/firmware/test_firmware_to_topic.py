@@ -136,7 +136,7 @@ def test_the_same_through_the_rp2040s_image(tmp_path: Path, rp2040_image: Path) 
     skin_of_nodes = Rp2040Skin(reference_nodes(CONFIG, threshold=0), reference_amplifier(CONFIG))
     with live(tmp_path / "tty", skin_of_nodes) as skin, driven(tmp_path / "tty") as client:
         first = phase_lock(client, skin)
-        wait_for(lambda: len(client.arrays) >= first + FRAMES, 120)
+        wait_for(lambda: len(client.arrays) >= first + FRAMES)
         off = off_lsb(client, skin, first)
     assert np.abs(off).max() <= 1.001
 

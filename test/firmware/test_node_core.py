@@ -21,6 +21,7 @@ from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
 from tactile_cdma.sim.scene import SkinGeometry
 from tactile_cdma.wire.messages import WIRE
+from test.support.examples import examples
 from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, load
 
 FRAME, CALL, MISSED = range(3)
@@ -69,7 +70,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
     return replace(spec, frame_period_s=max(spec.frame_s + 2e-3, 1e-3).__round__(6))
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @given(data=st.data())
 def test_chips_are_those_of_the_host(core: ctypes.CDLL, data: st.DataObject) -> None:
     spec = data.draw(specs().filter(lambda spec: spec.frame_period_s <= 10))
@@ -199,7 +200,7 @@ def talks(
     return result.astype(bool)
 
 
-@settings(deadline=None, max_examples=50)
+@examples(50)
 @given(
     nodes=st.integers(1, 6),
     threshold=st.integers(0, 40),

@@ -6,12 +6,13 @@ import ctypes
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.frame import MEASURING_S, ORTHOGONAL, SPARSE, FrameSpec
 from tactile_cdma.hardware.node_memory import MCUS, Mcu, node_memory
+from test.support.examples import examples
 from test.support.node_limits import BLANK, CORRUPT, GOOD, UNFIT, limits, load
 
 
@@ -42,7 +43,7 @@ def specs(draw: st.DrawFn) -> FrameSpec:
 
 
 @pytest.mark.parametrize("mcu", MCUS)
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(spec=specs())
 def test_what_the_host_writes_the_firmware_takes_and_nothing_more(
     core: ctypes.CDLL, mcu: str, spec: FrameSpec

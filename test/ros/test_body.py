@@ -7,7 +7,6 @@ The patches stand upright in a circle, looking outwards; each feels the fingerti
 the drivers share the test's process.
 """
 
-import importlib.util
 import math
 import re
 import signal
@@ -34,6 +33,7 @@ from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.views.cloud import BODY_POINT
 from test.support.programs import run_python
+from test.support.scripts import body_commands
 from test.support.spinning import spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -68,11 +68,7 @@ def body_file(folder: Path, nodes: int = 16) -> Path:
 
 def commands(path: Path) -> list[list[str]]:
     """What `make run PATCHES=…` starts: the drivers, and the body's node."""
-    spec = importlib.util.spec_from_file_location("run", ROOT / "tools" / "run.py")
-    assert spec is not None and spec.loader is not None
-    run = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(run)
-    found: list[list[str]] = run.body_commands(path)
+    found = body_commands(path)
     assert len(found) == PATCHES + 1
     found[-1] += ["-p", f"stale_after_s:={STALE_AFTER_S}"]
     return found
@@ -239,7 +235,12 @@ def contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         messages = body.contacts[begin:]
         return {contact.patch: contact for message in messages for contact in message.contacts}
 
-    wait_for(lambda: len(seen()) == PATCHES and len(wrenches) > 5)
+    def known() -> list[TactileContacts]:
+        """In which no patch is late, of which the sums would be unknown."""
+        messages = [message for message in body.contacts[begin:] if message.touched]
+        return [message for message in messages if not math.isnan(message.wrench.force.x)]
+
+    wait_for(lambda: len(seen()) == PATCHES and len(wrenches) > 5 and len(known()) > 5)
     for i, name in enumerate(NAMES):
         contact = seen()[name]
         np.testing.assert_allclose(xyz(contact.position), pressed_place(i), atol=1e-6)
@@ -247,8 +248,7 @@ def contacts_are_where_the_simulated_fingers_are(body: Body) -> None:
         force_n = contact.pressure_max * PITCH_M**2
         np.testing.assert_allclose(xyz(contact.force), -force_n * outwards(i), atol=1e-4)
         assert list(contact.taxels) == [5]
-    messages = [message for message in body.contacts[begin:] if message.touched]
-    for message in messages:
+    for message in known():
         assert (message.header.frame_id, message.info_id) == ("body", 0)
         forces = np.array([xyz(contact.force) for contact in message.contacts])
         places = np.array([xyz(contact.position) for contact in message.contacts])
@@ -284,14 +284,16 @@ def the_viewer_prints_a_line_per_second_and_a_summary(body: Body) -> None:
     done = run_python("-m", "tactile_cdma.ros.viewers.body_view", "--seconds", "6")
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
-    counted = [line for line in lines if line != "nothing yet"]  # from the first message on
-    assert 5 <= len(counted) <= 6
+    assert 5 <= len(lines) <= 6
+    assert any(line != "nothing yet" for line in lines), "a busy machine may be late, not silent"
     contact = r"p\d \d+\.\d N \(-?\d+ -?\d+ -?\d+ mm\)"
-    assert re.search(rf"\d Hz +\d+\.\d N  (no contact|{contact})", lines[-1])
+    known = rf"\d Hz +>?\d+\.\d N  (no contact|{contact})"
+    unknown = r"\d Hz +(>\d+\.\d|--) N  .*\d+ of \d+ taxels valid|absent: p\d"  # one was late
+    assert re.search(f"{known}|{unknown}", lines[-1])
     values = dict(pair.split("=") for pair in last.split())
     assert values.keys() == {"received", "lost", "absent"}
     assert int(values["received"]) > 0
-    assert values["absent"] == "0"
+    assert values["absent"] == "0" or "absent" in "".join(lines)
 
 
 def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
@@ -319,17 +321,15 @@ def a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(
     wait_for(lambda: len(body.contacts) > begin + 10)
     assert all(NAMES[1] in message.absent for message in body.contacts[begin:])
 
+    dead_nodes_in_its_place_are_absent_too(body, tmp_path)
+    body.kill(1)
     body.processes.insert(1, subprocess.Popen(commands(body_file(tmp_path, nodes=9))[1]))
     wait_for(lambda: body.absent() == [])
     wait_for(lambda: counts() == [16, 9, 16, 16, 16])
 
 
-def a_patch_whose_nodes_are_dead_is_absent_though_its_driver_is_there(
-    body: Body, tmp_path: Path
-) -> None:
-    """It is pressed as all the others are."""
-    body.kill(1)
-    wait_for(lambda: body.absent() == [NAMES[1]])
+def dead_nodes_in_its_place_are_absent_too(body: Body, tmp_path: Path) -> None:
+    """They are pressed as all the others are."""
     dead = ",".join(str(node) for node in range(1, 17))
     blind = [*commands(body_file(tmp_path))[1], "-p", f"port:=sim://?scene=press&dead={dead}"]
     body.processes.insert(1, subprocess.Popen(blind))
@@ -341,9 +341,6 @@ def a_patch_whose_nodes_are_dead_is_absent_though_its_driver_is_there(
         assert not message.untouched
         assert NAMES[1] not in [contact.patch for contact in message.contacts]
         assert message.touched or math.isnan(message.wrench.force.x)
-    body.kill(1)
-    body.processes.insert(1, subprocess.Popen(commands(body_file(tmp_path))[1]))
-    wait_for(lambda: body.absent() == [])
 
 
 def when_all_are_silent_even_that_is_said(body: Body) -> None:
@@ -377,7 +374,6 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
     messages_are_as_often_as_a_patchs_frames_and_fewer_than_all_frames(body)
     the_viewer_prints_a_line_per_second_and_a_summary(body)
     a_killed_driver_is_absent_and_another_skin_in_its_place_is_back(body, tmp_path)
-    a_patch_whose_nodes_are_dead_is_absent_though_its_driver_is_there(body, tmp_path)
     when_all_are_silent_even_that_is_said(body)
 
 

@@ -51,23 +51,23 @@ def hurrying(**parameters: Any) -> Iterator[tuple[SkinNode, Client]]:
 def complaint(entry: str, level: bytes, text: str, **parameters: Any) -> Client:
     """Run a driver until it says so; its client."""
     with hurrying(**parameters) as (_, client):
-        wait_for(says(client, entry, level, text), PATIENCE_S)
+        wait_for(says(client, entry, level, text))
     return client
 
 
 def test_a_sound_skin_has_four_entries_that_are_ok_and_complete() -> None:
+    def number(entry: str, key: str) -> float:
+        return float(client.value(entry, key))
+
     with running(port="sim://?scene=moving&threshold=0&seed=7") as (_, client):
-        wait_for(lambda: len(client.entries.get("host", [])) >= 4, PATIENCE_S)
-        wait_for(lambda: {client.entry(entry).level for entry in ENTRIES} == {OK}, PATIENCE_S)
+        wait_for(lambda: len(client.entries.get("host", [])) >= 4)
+        wait_for(lambda: {client.entry(entry).level for entry in ENTRIES} == {OK})
+        wait_for(lambda: number("stream", "rate (Hz)") == pytest.approx(78.1, rel=0.3))
     assert set(client.entries) == set(ENTRIES)
     assert {client.entry(entry).name for entry in ENTRIES} == {f"skin: {e}" for e in ENTRIES}
     identity = (b"sim\0" + (7).to_bytes(4, "little")).hex().upper()
     assert {client.entry(entry).hardware_id for entry in ENTRIES} == {identity}
 
-    def number(entry: str, key: str) -> float:
-        return float(client.value(entry, key))
-
-    assert number("stream", "rate (Hz)") == pytest.approx(78.1, rel=0.3)
     stages = ("line and link", "decoding", "publishing")
     parts_ms = [number("stream", f"latency: {stage} (ms)") for stage in stages]
     assert number("stream", "latency (ms)") == pytest.approx(sum(parts_ms), abs=0.01)
@@ -81,7 +81,7 @@ def test_a_sound_skin_has_four_entries_that_are_ok_and_complete() -> None:
     assert 1 <= number("nodes", "weakest node") <= 16
     kinds = ("dead", "stale", "weak", "faulty", "doubled", "stuck")
     assert {client.value("nodes", f"{kind} nodes") for kind in kinds} == {""}
-    assert number("link", "bytes (per s)") > 78 * 1600
+    assert number("link", "bytes (per s)") > 0.9 * number("stream", "rate (Hz)") * 1600
     assert number("stream", "expected rate (Hz)") == pytest.approx(78.125, abs=0.01)
     lossless = ("crc errors", "framing errors", "lost packets", "digitizer packets dropped")
     assert [client.value("link", name) for name in lossless] == ["0"] * 4
@@ -95,15 +95,15 @@ def test_dead_nodes_are_told_from_those_that_fall_silent() -> None:
     """Nodes 3 and 7 never speak, the others at a heartbeat of a second."""
     port = "sim://?scene=idle&dead=3,7"
     with hurrying(port=port, stale_after_s=1.5) as (_, client):
-        wait_for(says(client, "nodes", WARN, "never heard: nodes 3, 7"), PATIENCE_S)
-        assert client.value("nodes", "dead nodes") == "3, 7"
-        assert client.value("nodes", "stale nodes") == ""
+        wait_for(says(client, "nodes", WARN, "never heard: nodes 3, 7;"))
+        wait_for(lambda: client.value("nodes", "dead nodes") == "3, 7")
+        wait_for(lambda: client.value("nodes", "stale nodes") == "")
         assert client.set(stale_after_s=0.6) == (True, "")
-        wait_for(says(client, "nodes", WARN, "fell silent: "), PATIENCE_S)
-        wait_for(lambda: client.value("nodes", "stale nodes"), PATIENCE_S)
+        wait_for(says(client, "nodes", WARN, "fell silent: "))
+        wait_for(lambda: client.value("nodes", "stale nodes"))
         assert {"3", "7"}.isdisjoint(client.value("nodes", "stale nodes").split(", "))
         assert client.set(stale_after_s=1.5) == (True, "")
-        wait_for(lambda: "fell silent" not in client.entry("nodes").message, PATIENCE_S)
+        wait_for(lambda: "fell silent" not in client.entry("nodes").message)
     assert client.entry("nodes").level == WARN, "two are still dead"
 
 
@@ -137,9 +137,9 @@ def test_weak_and_contradictory_nodes_are_named(
 
     on_the_line(broken)
     with hurrying(port="sim://?scene=all&threshold=0&seed=4") as (_, client):
-        wait_for(says(client, "nodes", WARN, "than they should be: node 12"), PATIENCE_S)
-        wait_for(says(client, "nodes", WARN, "words contradict the code: node 14"), PATIENCE_S)
-        wait_for(lambda: client.value("nodes", "weakest node") == "12", PATIENCE_S)
+        wait_for(says(client, "nodes", WARN, "than they should be: node 12"))
+        wait_for(says(client, "nodes", WARN, "words contradict the code: node 14"))
+        wait_for(lambda: client.value("nodes", "weakest node") == "12")
     kinds = ("weak", "faulty", "doubled")
     assert [client.value("nodes", f"{kind} nodes") for kind in kinds] == ["12", "14", ""]
 
@@ -181,9 +181,9 @@ def test_more_nodes_at_once_than_sparse_codes_tell_apart_speak_by_turns() -> Non
     skin: dict[str, Any] = {"codes": "sparse", "nodes": 120, "order": 32, "samples_per_chip": 1}
     port = "sim://?scene=all&threshold=0"
     with hurrying(port=port, frame_period_ms=20.0, **skin) as (_, client):
-        wait_for(lambda: client.value("stream", "groups by turns") == "16", PATIENCE_S)
+        wait_for(lambda: client.value("stream", "groups by turns") == "16")
         assert client.value("stream", "nodes at once, capacity") == "13"
-        wait_for(lambda: 0 < int(client.value("stream", "nodes at once")) <= 13, PATIENCE_S)
+        wait_for(lambda: 0 < int(client.value("stream", "nodes at once")) <= 13)
         assert int(client.value("stream", "frames beyond the capacity")) > 0
 
 
@@ -191,43 +191,43 @@ def test_more_nodes_at_once_than_sparse_codes_tell_apart_speak_by_turns() -> Non
 def test_why_frames_are_decided_in_python_is_told_while_they_are() -> None:
     """The line of a skin under load is clipped; when nobody speaks, nothing is left to doubt."""
     with hurrying(port="sim://?scene=all&threshold=0&rail=1") as (_, client):
-        wait_for(lambda: client.value("stream", "why in Python").startswith("clipped "), PATIENCE_S)
+        wait_for(lambda: client.value("stream", "why in Python").startswith("clipped "))
         assert float(client.value("stream", "decided in Python (%)")) > 90
         assert int(client.value("stream", "decided in Python")) > 0
     with hurrying(port="sim://?scene=idle&heartbeat=0") as (_, client):
-        wait_for(lambda: int(client.value("stream", "decided by the kernel") or 0) > 40, PATIENCE_S)
-        wait_for(lambda: client.value("stream", "decided in Python (%)") == "0.0", PATIENCE_S)
-        wait_for(lambda: client.value("stream", "why in Python") == "", PATIENCE_S)
+        wait_for(lambda: int(client.value("stream", "decided by the kernel") or 0) > 40)
+        wait_for(lambda: client.value("stream", "decided in Python (%)") == "0.0")
+        wait_for(lambda: client.value("stream", "why in Python") == "")
 
 
 def test_frames_are_decided_in_python_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, "kernel", SimpleNamespace(compiled=None))
     with hurrying(port="sim://?scene=press") as (_, client):
-        wait_for(lambda: client.value("stream", "why in Python").startswith("numpy "), PATIENCE_S)
+        wait_for(lambda: client.value("stream", "why in Python").startswith("numpy "))
     assert client.value("stream", "decided in Python (%)") == "100.0"
     assert client.value("stream", "decided by the kernel") == "0"
 
 
 def test_a_wrong_rate_is_told() -> None:
     with hurrying(port="sim://?scene=press&speed=0.7") as (_, client):
-        wait_for(says(client, "stream", WARN, "of their rate"), PATIENCE_S)
+        wait_for(says(client, "stream", WARN, "of their rate"))
 
         def rate_is_true() -> bool:
             expected_hz = float(client.value("stream", "expected rate (Hz)"))
             return abs(float(client.value("stream", "rate (Hz)")) / expected_hz - 0.7) < 0.14
 
-        wait_for(rate_is_true, PATIENCE_S)
+        wait_for(rate_is_true)
 
 
 def test_a_clock_that_runs_off_is_told_in_ppm(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tactile_cdma.driver.clock.SURE_INTERVALS", 12)  # 3 s, not 10
     with hurrying(port="sim://?scene=idle&speed=1.0008") as (_, client):
-        wait_for(says(client, "link", WARN, "ppm off"), PATIENCE_S)
+        wait_for(says(client, "link", WARN, "ppm off"))
 
         def drift_ppm() -> float:
             return float(client.value("link", "digitizer clock drift (ppm)") or "nan")
 
-        wait_for(lambda: abs(drift_ppm() - 800) < 150, PATIENCE_S)
+        wait_for(lambda: abs(drift_ppm() - 800) < 150)
 
 
 def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest_nor_frames(
@@ -238,9 +238,9 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest_nor
         wait_for(says(client, "stream", ERROR, f"{path}: no such port"))
         assert client.arrays == []
         with plugged(VirtualDigitizer, path):
-            wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
+            wait_for(lambda: client.entry("stream").message == "receiving")
             wait_for(lambda: len(client.arrays) > 20)
-        wait_for(lambda: client.entry("stream").level == ERROR, PATIENCE_S)
+        wait_for(lambda: client.entry("stream").level == ERROR)
         assert str(path) in client.entry("stream").message
         for entry in ("nodes", "link"):
             wait_for(lambda entry=entry: client.entry(entry).level == STALE)
@@ -250,8 +250,8 @@ def test_an_unplugged_port_is_an_error_of_the_stream_and_no_news_of_the_rest_nor
         time.sleep(0.3)
         assert len(client.arrays) == before
         with plugged(VirtualDigitizer, path):
-            wait_for(lambda: client.entry("stream").level == OK, PATIENCE_S)
-            wait_for(lambda: client.entry("link").level == OK, PATIENCE_S)
+            wait_for(lambda: client.entry("stream").level == OK)
+            wait_for(lambda: client.entry("link").level == OK)
             wait_for(lambda: len(client.arrays) > before + 20)
     assert client.value("link", "connections") == "2"
     sequences = [message.sequence for message in client.arrays]
@@ -262,17 +262,17 @@ def test_two_drivers_of_one_name_are_told_of_by_both() -> None:
     told: list[str] = []
     with hurrying() as (_, client), hurrying():
         client.create_subscription(Log, "/rosout", lambda log: told.append(log.msg), PAST)
-        wait_for(says(client, "host", WARN, "2 drivers have this name"), PATIENCE_S)
-        wait_for(lambda: client.value("host", "drivers of this name") == "2", PATIENCE_S)
-        wait_for(lambda: sum("2 drivers have this name" in text for text in told) == 2, PATIENCE_S)
+        wait_for(says(client, "host", WARN, "2 drivers have this name"))
+        wait_for(lambda: client.value("host", "drivers of this name") == "2")
+        wait_for(lambda: sum("2 drivers have this name" in text for text in told) == 2)
     with hurrying() as (_, client):
-        wait_for(says(client, "host", OK, "ok"), PATIENCE_S)
+        wait_for(says(client, "host", OK, "ok"))
 
 
 def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> None:
     path = tmp_path / "tty"
     with plugged(VirtualDigitizer, path), hurrying(port=str(path)) as (node, client):
-        wait_for(lambda: client.entry("stream").message == "receiving", PATIENCE_S)
+        wait_for(lambda: client.entry("stream").message == "receiving")
         driver = node._driver
         assert driver is not None
         deadline = time.monotonic() + PATIENCE_S

@@ -2,10 +2,6 @@
 
 """Requests and messages that are well-formed and impossible: refused, counted, and survived."""
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import pytest
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -16,34 +12,11 @@ from rosgraph_msgs.msg import Clock
 
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.ros.body.node import BodyNode
-from tactile_cdma.ros.common.executor import LeanExecutor
 from tactile_cdma.ros.common.failures import FAILURES
 from tactile_cdma.ros.driver.node import SkinNode
 from test.support.skin_client import Client, wait_sending
-from test.support.spinning import spinning
+from test.support.spinning import as_its_process, spinning
 from test.support.waiting import wait_for
-
-
-@contextmanager
-def as_a_process(node: Node) -> Iterator[threading.Thread]:
-    """A node that is spun as its process does it, in a thread that what it raises ends."""
-    executor, ended = LeanExecutor(), threading.Event()
-    executor.add_node(node)
-
-    def spin() -> None:
-        while not ended.is_set():
-            executor.spin_once(0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield thread
-    finally:
-        ended.set()
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
-
 
 NODES = {
     "/skin": lambda: SkinNode(
@@ -59,7 +32,7 @@ NODES = {
 @pytest.mark.parametrize("name", NODES)
 def test_impossible_requests_are_answered_and_the_node_goes_on(name: str) -> None:
     client = Client(name)
-    with spinning([client]), as_a_process(NODES[name]()) as process:
+    with spinning([client]), as_its_process(NODES[name]()) as process:
         for kind in (10, 99, 255):
             unknown = Parameter(name="frame_id", value=ParameterValue(type=kind))
             before = FAILURES.count
@@ -86,6 +59,6 @@ def test_state_is_saved_before_anything_of_ros_is_destroyed(
         original = getattr(kind, method)
         spy = lambda self, kind=kind, end=original: (ended.append(kind), end(self))  # noqa: E731
         monkeypatch.setattr(kind, method, spy)
-    with as_a_process(NODES["/skin"]()):
+    with as_its_process(NODES["/skin"]()):
         pass
     assert ended == [RestKeeper, Node]

@@ -3,7 +3,6 @@
 """skin.launch.py: what each argument changes, and a real start with the simulated skin."""
 
 import contextlib
-import importlib.util
 import os
 import shutil
 import signal
@@ -30,6 +29,7 @@ from launch_ros.utilities import evaluate_parameters
 
 from tactile_cdma.config.arguments import launch_values
 from test.support.programs import run_python
+from test.support.scripts import loaded
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,14 +37,6 @@ LAUNCH_FILE = ROOT / "launch" / "skin.launch.py"
 PATH = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 """The executables of the package begin with `env python3`: it has to be this one."""
 BODY_FILE = ROOT / "config" / "body.yaml"
-
-
-def load() -> Any:
-    spec = importlib.util.spec_from_file_location("skin_launch", LAUNCH_FILE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def actions(
@@ -157,7 +149,7 @@ def test_rviz_is_started_or_its_absence_told() -> None:
 
 def displays(**arguments: str) -> tuple[str, Any]:
     """The fixed frame, and what rviz would be given: a path, or the content made for it."""
-    launch_file = load()
+    launch_file = loaded(LAUNCH_FILE)
     given = launch_file.Given(*launch_values(arguments, launch_file.OWN), "")
     of = launch_file.body_displays if "patches" in arguments else launch_file.skin_displays
     frame_id, view = of(given)

@@ -22,8 +22,13 @@ def outcome(*arguments: str) -> dict[str, str]:
     return dict(re.findall(r"(\w+)=(\S+)", done.stdout.splitlines()[-1]))
 
 
-def test_it_grips_lifts_and_regains_a_grip_that_slips() -> None:
+def test_it_grips_lifts_and_regains_a_grip_that_slips(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And leaves no tare where the next simulation would find it."""
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
     found = outcome()
+    assert not (tmp_path / "tactile_cdma").exists()
     assert [found["gripped"], found["lifted"], found["dropped"]] == ["1", "1", "0"]
     assert 5.0 <= float(found["peak_kpa"]) < 20.0
     assert 20 < float(found["reaction_ms"]) < 300

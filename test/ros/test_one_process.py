@@ -2,11 +2,7 @@
 
 """Many patches in one process, and all their taxels in one message: /body/tactile."""
 
-import importlib.util
 import subprocess
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +16,11 @@ from tactile_cdma.config.body_file import read_body
 from tactile_cdma.msg import TactileArray, TactileBody
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.client import SkinClient
-from tactile_cdma.ros.common.executor import LeanExecutor
 from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.driver import patches as patches_module
 from tactile_cdma.ros.driver.patches import PatchesNode
-from test.support.spinning import spinning
+from test.support.scripts import body_commands
+from test.support.spinning import as_its_process, spinning
 from test.support.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,27 +35,6 @@ patches:
   wrong: {params_file: wrong.yaml}
 """
 WRONG = "/**: {ros__parameters: {nodes: 24, frame_period_ms: 16.0}}"
-
-
-@contextmanager
-def served(node: Node) -> Iterator[None]:
-    """As skin_patches runs it."""
-    executor, stop = LeanExecutor(), threading.Event()
-    executor.add_node(node)
-
-    def serve() -> None:
-        while not stop.is_set():
-            executor.spin_once(0.05)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
 
 
 def has_no_gap(arrays: list[TactileArray]) -> bool:
@@ -96,7 +71,7 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     )
     (tmp_path / "wrong.yaml").write_text("nothing: [that ROS takes")  # changed since
     host = PatchesNode(patches)
-    with served(host), served(body), spinning([client]):
+    with as_its_process(host), as_its_process(body), spinning([client]):
         wait_for(lambda: len(arrays["left"]) > 30 and len(arrays["right"]) > 30)
         wait_for(lambda: "wrong/skin: process" in said)
         wait_for(lambda: "no such port" in said.get("away/skin: stream", str(said)))
@@ -144,11 +119,7 @@ def test_a_patch_that_fails_takes_no_other_with_it(
 
 def test_make_run_starts_a_process_for_those_that_share_one(tmp_path: Path) -> None:
     (tmp_path / "body.yaml").write_text("process: {arm: [b, c]}\npatches: {a: {}, b: {}, c: {}}")
-    spec = importlib.util.spec_from_file_location("run", ROOT / "tools" / "run.py")
-    assert spec is not None and spec.loader is not None
-    run = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(run)
-    arm, a, body = run.body_commands(tmp_path / "body.yaml")
+    arm, a, body = body_commands(tmp_path / "body.yaml")
     assert arm[1:] == [
         str(ROOT / "scripts/skin_patches"),
         str(tmp_path / "body.yaml"),

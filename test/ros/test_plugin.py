@@ -3,10 +3,10 @@
 """The pytest plugin, used by tests outside of this repository."""
 
 import importlib.metadata
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
+
+from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = """
@@ -47,13 +47,7 @@ def test_its_fixtures_serve_tests_of_others(tmp_path: Path) -> None:
     plugin = entry["pytest11"]["tactile_cdma"]
     found = {point.value for point in importlib.metadata.entry_points(group="pytest11")}
     words = [] if plugin in found else ["-p", plugin]  # installed, or beside the package
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "--strict-markers", *words, str(tmp_path)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    run = run_python("-m", "pytest", "-q", "--strict-markers", *words, tmp_path, cwd=tmp_path)
     assert "ERROR test_mine.py::test_wrong - tactile_cdma.base.errors.ParameterErr" in run.stdout
     assert "3 passed" in run.stdout and "1 error" in run.stdout, run.stdout + run.stderr
 
@@ -63,5 +57,5 @@ def test_it_loads_neither_ros_nor_numpy_before_a_test_asks() -> None:
         "import sys, tactile_cdma.testing.plugin\n"
         "print('rclpy' in sys.modules, 'numpy' in sys.modules)"
     )
-    answer = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True)
+    answer = run_python("-c", probe, cwd=ROOT)
     assert answer.stdout == "False False\n", answer.stderr

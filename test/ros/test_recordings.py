@@ -12,6 +12,8 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.recording.offline import described_parameters, raw_frames
+from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
 from test.support.skin_client import running
 from test.support.waiting import wait_for
 
@@ -49,11 +51,8 @@ def test_the_bag_knows_our_types_as_ros_does(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("recording")
-    path, params = folder / "touch.skin", folder / "skin.yaml"
-    params.write_text("skin:\n  ros__parameters:\n    nodes: 16\n")
-    assert main(["record", PORT, str(path), "--seconds", "1.5", "--params", str(params)]) == 0
-    return path
+    path = tmp_path_factory.mktemp("recording") / "touch.skin"
+    return simulated.recording(path, SimOptions.from_url(PORT), 1.5)
 
 
 def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path: Path) -> None:

@@ -38,9 +38,9 @@ def ended(process: subprocess.Popen[str]) -> Iterator[None]:
             process.stderr.close()
 
 
-def read_until(process: subprocess.Popen[str], text: str, timeout_s: float = 30.0) -> None:
+def read_until(process: subprocess.Popen[str], text: str) -> None:
     """Read the process's errors up to a line with this text."""
-    watchdog = threading.Timer(timeout_s, process.kill)
+    watchdog = threading.Timer(PATIENCE_S, process.kill)
     watchdog.start()
     try:
         assert process.stderr is not None

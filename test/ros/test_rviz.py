@@ -36,6 +36,7 @@ from tactile_cdma.ros.rviz_file import body_view, patch_values, skin_view
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 
+pytestmark = pytest.mark.xdist_group("rviz")  # its driver is started once
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 FILES = {path.name: yaml.safe_load(path.read_text()) for path in sorted(CONFIG.glob("*.rviz"))}
 TRIPLE = {"X", "Y", "Z"}

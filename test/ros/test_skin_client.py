@@ -2,7 +2,6 @@
 
 """SkinClient beside a real driver: touch and its validity, frames, tare, lifecycle."""
 
-import threading
 import time
 
 import numpy as np
@@ -14,11 +13,10 @@ from tactile_cdma.base.errors import ParameterError, PortError
 from tactile_cdma.msg import TactileContacts
 from tactile_cdma.ros import client as client_module
 from tactile_cdma.ros.client import SkinClient, Touch
-from tactile_cdma.ros.common.executor import LeanExecutor
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.srv import Tare
 from test.support.skin_client import running
-from test.support.spinning import spinning
+from test.support.spinning import as_its_process, spinning
 from test.support.waiting import wait_for
 
 
@@ -89,29 +87,16 @@ def test_reasons_of_the_service_are_those_of_python() -> None:
 
 def test_the_nodes_own_executor_answers_later_too() -> None:
     """As skin_driver runs it; the tests above spin by rclpy's."""
-    node, client, stop = SkinNode(), Node("asker"), threading.Event()
-    executor = LeanExecutor()
-    executor.add_node(node)
-
-    def serve() -> None:
-        while not stop.is_set():
-            executor.spin_once(0.05)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
+    client = Node("asker")
     try:
-        with spinning([client]):
+        with as_its_process(SkinNode()), spinning([client]):
             skin, begun_s = SkinClient(client), time.monotonic()
             answer = skin.tare(wait_s=0.35)
             assert not answer.success and answer.reason in (3, 4)  # too early in any case
             assert 0.35 <= time.monotonic() - begun_s < 5.0
             assert skin.tare(wait_s=20.0).success
     finally:
-        stop.set()
-        thread.join()
-        executor.shutdown()
-        for one in (node, client):
-            one.destroy_node()
+        client.destroy_node()
 
 
 def test_services_that_do_not_answer_end_in_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ import pytest
 from tactile_cdma.messages.cdr import Heading
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.ros.common.convert import header, nanoseconds
+from test.support.waiting import PATIENCE_S
 from torture.load import campaign as load
 from torture.load import liar
 from torture.load.loaded_skin import LoadedSkin
@@ -22,7 +23,6 @@ from torture.outcome import Outcome, Plan
 
 pytestmark = pytest.mark.xdist_group("torture load")
 PLAN = Plan(quick=True, seed=1)
-PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from tactile_cdma.sim.options import SimOptions
 from test.support.boards import plugged
 from test.support.traced_frame import COVERAGE
 
+pytestmark = pytest.mark.xdist_group("tour")  # its kernel is built and a frame traced once
 CHECKOUT = Path(__file__).parents[2]
 PACKAGE, KERNEL = CHECKOUT / "tactile_cdma", CHECKOUT / "kernel"
 MOST_FILES = 16

@@ -20,7 +20,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from .sparse_codes import node_chips
 
@@ -600,6 +599,8 @@ def _stairs(at: Floats, height: Floats, length: int, cells: int) -> Floats:
 
 def _filtered(volts: Floats, skin: Skin, line: Line, cells: int) -> Floats:
     """The line behind its low-pass, resonance and coupling capacitor."""
+    from scipy.signal import lfilter  # slow to load, and needed here only
+
     if line.low_pass_chips:
         kept = np.exp(-1 / (line.low_pass_chips * cells))
         volts = lfilter([1 - kept], [1, -kept], volts)

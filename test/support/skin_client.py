@@ -21,7 +21,7 @@ from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
 
 from .spinning import spinning
-from .waiting import holds, wait_for
+from .waiting import PATIENCE_S, holds, wait_for
 
 
 class Client(Node):
@@ -55,7 +55,7 @@ class Client(Node):
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.create_client(kind, f"{self._asked}/{name}")
-        assert client.wait_for_service(10), f"no service {name}"
+        assert client.wait_for_service(PATIENCE_S), f"no service {name}"
         future = client.call_async(request)
         wait_for(future.done)
         self.destroy_client(client)
@@ -85,9 +85,7 @@ def in_one(message: DiagnosticArray) -> DiagnosticStatus:
     return DiagnosticStatus(level=level, message="; ".join(texts), values=values)
 
 
-def wait_sending(
-    sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], object], timeout_s: float = 60.0
-) -> None:
+def wait_sending(sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], object]) -> None:
     """Send messages until the condition holds.
 
     Discovery goes both ways: a subscriber that is seen may not yet hear.
@@ -102,7 +100,7 @@ def wait_sending(
             next_s = time.monotonic() + 0.5
         return holds(condition)
 
-    wait_for(held, timeout_s)
+    wait_for(held)
 
 
 @contextmanager

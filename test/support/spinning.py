@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from tactile_cdma.ros.common.executor import LeanExecutor
+
 
 @contextmanager
 def spinning(*groups: Sequence[Node]) -> Iterator[None]:
@@ -38,3 +40,24 @@ def spinning(*groups: Sequence[Node]) -> Iterator[None]:
             executor.create_task(lambda: None)  # rclpy's wait ends only with something to do
             thread.join()
             executor.shutdown()
+
+
+@contextmanager
+def as_its_process(node: Node) -> Iterator[threading.Thread]:
+    """A node that is spun as its own program does it, in a thread that what it raises ends."""
+    executor, ended = LeanExecutor(), threading.Event()
+    executor.add_node(node)
+
+    def spin() -> None:
+        while not ended.is_set():
+            executor.spin_once(0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield thread
+    finally:
+        ended.set()
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()

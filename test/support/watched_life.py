@@ -91,7 +91,7 @@ def main() -> None:
         ):
             count = lambda _, topic=topic: seen.update({topic: 1})  # noqa: E731
             client.create_subscription(kind, f"/skin/{topic}", count, 1)
-        wait_for(lambda: len(client.arrays) > 100 and len(seen) == 3, 60)
+        wait_for(lambda: len(client.arrays) > 100 and len(seen) == 3)
         assert client.call(Tare, "tare", Tare.Request(force=True)).success
         assert client.set(calibration_file=calibration) == (True, "")
         assert client.call(Trigger, "save_calibration", Trigger.Request()).success

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks import pareto, report, ros
+from benchmarks.doubt.kept import Kept
+from benchmarks.doubt.tally import Tally
 
 
 class Figure:
@@ -47,6 +49,22 @@ def test_what_quick_runs_write_is_ignored_by_git() -> None:
         pytest.skip("not a git checkout")
     ignored = ["git", "-C", str(root), "check-ignore", "build/benchmarks/results.json"]
     assert subprocess.run(ignored, capture_output=True).returncode == 0
+
+
+def test_a_run_that_was_cut_off_goes_on_where_it_was_unless_code_has_changed(
+    tmp_path: Path,
+) -> None:
+    file, done, other = tmp_path / "new" / "doubt.jsonl", Tally(words=7, wrong=1), Tally(words=2)
+    with Kept(file, "code") as kept:
+        kept.add("hum", 0, (done, ["frame 3"]))
+        kept.add("hum", 1, (other, []))
+    file.write_text(file.read_text()[:-9])  # killed in the last line
+    with Kept(file, "code") as kept:
+        assert kept.found == {("hum", 0): (done, ["frame 3"])}
+        kept.add("noise", 2, (other, []))
+    assert Kept(file, "code").found.keys() == {("hum", 0), ("noise", 2)}
+    assert not Kept(file, "other code").found
+    assert not Kept(file, "code").found
 
 
 WAYS = [

@@ -175,8 +175,11 @@ def _calls(skin: LoadedSkin, plan: Plan) -> Outcome:
 
 
 def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
-    """Stop the driver for a while: it may lose only the frames of that time."""
-    stops_s = list(STOPS_S[not plan.quick])
+    """Stop the driver for a while: it may lose only the frames of that time.
+
+    And of the time for which it had to wait for a processor, which may be counted later.
+    """
+    stops_s, idle_s = list(STOPS_S[not plan.quick]), skin.judge.waited_s()
     rng.shuffle(stops_s)
     period_s, wrong, lost = skin.digitizer.setup.spec.frame_period_s, 0, 0
     for seconds in stops_s:
@@ -184,7 +187,7 @@ def _stops(skin: LoadedSkin, plan: Plan, rng: Random) -> Outcome:
         begin_s = time.monotonic()
         skin.stopped_for(seconds)
         skin.is_newest(time.monotonic())
-        passed_s = time.monotonic() - begin_s
+        passed_s = time.monotonic() - begin_s + skin.judge.waited_s() - idle_s
         gap = skin.judge.tally.lost - missing
         lost += gap
         wrong += gap > passed_s / period_s + SLACK_FRAMES

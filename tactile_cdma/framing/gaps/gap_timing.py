@@ -50,7 +50,8 @@ s at 78 Hz."""
 SURE_SHARE, SURE_NOISE = 0.5, 0.3
 """A silent slot holds no faint word if its power, and so much of its noise, stays below the power
 of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
-slot and gap are right to a tenth."""
+slot and gap are right to a tenth. A slot of far less power than the gap's noise says that this is
+none, but hum, which may hide a word."""
 AGAIN_PERIODS = 12
 """Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
 it is known after 4 to 8."""
@@ -442,24 +443,28 @@ class GapTiming(Timing):
             return False
         return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * gap.variance
 
-    def _silent_slot(self, level: float, noise: float, clipped: float) -> FrameLevels:
+    def _silent_slot(self, level: float, noise: float) -> FrameLevels | Rejections:
         """The slot that is next, in which there is no frame; noise: of a chip's level, V RMS.
 
-        A faint word hardly has power. Where its place is known it is looked for on the nodes' rows,
-        else everybody's silence is a guess.
+        Rejected where a rail or noise hides words. A faint word hardly has power. Where its place
+        is known it is looked for on the nodes' rows, else everybody's silence is a guess.
         """
         spec, search, slot = self._spec, self._search, self._next
-        silent = FrameLevels(slot, search.chip, None, noise, level, clipped)
         before = (search.period - search.shortest) / 2
         begin = max(self._samples.begin, math.floor(slot - before))
         volts = self._samples.take(begin, begin + math.ceil(search.period))
+        seen = volts if volts.size or self._gap is None else np.array([level])
+        clipped = share_clipped(seen, self._rails_v)
+        if hidden := silence_hidden(clipped, noise, spec):
+            return hidden
+        silent = FrameLevels(slot, search.chip, None, noise, level, clipped)
         volts = self._hum.removed(volts, begin) - level
         if self._gap is None or not volts.size:
             return silent
         sample_noise = self._gap.variance * search.half
         power = dot(volts, volts) / volts.size - sample_noise
         power *= volts.size / search.shortest
-        if power + SURE_NOISE * sample_noise < SURE_SHARE**2 * search.least_power:
+        if abs(power) + SURE_NOISE * sample_noise < SURE_SHARE**2 * search.least_power:
             return silent
         expected = self._raster.expect(slot, begin)
         if expected is None or not search.is_sure(expected):
@@ -481,15 +486,11 @@ class GapTiming(Timing):
         level, noise = 0.0, math.nan
         if self._gap:  # whose variance is that of half chips
             level, noise = self._gap.level, math.sqrt(self._gap.variance / 2)
-        clipped = 0.0
-        if self._gap is not None:
-            clipped = share_clipped(np.array([level]), self._rails_v)
-        hidden = silence_hidden(clipped, noise, self._spec)
-        if hidden is None and self._is_deaf():
-            hidden = NOISY
+        is_deaf = self._is_deaf()
         while self._next <= until:
-            if hidden:
-                self.rejections += hidden
+            slot = NOISY if is_deaf else self._silent_slot(level, noise)
+            if isinstance(slot, Rejections):
+                self.rejections += slot
             else:
-                yield self._silent_slot(level, noise, clipped)
+                yield slot
             self._next += self._search.period

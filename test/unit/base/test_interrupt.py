@@ -3,15 +3,12 @@
 """Signals that come while another one's handler runs."""
 
 import signal
-import subprocess
-import sys
 
 import pytest
 
 from tactile_cdma.base.interrupt import SIGNALS, stop_event, terminable
+from test.support.programs import run_python
 
-PATIENCE_S = 60.0
-"""Far more than a child takes on a busy machine; a stuck one stays for ever."""
 NESTED = """
 import signal, sys
 from tactile_cdma.base.interrupt import stop_event
@@ -35,7 +32,7 @@ with stop_event(None) as stop:
 
 def test_a_signal_within_the_handler_of_another_one_stops_as_well() -> None:
     # In a process of its own: with a lock it would wait for ever, whatever signal it gets.
-    subprocess.run([sys.executable, "-c", NESTED], check=True, timeout=PATIENCE_S)
+    run_python("-c", NESTED, check=True)
 
 
 def test_the_time_that_was_given_stops_it() -> None:

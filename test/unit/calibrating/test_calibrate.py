@@ -267,7 +267,7 @@ def dialogue(*arguments: object) -> Iterator[subprocess.Popen[str]]:
         stderr=subprocess.STDOUT,
         text=True,
     ) as process:
-        watchdog = threading.Timer(120, process.kill)  # then `hear` ends, too
+        watchdog = threading.Timer(PATIENCE_S, process.kill)  # then `hear` ends, too
         watchdog.start()
         try:
             yield process

@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
@@ -12,6 +12,7 @@ from tactile_cdma.clocks.decorrelate import MAX_GAIN, Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks
 from tactile_cdma.clocks.sampling import row_samples
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
+from test.support.examples import examples
 
 
 def clocks_of(nodes: int, delay: float, rate: float, seed: int = 0) -> NodeClocks:
@@ -53,7 +54,7 @@ def line_of(spec: FrameSpec, clocks: NodeClocks, words: np.ndarray, per_chip: fl
     return line.astype(np.float32)
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(
     st.sampled_from([2.0, 3.0, 4.5]),
     st.floats(0, 1),

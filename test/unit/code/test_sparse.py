@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -24,6 +24,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.framing.sparse_timing import certificate, groups_for_all
 from tactile_cdma.wire._protocol import Signs
 from tactile_cdma.wire.messages import FrameLayout
+from test.support.examples import examples
 from test.support.sparse_codes import code_number, node_chips, octets
 
 PAGE = Path(__file__).parents[3] / "docs/protocol.md"
@@ -116,7 +117,7 @@ def test_every_bit_has_codes_of_its_own() -> None:
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_all_who_speak_are_found(data: st.DataObject) -> None:
     """Up to a quarter as many as chips, with amplitudes of their own, an offset and noise."""
     order = data.draw(st.sampled_from([32, 40, 64, 96]))

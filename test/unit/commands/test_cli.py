@@ -17,11 +17,14 @@ import pytest
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.channel import Channel
+from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
 from test.support.command_line import Refused
 from test.support.programs import run_program
 from test.support.simulated import scope_capture
 from test.support.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.xdist_group("cli")  # its recording is made once
 ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "tactile_cdma"]
 
@@ -32,11 +35,9 @@ def frames_of(text: str) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """About two seconds of the simulated skin with every node speaking."""
+    """Two seconds of the simulated skin with every node speaking."""
     path = tmp_path_factory.mktemp("recording") / "skin.skin"
-    url = "sim://?scene=all&seed=3&threshold=0&speed=2"
-    assert main(["record", url, str(path), "--seconds", "1"]) == 0
-    return path
+    return simulated.recording(path, SimOptions(scene="all", seed=3, threshold=0), 2.0)
 
 
 @pytest.fixture

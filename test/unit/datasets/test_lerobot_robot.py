@@ -6,7 +6,6 @@ The trial with LeRobot itself is by hand: docs/learning.md.
 """
 
 import time
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +16,9 @@ import pytest
 from tactile_cdma import LiveObservation, PortError, Skin
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
+from test.support.scripts import loaded
 from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("public_skin")
@@ -29,22 +31,17 @@ PARAMETERS = "/**:\n  ros__parameters:\n    port: {port}\n    skin: {skin}\n    
 @pytest.fixture(scope="module")
 def touch() -> ModuleType:
     """The module of the package that does without LeRobot."""
-    path = ROOT / "integrations" / PACKAGE / PACKAGE / "touch.py"
-    spec = spec_from_file_location("touch", path)
-    assert spec and spec.loader
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(ROOT / "integrations" / PACKAGE / PACKAGE / "touch.py")
 
 
 def test_the_numbers_are_the_rows_of_an_export_bit_for_bit(
     touch: ModuleType, tmp_path: Path
 ) -> None:
     recording, dataset = tmp_path / "touch.skin", tmp_path / "set"
-    port = "sim://?scene=all&seed=3&heartbeat=40&dead=5"
-    assert main(["record", port, str(recording), "--seconds", "1.2"]) == 0
-    options = "--lerobot", str(dataset), "--fps", "20", "--samples", "last"
-    assert main(["export", str(recording), *options]) == 0
+    options = SimOptions.from_url("sim://?scene=all&seed=3&heartbeat=40&dead=5")
+    simulated.recording(recording, options, 1.2)
+    words = "--lerobot", str(dataset), "--fps", "20", "--samples", "last"
+    assert main(["export", str(recording), *words]) == 0
     table = pyarrow.parquet.read_table(dataset / "data/chunk-000/file-000.parquet")
     source = RecordingSource(recording, {}, derived=False)
     stamps = {

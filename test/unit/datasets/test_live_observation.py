@@ -14,6 +14,8 @@ import pytest
 from tactile_cdma import CaptureError, LiveObservation, ObservationError, ParameterError, Skin
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
+from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
 from test.support.bags import BagMaker
 from test.support.waiting import wait_for
 
@@ -23,9 +25,7 @@ pytestmark = pytest.mark.xdist_group("public_skin")
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("observation") / "touch.skin"
-    port = "sim://?scene=all&seed=3&heartbeat=40"
-    assert main(["record", port, str(path), "--seconds", "1.2"]) == 0
-    return path
+    return simulated.recording(path, SimOptions(scene="all", seed=3, heartbeat=40), 1.2)
 
 
 def exported(source: Path, folder: Path, *options: str) -> Path:

@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
@@ -27,6 +27,7 @@ from tactile_cdma.wire.messages import (
     Samples,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.examples import examples
 from test.support.simulated import configuration, run, stream
 
 
@@ -98,7 +99,7 @@ def test_silent_frames_hold_values_and_keep_the_frame_rate() -> None:
         assert [f.sequence for f in frames] == list(range(len(frames)))
 
 
-@settings(max_examples=8, deadline=None)
+@examples(8)
 @given(st.sampled_from(["line, 4 samples per chip", "gap"]), st.integers(1, 3000))
 def test_chunking_is_invisible(name: str, chunk: int) -> None:
     config = SkinConfig.of(CONFIGS[name])
@@ -111,7 +112,7 @@ def test_chunking_is_invisible(name: str, chunk: int) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(st.sampled_from(["line, 4 samples per chip", "gap"]), st.integers(0, 2**32 - 1))
 def test_corrupted_bytes_cost_frames_but_give_no_false_ones(name: str, seed: int) -> None:
     config = SkinConfig.of(CONFIGS[name])

@@ -136,6 +136,8 @@ def test_a_clock_that_begins_anew_leaves_nothing_held() -> None:
     ids=lambda some: some.name,
 )
 def test_no_claim_outlives_what_was_heard(condition: object) -> None:
+    """Promise 1 of docs/reliability.md, of packets that are lost or not as they were sent."""
     tally, complaints = condition.run(40, 7)  # type: ignore[attr-defined]
     assert tally.claims > 100
+    assert tally.unclaimed > 5, "it was blind"
     assert tally.stale_claims == 0, complaints[:3]

@@ -8,9 +8,9 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -25,8 +25,10 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.pty import serve
 from test.support import simulated
 from test.support.programs import run_python
+from test.support.scripts import loaded
 from test.support.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.xdist_group("learning examples")  # its recording is made once
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
@@ -51,14 +53,6 @@ def run(name: str, *words: str) -> dict[str, float]:
     return {name: float(value) for name, value in re.findall(r"(\w+)=([\d.]+)", last)}
 
 
-def loaded(name: str) -> ModuleType:
-    spec = spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    assert spec and spec.loader
-    example = module_from_spec(spec)
-    spec.loader.exec_module(example)
-    return example
-
-
 @needs_pyarrow
 def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     import pyarrow.parquet
@@ -70,7 +64,7 @@ def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     sequence, time_s = table["sequence"], table["unix_time_s"]
     assert len(sequence) == figures["frames"] > 50
     passed = sequence[-1] - sequence[0]
-    assert passed + 1 - len(sequence) <= figures["dropped"]  # a busy machine may drop some
+    assert sequence == sorted(set(sequence))  # all but what a busy machine leaves out
     assert (time_s[-1] - time_s[0]) / passed == pytest.approx(
         0.0128, rel=0.3
     )  # first stamps waited
@@ -105,7 +99,7 @@ def test_what_was_logged_before_a_port_was_lost_is_kept(
     import pyarrow.parquet
 
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    example = loaded("live_parquet")
+    example = loaded(EXAMPLES / "live_parquet.py")
     output, link = tmp_path / "touch.parquet", tmp_path / "skin"
     plugged, unplug, newest = threading.Event(), threading.Event(), Newest(50)
     newest.reached = unplug.set
@@ -162,7 +156,7 @@ def test_a_network_answers_every_frame_from_shared_memory() -> None:
 def test_the_window_is_always_the_last_frames_in_order(length: int, pushed: int) -> None:
     torch = SimpleNamespace(nn=SimpleNamespace(Module=object))  # the ring needs none of it
     with mock.patch.dict(sys.modules, torch=torch):
-        recent = loaded("live_torch").RecentFrames(length, (2,))
+        recent = loaded(EXAMPLES / "live_torch.py").RecentFrames(length, (2,))
     for i in range(pushed):
         recent.push(np.array([i + 1, -i], dtype=np.float32))
         window = recent.window

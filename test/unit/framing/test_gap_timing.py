@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
@@ -221,7 +221,7 @@ def test_a_frame_is_out_once_silence_proves_its_end(
     assert max(late[35:]) < 6
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(st.lists(st.integers(0, 50_000), max_size=40))
 def test_chunking_is_invisible_where_the_raster_is_known(cuts: list[int]) -> None:
     wire = on_a_raster(range(48), silent=(36, 40, 41))

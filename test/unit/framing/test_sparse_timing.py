@@ -117,6 +117,19 @@ def test_bits_that_are_mistaken_in_pairs_are_turned() -> None:
     assert found >= 198
 
 
+def test_frames_of_the_shortest_codes_are_right_or_flagged() -> None:
+    """Bits are as long as the most by which nodes are looked for that are late."""
+    rig, found = Rig(replace(SPEC, nodes=20, order=8), known=False), 0
+    for _ in range(LEARNT):
+        rig.read(rig.sent({5: 3}))
+    for count in (0, 1, 1, 3, 20):
+        words = rig.some(count)
+        read = rig.read(rig.sent(words))
+        found += certain(read).all() and told(read) == words
+        assert certain(read).all() == (count <= 1)
+    assert found == 3
+
+
 def test_equal_words_and_neighbours_are_told_apart() -> None:
     """As when everybody at rest speaks, or a hand is laid on."""
     rig = Rig()

@@ -127,6 +127,7 @@ def test_an_image_for_any_node_says_so(
         ),
         ({0x3000: 17}, "memory 17 of 17: the memory is"),
         ({0x3002: 20}, "it says 16 nodes with 20 MHz"),
+        ({0x3001: 255}, "it says 65296 nodes with 8 MHz"),
         (dict.fromkeys(range(0x3000, 0x3003), 0xFF), "a program without a node's memory"),
     ):
         damaged = bytes(octets.get(at, octet) for at, octet in enumerate(flash))

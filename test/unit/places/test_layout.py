@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull, Voronoi
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.places.adjacency import cells, polygon_areas_m2
@@ -214,6 +213,8 @@ def test_neighbours_have_nobody_between_them(
 
 def test_cells_of_a_list_are_those_of_voronoi() -> None:
     """Inside as scipy finds them; at the border of a grid, and along a lone row, whole ones."""
+    from scipy.spatial import ConvexHull, Voronoi  # slow to load, and needed here only
+
     rng = np.random.default_rng(3)
     places = np.stack(np.meshgrid(np.arange(9.0), np.arange(8.0)), axis=-1).reshape(-1, 2)
     inside = ((places > 1) & (places < [7, 6])).all(axis=1)

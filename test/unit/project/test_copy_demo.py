@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -12,17 +11,15 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import serial
 
+from test.support.scripts import ROOT, loaded
+
 IMAGE = b"an image"
 
 
 @pytest.fixture
 def tool(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     """tools/copy_demo.py on a machine without boards."""
-    path = Path(__file__).resolve().parents[3] / "tools" / "copy_demo.py"
-    spec = importlib.util.spec_from_file_location("copy_demo", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = loaded(ROOT / "tools" / "copy_demo.py")
     (tmp_path / "demo.uf2").write_bytes(IMAGE)
     monkeypatch.setattr(sys, "argv", ["", str(tmp_path / "demo.uf2"), ""])
     monkeypatch.setattr(module, "comports", list)

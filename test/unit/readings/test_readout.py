@@ -116,7 +116,7 @@ def compare(
     return sides[0].at_once
 
 
-@examples(300)
+@examples(150)
 @given(lines(4), st.integers(0, 99), st.sampled_from([0.3, 0.5, 0.9]))
 def test_frames_are_read_as_by_numpy(
     line: tuple[FrameSpec, np.ndarray], seed: int, threshold: float

@@ -42,10 +42,11 @@ def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
         port.write(PacketWriter().encode(Start()))
         parser = PacketParser()
         packets = collect(port, parser, 150)
-    assert parser.counters.lost_packets == parser.counters.crc_errors == 0
-    blocks = stream(options, options.setup())
-    for packet in packets:  # in real time a busy machine is too late for some
-        block = next(one for one in blocks if one.first_index >= packet.first_index)
+    assert not parser.counters.crc_errors
+    assert speed or not parser.counters.lost_packets
+    for packet, block in zip(packets, stream(options, options.setup()), strict=False):
+        if speed and packet.first_index > block.first_index:
+            break  # in real time a busy machine is too late for some
         assert (packet.first_index, packet.sync) == (block.first_index, block.sync)
         assert np.array_equal(packet.counts, block.counts)
     assert not (tmp_path / "skin").is_symlink()

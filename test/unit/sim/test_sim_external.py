@@ -18,6 +18,7 @@ from tactile_cdma.sim.pressing import press
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.programs import run_python
+from test.support.waiting import PATIENCE_S
 
 STEPPED = "sim://?scene=external&speed=0"
 LAYOUT = Layout.grid(16, 4, 4, 7e-3, 7e-3)
@@ -117,7 +118,9 @@ def test_a_step_returns_though_its_frame_fills_the_period(
     period_ms: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     """What follows a frame shows that it is over; after the frame of a step nothing follows."""
-    with Skin(f"{STEPPED}&threshold=0", nodes=24, frame_period_ms=period_ms, timeout_s=2) as skin:
+    with Skin(
+        f"{STEPPED}&threshold=0", nodes=24, frame_period_ms=period_ms, timeout_s=PATIENCE_S
+    ) as skin:
         frames = [skin.step(BALL) if step % 2 else skin.step() for step in range(6)]
     assert [frame.sequence for frame in frames] == list(range(6))
     assert [frame.pressure_pa.max() > 5e3 for frame in frames] == [False, True] * 3
@@ -186,7 +189,7 @@ def test_frames_wait_for_steps() -> None:
             skin.read()
         with pytest.raises(PortError, match=r"speed is 0, .* step\(\*objects\) lets one pass"):
             skin.press(BALL)
-        skin.timeout_s = 1.0
+        skin.timeout_s = PATIENCE_S
         assert skin.step(BALL).sequence == 1
 
 

@@ -4,13 +4,13 @@
 
 import doctest
 import sys
-from itertools import islice, pairwise
+from itertools import dropwhile, islice, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tactile_cdma import Body, BodyError, ParameterError, PortError, Status
+from tactile_cdma import Body, BodyError, Frame, ParameterError, PortError, Skin, Status
 
 pytestmark = pytest.mark.xdist_group("public_skin")
 FILE = """
@@ -34,10 +34,25 @@ def test_the_example_of_the_docstring_runs() -> None:
     assert (result.failed, result.attempted) == (0, 2)
 
 
+def noted(skin: Skin) -> list[int]:
+    """The numbers of the frames that a skin hands over, which on a busy machine have gaps."""
+    numbers, waiting = list[int](), skin.waiting
+
+    def give() -> list[Frame]:
+        frames = waiting()
+        numbers.extend(frame.sequence for frame in frames)
+        return frames
+
+    skin.waiting = give  # type: ignore[method-assign]
+    return numbers
+
+
 def test_a_patch_that_is_away_is_missing_and_the_others_lose_nothing(file: Path) -> None:
     with Body(file, contacts=True) as body:
-        frames = list(islice(body, 60))
-    assert {frame.missing for frame in frames} == {("away",)}
+        came = {name: noted(skin) for name, skin in body.skins.items()}
+        begun = dropwhile(lambda frame: frame.missing != ("away",), body)  # others may be late
+        frames = list(islice(begun, 60))
+    assert all("away" in frame.missing for frame in frames)
     last = frames[-1]
     left, right, away = (body.parts[name] for name in ("left", "right", "away"))
     assert (left, right, away) == (slice(0, 16), slice(16, 40), slice(40, 56))
@@ -47,8 +62,10 @@ def test_a_patch_that_is_away_is_missing_and_the_others_lose_nothing(file: Path)
     assert np.isnan(last.pressure_pa[away]).all() and (last.status[away] == Status.STALE).all()
     assert np.nanmax(last.pressure_pa[left]) > 1e3 and last.patches["left"].touched
     for name in ("left", "right"):
-        seen = [frame.patches[name].sequence for frame in frames]
-        assert {b - a for a, b in pairwise(seen)} <= {0, 1}, "no frame is skipped"
+        seen = [frame.patches[name].sequence for frame in frames if name in frame.patches]
+        seen = list(dict.fromkeys(seen))
+        first = came[name].index(seen[0])
+        assert seen == came[name][first : first + len(seen)], "no frame is skipped"
     assert all(b.t_host >= a.t_host for a, b in pairwise(frames))
     assert body.positions_m[left, 0].mean() == pytest.approx(1.0)
     assert np.isnan(body.positions_m[right]).all(), "mounted nowhere"

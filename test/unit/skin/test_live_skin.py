@@ -13,6 +13,7 @@ import pytest
 from tactile_cdma import Decoder, ParameterError, PortError, Refusal, RestError, Skin
 from tactile_cdma.sim import Sphere
 from tactile_cdma.skin import LATEST_S
+from test.support.waiting import PATIENCE_S
 
 STEPPED = "sim://?scene=external&speed=0&threshold=0"  # every node speaks in every frame
 BALL = Sphere(radius_m=0.02, position_m=(0.0, 0.0, 0.019))  # 1 mm deep
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.xdist_group("public_skin")
 
 
 def stepped(port: str = STEPPED) -> Skin:
-    skin = Skin(port, nodes=16, contacts=True, timeout_s=5).open()
+    skin = Skin(port, nodes=16, contacts=True, timeout_s=PATIENCE_S).open()
     for _ in range(5):
         skin.step()
     return skin

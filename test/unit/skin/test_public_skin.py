@@ -20,6 +20,8 @@ from tactile_cdma import Decoder, Frame, Origin, Skin, Status, read_recording
 from tactile_cdma.base.errors import ParameterError, PortError, RestError, SpecError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.recording.recording_file import Recorder
+from tactile_cdma.sim.options import SimOptions
+from test.support import simulated
 from test.support.programs import run_python
 from test.support.waiting import wait_for
 
@@ -31,8 +33,7 @@ IDLE = "sim://?scene=idle&heartbeat=2"  # every node speaks early, so that no ta
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("public_skin") / "touch.skin"
-    assert main(["record", "sim://?scene=moving&seed=3&speed=0", str(path), "--seconds", "2"]) == 0
-    return path
+    return simulated.recording(path, SimOptions(scene="moving", seed=3), 2.0)
 
 
 def decoded(path: Path, chunk: int | None = None) -> list[Frame]:
@@ -83,7 +84,7 @@ def test_examples_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert command in text
     (tmp_path / "config").symlink_to(ROOT / "config")
     monkeypatch.chdir(tmp_path)
-    assert main(["record", "sim://?speed=0", "touch.skin", "--seconds", "1"]) == 0
+    simulated.recording(tmp_path / "touch.skin", SimOptions(), 1.0)  # however busy we are
     test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
     results = doctest.DocTestRunner().run(test)
     assert (results.failed, results.attempted > 8) == (0, True)

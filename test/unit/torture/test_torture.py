@@ -3,8 +3,11 @@
 """The oracle and the sums of `make torture` detect planted defects."""
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -109,3 +112,15 @@ def test_outcomes_add_up() -> None:
 def test_the_page_has_what_was_kept() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert updated(text) == text
+
+
+def test_a_driver_that_gets_no_processor_has_more_time_but_not_for_ever(tmp_path: Path) -> None:
+    loaded_skin = pytest.importorskip("torture.load.loaded_skin", reason="no ROS 2")
+    skin = loaded_skin.LoadedSkin(tmp_path, 1, patience_s=0.02)
+    skin.process = SimpleNamespace(poll=lambda: None)
+    begin_s, passed_s = time.monotonic(), lambda: time.monotonic() - begin_s
+    assert not skin.waits_for(lambda: False) and skin.hangs == 1
+    skin.judge.waited_s = passed_s
+    assert skin.waits_for(lambda: passed_s() > 0.15) and skin.hangs == 1
+    assert not skin.waits_for(lambda: False) and skin.hangs == 2
+    assert passed_s() < 5

@@ -27,6 +27,7 @@ from torture.day.laps import LapWriter, Stretch, record
 from torture.outcome import Plan
 from torture.process_watch import SECTIONS, Watch, slope
 
+pytestmark = pytest.mark.xdist_group("day")  # its stretch is made once
 CONFIG = SkinConfig.of(day.SKIN)
 SEED = 3
 Decoded = tuple[list[Lap], list[TactileFrame]]

@@ -75,7 +75,7 @@ def test_a_node_in_no_row_is_no_noise(skin: Skin, late: tuple[tuple[int, float],
     ("number", "seed"),
     [
         *((34, 2), (48, 2), (74, 0), (126, 2), (199, 3), (221, 0), (344, 0), (541, 0), (806, 0)),
-        *((827, 1), (896, 1), (416, 0), (497, 1), (624, 0)),
+        *((827, 1), (896, 1), (416, 0), (497, 1), (624, 0), (1124, 0)),
     ],
 )
 def test_what_was_claimed_falsely_once_is_flagged(number: int, seed: int) -> None:
@@ -130,6 +130,12 @@ def test_a_tone_that_gives_a_frame_its_timing_is_no_silence() -> None:
     )  # fmt: skip
     counts = tally(line, Talk(together=2, words="extreme"), skin, "marks", 30)
     assert counts.wrong_flagged + counts.lost > 20, "it hides words"
+
+
+def test_hum_that_is_taken_for_more_noise_than_it_is_hides_a_word_by_gaps() -> None:
+    counts, complaints = mixture_of(1354).run(40, 1)
+    assert not counts.false, complaints
+    assert counts.lost > 5
 
 
 @pytest.mark.parametrize("share", [0.005, 0.01])
