@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""tools/setup_env.py: its stamps must not depend on the working directory."""
+"""tools/setup_env.py: what it is based on, what it refuses, and where it goes on."""
 
 import os
 import re
@@ -12,7 +12,10 @@ import pytest
 
 from test.support.programs import run_program, run_python
 
-TOOLS = Path(__file__).resolve().parents[3] / "tools"
+sys.path.append(str(Path(__file__).resolve().parents[3] / "tools"))
+import setup_env
+
+TOOLS = Path(setup_env.__file__).parent
 CHOOSE = "import setup_env; print(setup_env.choose_interpreter(any_version=True))"
 
 
@@ -78,3 +81,48 @@ def test_distributions_from_pypi_bring_the_same_packages() -> None:
         for path in TOOLS.parent.glob("requirements-*.txt")
     }
     assert packages["requirements-jazzy.txt"] == packages["requirements-kilted.txt"]
+
+
+BUILD = ["colcon", "import rclpy, tactile_cdma.msg"]
+
+
+@pytest.mark.parametrize(
+    "stopped, again",
+    [
+        ("venv", ["venv", "pip", *BUILD]),
+        ("pip", ["venv", "pip", *BUILD]),  # with what pip has in its cache
+        *((step, BUILD) for step in BUILD),
+    ],
+)
+def test_a_set_up_that_was_stopped_goes_on_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stopped: str, again: list[str]
+) -> None:
+    """As after kill -9: nothing that ends in order tells the next run."""
+    done: list[str] = []
+    stops = [stopped]
+
+    def run(command: list[str], log: Path, *_: object, **__: object) -> None:
+        step = command[2] if command[1] in ("-m", "-c") else command[0]
+        done.append(step)
+        if step in stops:
+            raise KeyboardInterrupt(stops.pop())
+        if step == "venv":
+            (tmp_path / "venv" / "bin").mkdir(parents=True, exist_ok=True)
+            (tmp_path / "venv" / "bin" / "python").touch()
+
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    for name, stand_in in {
+        "run": run,
+        "has_wheels": lambda: True,
+        "require_tools": lambda *_: None,
+        "output": lambda _: f"{tmp_path}\n{tmp_path}",
+    }.items():
+        monkeypatch.setattr(setup_env, name, stand_in)
+    with pytest.raises(KeyboardInterrupt):
+        setup_env.set_up(tmp_path / "venv", "")
+    assert done.pop() == stopped
+    done.clear()
+    setup_env.set_up(tmp_path / "venv", "")
+    assert done == again
+    setup_env.set_up(tmp_path / "venv", "")
+    assert done == again, "a third one has nothing to do"
