@@ -277,7 +277,10 @@ def _silent_by_parts(frame: _Frame) -> Bools:
         # Where parts outnumber words, these may be parts, too; so may one that says the same.
         outnumbered = np.count_nonzero(parts) > np.count_nonzero(active & ~frame.weak)
         return ~active | frame.weak | outnumbered | np.isin(said, words[counts > 1])
-    is_shared = active & (frame.measures.amplitude > SHARED_SHARE * frame.expected)
+    amplitude, usual = frame.measures.amplitude, frame.expected
+    if frame.is_learnt and frame.weak.any():  # that is of the loud, if most are
+        usual = np.minimum(usual, np.median(amplitude[active]))
+    is_shared = active & (amplitude > SHARED_SHARE * usual)
     return frame.weak & is_shared.any()  # the rest of weak ones may be there
 
 
