@@ -35,10 +35,9 @@ struct sparse {
     double *triangle;       /* (most that are told apart)² */
     int32_t *unused;        /* codes of no node */
     int32_t *carried;       /* those that spoke in the last frame that settled */
-    int32_t *told_nodes;    /* those of the last frame that was read */
     int32_t *from;          /* where a listed one was listed before, or -1 */
     int32_t *nodes;         /* (2^m) node of every code, from 0 on; -1: none */
-    size_t unused_count, carried_count, told_count;
+    size_t unused_count, carried_count;
     struct listed now, next; /* words that are taken off; those that will be */
     double power[WORDS_MOST_BITS];
     double level;
@@ -78,7 +77,7 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->book = *book;
     sparse->rules = *rules;
     sparse->chips = calloc(2 * chips + levels + 8 * book->rows, sizeof(float));
-    sparse->unused = malloc(5 * book->rows * sizeof(int32_t));
+    sparse->unused = malloc(4 * book->rows * sizeof(int32_t));
     if (!(sparse->chips && sparse->unused && make_list(&sparse->now, book) && make_list(&sparse->next, book))) {
         sparse_free(sparse);
         return NULL;
@@ -96,7 +95,6 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->carried = sparse->unused + book->rows;
     sparse->from = sparse->carried + book->rows;
     sparse->nodes = sparse->from + book->rows;
-    sparse->told_nodes = sparse->nodes + book->rows;
     if (rules->alike && !make_products(sparse)) {
         sparse_free(sparse);
         return NULL;
@@ -652,28 +650,22 @@ void sparse_learn(const struct sparse *sparse, double found, double *noise)
     *noise = *noise > 0 ? *noise + sparse->rules.weight * (found - *noise) : found;
 }
 
-/* Replaces the levels of those who spoke in the frame before by those of this one. */
-static void tell_spoken(struct sparse *sparse, float *rows, int32_t *spoke)
+/* Levels of those who spoke. */
+static void tell_spoken(const struct sparse *sparse, float *levels, int32_t *spoke)
 {
     const struct sparse_book *book = &sparse->book;
     const struct listed *next = &sparse->next;
-    int32_t *nodes = sparse->told_nodes;
 
     for (size_t i = 0; i < next->count; i++)
         spoke[i] = sparse->nodes[next->codes[i]];
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *sums = sums_of(sparse, bit);
-        float *levels = rows + bit * book->rows + 1;
-        for (size_t i = 0; i < sparse->told_count; i++)
-            levels[nodes[i]] = 0;
         for (size_t i = 0; i < next->count; i++)
-            levels[spoke[i]] = sums[next->codes[i]] * (1.0f / (float)book->order);
+            *levels++ = sums[next->codes[i]] * (1.0f / (float)book->order);
     }
-    sparse->told_count = next->count;
-    memcpy(nodes, spoke, next->count * sizeof *nodes);
 }
 
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, int32_t *spoke,
+bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
                  struct sparse_told *told)
 {
     const struct sparse_book *book = &sparse->book;
@@ -687,7 +679,7 @@ bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float
     found /= (double)book->bits;
     if (!words_explain(sparse, *noise) || silence_rises(sparse, found / (double)book->order))
         return false;
-    tell_spoken(sparse, rows, spoke);
+    tell_spoken(sparse, levels, spoke);
     *told = (struct sparse_told){sparse->level, sqrt(found / (double)book->order), sparse->next.count};
     sparse_learn(sparse, found, noise);
     return true;
