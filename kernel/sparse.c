@@ -136,10 +136,16 @@ static float *sums_of(const struct sparse *sparse, size_t bit)
 
 /* ---- passes over all rows or chips --------------------------------------------------------------- */
 
-VECTORS static void add_loud(size_t rows, const float *restrict sums, float *restrict loud)
+/* Means over the bits, scaled; sums: so many values from bit to bit. */
+VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums, float scale,
+                                 float *restrict loud)
 {
-    for (size_t i = 0; i < rows; i++)
-        loud[i] += fabsf(sums[i]);
+    for (size_t i = 0; i < rows; i += LANES) {
+        floats8 sum = {0};
+        for (size_t bit = 0; bit < bits; bit++)
+            sum += (floats8)(*(const ints8 *)(sums + bit * step + i) & INT32_MAX);
+        *(floats8 *)(loud + i) = sum * scale;
+    }
 }
 
 VECTORS static void add_squares(size_t rows, const float *restrict sums, float *restrict squares)
@@ -189,7 +195,6 @@ static void correlate(struct sparse *sparse)
     const float *left = sparse->left;
     float *loud = sparse->loud, *spread = sparse->spread, order = (float)book->order;
 
-    memset(loud, 0, book->rows * sizeof *loud);
     for (size_t bit = 0; bit < book->bits; bit++, left += book->order, places += book->order) {
         const float *words = now->words + bit * book->rows;
         float *sums = sums_of(sparse, bit);
@@ -199,10 +204,8 @@ static void correlate(struct sparse *sparse)
         memset(spread, 0, book->rows * sizeof *spread);
         for (size_t i = 0; i < now->count; i++)
             sums[now->codes[i]] += order * words[i];
-        add_loud(book->rows, sums, loud);
     }
-    for (size_t i = 0; i < book->rows; i++)
-        loud[i] *= 1.0f / (order * (float)book->bits);
+    average_loud(book->rows, book->bits, book->rows + APART_BY, sparse->sums, 1.0f / (order * (float)book->bits), loud);
     for (size_t i = 0; i < sparse->unused_count; i++)
         loud[sparse->unused[i]] = 0;
 }
@@ -237,12 +240,14 @@ static void exchange(struct sparse *sparse)
 /* Lists the codes that have more: most eights of codes have none, and in others it is a guess who has. */
 VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
+    const floats8 limit = (floats8){0} + least;
     size_t count = 0;
 
     for (size_t first = 0; first < rows; first += LANES) {
-        int any = 0;
-        for (size_t i = 0; i < LANES; i++)
-            any |= values[first + i] > least;
+        const ints8 above = *(const floats8 *)(values + first) > limit;
+        uint64_t pairs[LANES / 2];
+        memcpy(pairs, &above, sizeof pairs);
+        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
         for (size_t i = 0; any && i < LANES; i++) {
             codes[count] = (int32_t)(first + i);
             count += values[first + i] > least;
@@ -402,10 +407,11 @@ static double change_of(const struct sparse *sparse)
 }
 
 VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
-                         const int32_t *restrict places, float onsager, float *restrict left)
+                         const int32_t *restrict places, float onsager, const float *restrict flips, float level,
+                         float *restrict left)
 {
     for (size_t i = 0; i < count; i++)
-        left[i] = chips[i] - told[places[i]] + onsager * left[i];
+        left[i] = chips[i] - told[places[i]] + onsager * left[i] - level * flips[i];
 }
 
 /* Chips, which may be `left`, without the level. */
@@ -423,6 +429,7 @@ static void take_off(struct sparse *sparse, double level, float onsager)
     const struct listed *now = &sparse->now;
     size_t chips = book->bits * book->order;
     float *told = sparse->told, *spread = sparse->spread;
+    float known = isnan(level) ? 0 : (float)level;
 
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *words = now->words + bit * book->rows;
@@ -432,10 +439,13 @@ static void take_off(struct sparse *sparse, double level, float onsager)
         transform_multiply(book->walsh, spread, told, 1);
         for (size_t i = 0; i < now->count; i++)
             spread[now->codes[i]] = 0;
-        take(book->order, sparse->chips + first, told, book->places + first, onsager, sparse->left + first);
+        take(book->order, sparse->chips + first, told, book->places + first, onsager, book->flips + first, known,
+             sparse->left + first);
     }
-    sparse->level = isnan(level) ? product(chips, sparse->left, book->flips) / (double)chips : level;
-    shift(chips, sparse->left, book->flips, (float)sparse->level, sparse->left);
+    if (isnan(level)) {
+        sparse->level = product(chips, sparse->left, book->flips) / (double)chips;
+        shift(chips, sparse->left, book->flips, (float)sparse->level, sparse->left);
+    }
 }
 
 /* ---- a frame ----------------------------------------------------------------------------------- */
