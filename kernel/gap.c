@@ -3,7 +3,8 @@
 #include "gap.h"
 
 #include <math.h>
-#include <string.h>
+
+#include "vectors.h"
 
 size_t gap_values(const struct burst_search *search, size_t samples)
 {
@@ -12,20 +13,12 @@ size_t gap_values(const struct burst_search *search, size_t samples)
     return samples + 1 + halves + burst_scratch(halves);
 }
 
-/* Chips of the longest view of GAP_MOST candidates a chip apart. */
-static size_t most_chips(const struct fit_code *code)
-{
-    return code->span + GAP_MOST;
-}
-
 size_t gap_scratch(const struct fit_code *code, const struct burst_search *search)
 {
-    size_t order = code->frame.order, each = code->frame.bits * order + 2 * code->frame.nodes + 4;
-    size_t judge = (GAP_MOST + 2) * most_chips(code) + GAP_MOST * code->frame.bits * order;
-    size_t beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
+    size_t judge = judge_scratch(code), beside = 4 * (search->gap_size / search->half + 1), refine = fit_scratch(code);
 
     judge = judge < beside ? beside : judge;
-    return most_chips(code) + GAP_MOST * each + (judge < refine ? refine : judge);
+    return code->span + JUDGE_MOST + (judge < refine ? refine : judge);
 }
 
 /* Whole chips by which rivals may begin earlier or later than a fit; as GapSearch._shifts_of. Whether that is not too
@@ -46,23 +39,16 @@ static bool find_shifts(const struct fit_code *code, const struct gap_rules *rul
     *earliest = (low < 0 ? low : 0) - rules->beyond;
     *latest = (high > 0 ? high : 0) + rules->beyond;
     seen->proven = fit->start >= -0.5 && end <= (double)size ? end + *latest * fit->chip : 0;
-    return seen->proven > 0 && seen->proven <= (double)size && *latest - *earliest < GAP_MOST;
+    return seen->proven > 0 && seen->proven <= (double)size && *latest - *earliest < JUDGE_MOST;
 }
 
-/* As GapSearch.carried: whether the chips where a frame is expected leave nothing over, and then its words. levels: of
- * the chips in view, too. */
-static bool is_still(const struct fit_code *code, const struct fit_line *line, double blur, double misfit,
-                     double earliest, double latest, struct gap_seen *seen, float *levels)
+/* The words of a frame; levels: of the chips from its first one on. */
+static void read_words(const struct fit_code *code, const float *levels, const struct judge_words *words)
 {
-    const struct judge_found *words = &seen->words;
-    size_t lead = (size_t)-earliest;
-
-    fit_levels(line, &seen->fit, blur, lead, lead + code->span + (size_t)latest, levels);
-    fit_chips(code, levels + lead, code->frame.bits, words->rows);
+    fit_chips(code, levels, code->frame.bits, words->rows);
     transform_multiply(code->correlate, words->rows, words->rows, code->frame.bits);
     words_fit(&code->frame, words->rows, words->amplitude, words->uneven, words->pedestal, words->power, words->spread,
               words->misfit);
-    return (double)*words->misfit < misfit;
 }
 
 /* As Expected.log_prior, negative. */
@@ -93,75 +79,55 @@ static double square(double value)
     return value * value;
 }
 
-static void copy_words(const struct words_frame *frame, const struct judge_found *from, const struct judge_found *to)
+/* Where a candidate of the view begins. */
+static double start_of(const struct gap_seen *seen, const struct judge_view *view, size_t candidate)
 {
-    memcpy(to->rows, from->rows, frame->bits * frame->order * sizeof *to->rows);
-    memcpy(to->amplitude, from->amplitude, frame->nodes * sizeof *to->amplitude);
-    memcpy(to->uneven, from->uneven, frame->nodes * sizeof *to->uneven);
-    *to->pedestal = *from->pedestal;
-    *to->power = *from->power;
-    *to->spread = *from->spread;
-    *to->misfit = *from->misfit;
+    return seen->fit.start + seen->fit.chip * ((double)candidate - (double)view->likely);
 }
 
-/* Weighs a carried frame against its rivals. Returns whether it is the frame beyond doubt, and then its words. levels:
- * as in judge_candidates. */
-static bool judge(const struct fit_code *code, const struct fit_line *line, const struct judge_limits *limits,
-                  const struct gap_rules *rules, const struct gap_expected *expected, double noise,
-                  double earliest, double latest, float *levels, struct gap_seen *seen, float *scratch)
+/* Negative log-probability of a start so far from a burst's first loud sample. */
+static double cost_of_silence(double start, double first, double chip)
 {
-    const struct words_frame *frame = &code->frame;
-    size_t size = frame->bits * frame->order, nodes = frame->nodes, count = (size_t)(latest - earliest) + 1;
-    size_t likely = (size_t)-earliest;
-    double start[GAP_MOST], chip[GAP_MOST], cost[GAP_MOST];
-    float *rows = scratch, *amplitude = rows + GAP_MOST * size, *uneven = amplitude + GAP_MOST * nodes;
-    float *four = uneven + GAP_MOST * nodes;
-    struct judge_found found = {rows, amplitude, uneven, four, four + GAP_MOST, four + 2 * GAP_MOST,
-                                four + 3 * GAP_MOST, cost};
-    const struct judge_found own = {rows + likely * size, amplitude + likely * nodes, uneven + likely * nodes,
-                                    four + likely, four + GAP_MOST + likely, four + 2 * GAP_MOST + likely,
-                                    four + 3 * GAP_MOST + likely, NULL};
-    struct judge_votes votes;
+    return log1p(square((start - first) / (0.5 * chip)));
+}
 
-    if (levels)
-        copy_words(frame, &seen->words, &own);
-    for (size_t c = 0; c < count; c++) {
-        start[c] = seen->fit.start + seen->fit.chip * ((double)c + earliest);
-        chip[c] = seen->fit.chip;
-    }
-    struct judge_candidates all = {count, likely, start, chip, start[0],
-                                   start[count - 1] + (double)code->span * chip[0], rules->ruled_out,
-                                   rules->ruled_out / 2, levels};
+/* Weighs a carried frame against its rivals: whether it is the frame beyond doubt. */
+static bool is_decided(const struct fit_code *code, const struct gap_rules *rules, const struct gap_expected *expected,
+                       const struct judge_view *view, struct gap_seen *seen, float *scratch)
+{
+    const struct judge_words *words = &seen->words;
+    const double chip = seen->fit.chip, power = *words->power > 1e-30f ? (double)*words->power : 1e-30;
+    const size_t likely = view->likely;
+    double cost[JUDGE_MOST], margin = rules->ruled_out;
+    struct judge_votes votes;
     bool decided = false;
+
+    if (!((double)*words->misfit < rules->carried_noise * view->noise / power + rules->carried_misfit))
+        return false;
     seen->unaided = false;
     /* Mostly the least that the others cost is enough. */
-    for (; !(decided && seen->unaided) && all.close <= all.margin; all.close *= 2) {
-        votes = (struct judge_votes){0, 0};
-        judge_weigh(code, line, limits, &all, noise, &found, &votes, four + 4 * GAP_MOST);
-        double power = *own.power > 1e-30f ? (double)*own.power : 1e-30;
-        double most = judge_most(limits, rules->disturbed, &votes, count - 1 + code->span), least = cost[likely];
-        if (!((double)*own.misfit < rules->carried_noise * noise / power + rules->carried_misfit &&
-              least + log1p(square((start[likely] - seen->burst.first) / (0.5 * chip[likely]))) < most))
+    for (double close = margin / 2; !(decided && seen->unaided) && close <= margin; close *= 2) {
+        if (!judge_weigh(code, &rules->judge, view, words, close, margin, &votes, cost, scratch))
             return false;
-        for (size_t c = 0; c < count; c++) {
-            if (c != likely && cost[c] < least + rules->ruled_out / 2)
+        double least = cost[likely], most = judge_most(&rules->judge, rules->disturbed, &votes, view->count - 1 + code->span);
+        for (size_t c = 0; c < view->count; c++) {
+            if (c != likely && cost[c] < least + margin / 2)
                 return false; /* with timing of its own it may get closer */
-            cost[c] += log1p(square((start[c] - seen->burst.first) / (0.5 * chip[c])));
+            cost[c] += cost_of_silence(start_of(seen, view, c), seen->burst.first, chip);
         }
-        seen->unaided = other(cost, count, likely) < rules->doubt;
-        for (size_t c = 0; c < count; c++)
-            cost[c] += cost_of_place(expected, rules->wide, start[c]);
-        decided = other(cost, count, likely) < rules->doubt;
+        if (!(cost[likely] < most))
+            return false;
+        seen->unaided = other(cost, view->count, likely) < rules->doubt;
+        for (size_t c = 0; c < view->count; c++)
+            cost[c] += cost_of_place(expected, rules->wide, start_of(seen, view, c));
+        decided = other(cost, view->count, likely) < rules->doubt;
     }
-    if (!decided)
-        return false;
-    copy_words(frame, &own, &seen->words);
-    return true;
+    return decided;
 }
 
 /* As WordFit.believable, of words that are even, by all of them and this noise of a chip's level. */
 static bool are_sound(const struct words_frame *frame, const struct gap_rules *rules,
-                      const struct judge_found *words, double noise)
+                      const struct judge_words *words, double noise)
 {
     double power = (double)*words->power, pedestal = (double)*words->pedestal, active = 0;
     double even = power - pedestal * pedestal, spread = (double)*words->spread;
@@ -197,7 +163,7 @@ static double level_beside(const struct fit_line *line, double first, double end
 }
 
 /* Whether a word has the same bit throughout, or changes it once. */
-static bool has_equal_bits(const struct words_frame *frame, const struct judge_found *words)
+static bool has_equal_bits(const struct words_frame *frame, const struct judge_words *words)
 {
     for (size_t i = 0; i < frame->nodes; i++) {
         const float *row = words->rows + frame->first + i;
@@ -212,7 +178,7 @@ static bool has_equal_bits(const struct words_frame *frame, const struct judge_f
 
 /* As `strays` in framing/gaps/stray.py, where it finds nothing without a closer look. least: amplitude of a node, V. */
 static bool are_in_time(const struct fit_code *code, const struct gap_rules *rules, const struct fit_line *line,
-                        double blur, double least, const struct gap_seen *seen)
+                        double least, const struct gap_seen *seen)
 {
     const struct words_frame *frame = &code->frame;
     double start = seen->fit.start, chip = seen->fit.chip, end = start + (double)code->span * chip;
@@ -230,7 +196,7 @@ static bool are_in_time(const struct fit_code *code, const struct gap_rules *rul
         return false;
     size_t count = code->span < rules->most_turned ? code->span : rules->most_turned;
     double by_noise = 2 * noise / (rules->inner * chip);
-    return fit_turned(line, &seen->fit, rules->inner, blur, count) <=
+    return fit_turned(line, &seen->fit, rules->inner, rules->blur, count) <=
            rules->turned * least * least + by_noise * (1 + rules->scatter * sqrt(2 / (double)count));
 }
 
@@ -245,16 +211,68 @@ static bool may_have_another(const struct burst_search *search, const struct gap
     return rules->shortest < before && before < (double)size;
 }
 
-bool gap_look(const struct fit_code *code, const struct burst_search *search,
-              const struct judge_limits *limits, const struct gap_rules *rules,
-              const double *reaches, size_t turns, const double *volts, size_t size,
-              double least_power, const struct burst_gap *known, const struct gap_expected *expected,
-              struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
+/* Finds the chips in view of the frame that `fit` says and its rivals, and its words. False where there are too many
+ * rivals, or silence after them is not in view yet; see find_shifts. */
+static bool view_frame(const struct fit_code *code, const struct gap_rules *rules, const struct fit_line *line,
+                       struct gap_seen *seen, struct judge_view *view, float *levels)
+{
+    double earliest, latest;
+
+    if (!find_shifts(code, rules, line->size, seen, &earliest, &latest))
+        return false;
+    view->likely = (size_t)-earliest;
+    view->count = view->likely + 1 + (size_t)latest;
+    fit_levels(line, &seen->fit, rules->blur, view->likely, code->span + view->count - 1, levels);
+    read_words(code, levels + view->likely, &seen->words);
+    return true;
+}
+
+/* As GapSearch.carried, with the words of the frame that it finds. */
+static bool carry(const struct fit_code *code, const struct gap_rules *rules, const struct fit_refining *refining,
+                  const struct gap_expected *expected, const struct fit_line *line, struct gap_seen *seen, struct judge_view *view, float *levels,
+                  float *scratch)
+{
+    seen->fit = (struct fit){expected->start, expected->chip};
+    if (view_frame(code, rules, line, seen, view, levels) && (double)*seen->words.misfit < rules->still_misfit)
+        return true;
+    seen->fit = fit_refine(code, line, refining, seen->fit, -INFINITY, INFINITY, scratch);
+    seen->proven = 0;
+    return seen->fit.chip > rules->least_chip * expected->chip && view_frame(code, rules, line, seen, view, levels);
+}
+
+/* Whether a burst may be the frame that is expected, and begins after a gap. */
+static bool may_be_it(const struct fit_code *code, const struct burst_search *search, const struct gap_rules *rules,
+                      const struct gap_expected *expected, const struct burst_found *burst)
+{
+    double loud = burst->last - burst->first, least = rules->shortest - 1.5 * (double)code->frame.order * search->chip;
+
+    return expected->chip > 0 && burst->first >= search->chip &&
+           fabs(burst->first - expected->start) < rules->period / 2 && loud + 2 * burst->slack >= least &&
+           loud <= rules->longest + 2 * burst->slack;
+}
+
+/* Share of a frame's samples that are at a rail. */
+VECTORS static double share_clipped(const struct gap_rules *rules, const double *raw, size_t size, double start,
+                                    double end)
+{
+    size_t begin = start > 0 ? (size_t)rint(start) : 0, stop = (size_t)rint(end), count = 0;
+
+    stop = stop < size ? stop : size;
+    for (size_t i = begin; i < stop; i++)
+        count += (size_t)(raw[i] <= rules->rail_low) | (size_t)(raw[i] >= rules->rail_high);
+    return stop > begin ? (double)count / (double)(stop - begin) : 0;
+}
+
+bool gap_look(const struct fit_code *code, const struct burst_search *search, const struct gap_rules *rules,
+              const struct fit_refining *refining, const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
+              const struct gap_expected *expected, struct gap_seen *seen, enum gap_look *look, double *values,
+              float *scratch)
 {
     size_t halves = size / search->half;
-    double *sums = values, *means = sums + size + 1, *rest = means + halves, earliest, latest;
+    double *sums = values, *means = sums + size + 1, *rest = means + halves;
     double behind = 0; /* the last half chip */
     struct burst_found *burst = &seen->burst;
+    float *levels = scratch;
 
     *look = GAP_SILENT;
     seen->proven = 0;
@@ -270,37 +288,26 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search,
     if (may_have_another(search, rules, burst, size))
         return true;
     *look = GAP_BURST;
-    double loud = burst->last - burst->first;
-    if (!(expected->chip > 0 && burst->first >= search->chip &&
-          fabs(burst->first - expected->start) < rules->period / 2 &&
-          loud + 2 * burst->slack >= rules->shortest - 1.5 * (double)code->frame.order * search->chip &&
-          loud <= rules->longest + 2 * burst->slack))
+    if (!may_be_it(code, search, rules, expected, burst))
         return true;
     const struct fit_line line = {size, volts, sums, seen->gap.level};
+    struct judge_view view = {.levels = levels};
     fit_sums(volts, size, line.level, sums);
-    float *levels = scratch;
-    scratch += most_chips(code);
-    seen->fit = (struct fit){expected->start, expected->chip};
-    if (!(find_shifts(code, rules, size, seen, &earliest, &latest) &&
-          is_still(code, &line, limits->blur, rules->still_misfit, earliest, latest, seen, levels))) {
-        const struct fit_refining refining = {limits->blur, rules->settled_chips, turns, reaches};
-        seen->fit = fit_refine(code, &line, &refining, seen->fit, -INFINITY, INFINITY, scratch);
-        seen->proven = 0;
-        if (!(seen->fit.chip > rules->least_chip * expected->chip &&
-              find_shifts(code, rules, size, seen, &earliest, &latest)))
-            return true;
-        levels = NULL;
-    }
-    double noise = burst->variance * (double)search->half / seen->fit.chip;
-    if (!judge(code, &line, limits, rules, expected, noise, earliest, latest, levels, seen, scratch))
+    scratch += code->span + JUDGE_MOST;
+    if (!carry(code, rules, refining, expected, &line, seen, &view, levels, scratch))
         return true;
-    double first = floor(seen->fit.start - seen->fit.chip);
-    double end = ceil(seen->fit.start + ((double)code->span + 1) * seen->fit.chip);
-    seen->beside = burst_beside(search, volts, size, line.level, first > 0 ? (size_t)first : 0, (size_t)end,
+    view.noise = burst->variance * (double)search->half / seen->fit.chip;
+    if (!is_decided(code, rules, expected, &view, seen, scratch))
+        return true;
+    double end = seen->fit.start + (double)code->span * seen->fit.chip;
+    double before = floor(seen->fit.start - seen->fit.chip), behind_it = ceil(end + seen->fit.chip);
+    seen->beside = burst_beside(search, volts, size, line.level, before > 0 ? (size_t)before : 0, (size_t)behind_it,
                                 burst->variance, burst->power, scratch);
-    noise = seen->beside.variance * (double)search->half / seen->fit.chip;
-    seen->sound = seen->beside.quiet && are_sound(&code->frame, rules, &seen->words, noise) &&
-                  are_in_time(code, rules, &line, limits->blur, sqrt(least_power) / rules->faint, seen);
+    double noise = seen->beside.variance * (double)search->half / seen->fit.chip;
+    seen->clipped = share_clipped(rules, raw, size, seen->fit.start, end);
+    seen->sound = seen->clipped <= rules->deafened && seen->beside.quiet &&
+                  are_sound(&code->frame, rules, &seen->words, noise) &&
+                  are_in_time(code, rules, &line, sqrt(least_power) / rules->faint, seen);
     seen->noise = words_noise(&code->frame, seen->words.rows, rules->spare, rules->spare_count);
     *look = GAP_FRAME;
     return true;

@@ -1,36 +1,31 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Weighs candidate frames against each other: the chips' bounded votes of framing/judge.py. In C because
- * every frame has some nine candidates, of which each takes two transforms and ten passes over its chips:
- * numpy would take longer for that than for all the rest. Candidates a whole chip apart share their chips'
- * levels. */
+/* Weighs a frame against its rivals, which begin whole chips earlier or later: the chips' bounded votes of
+ * framing/judge.py. In C because every frame of a line without marks has some eight rivals, of which each takes two
+ * transforms and ten passes over its chips: numpy would take longer for that than for all the rest. */
 #ifndef TACTILE_JUDGE_H
 #define TACTILE_JUDGE_H
 
 #include "fit.h"
 
-/* As `Limits` in limits.py; blur: see fit.py. */
+#define JUDGE_MOST 16 /* frames that are weighed: _MOST_CARRIED in search.py */
+
+/* As `Limits` in limits.py. */
 struct judge_limits {
-    double distortion, most, most_deviations, vote, blur;
+    double distortion, most, most_deviations, vote;
 };
 
-/* c candidates, and the line from `begin` to `end`. likely: which one it probably is; of the others those are
- * left after their last bits whose cost is beyond its one and `margin` by these, or `close` if by these they
- * leave more over. As many as there are: of all the whole cost is wanted. levels: of the chips in view of the likely
- * one, whose words are found already; or NULL. */
-struct judge_candidates {
-    size_t count, likely;
-    const double *start, *chip;
-    double begin, end, margin, close;
-    float *levels;
-};
-
-/* What is found out of each candidate: rows (c, k, N); amplitude, uneven (c, n); the others (c,), as in
- * WordFit. cost: negative log-likelihood; of those that are left, that of their last bits, and nothing is
- * meant by their words. */
-struct judge_found {
+/* What words a frame holds; as WordFit of one candidate. */
+struct judge_words {
     float *rows, *amplitude, *uneven, *pedestal, *power, *spread, *misfit;
-    double *cost;
+};
+
+/* A frame and its rivals, `count` in all, of which number c begins with chip c of the view: the frame is number
+ * `likely`. levels: of count - 1 chips more than a frame has. noise: of a chip's level in the gap, V². */
+struct judge_view {
+    size_t count, likely;
+    const float *levels;
+    double noise;
 };
 
 /* How chips vote: δ, V, and σ², V². */
@@ -38,21 +33,17 @@ struct judge_votes {
     double distortion, variance;
 };
 
-/* Chips of the longest view among the candidates; 0 where one is not within the view. */
-size_t judge_chips(const struct fit_code *code, const struct judge_candidates *candidates);
+/* Values of scratch that JUDGE_MOST frames take. */
+size_t judge_scratch(const struct fit_code *code);
 
-/* Values of scratch that these take. */
-size_t judge_scratch(const struct fit_code *code, const struct judge_candidates *candidates);
-
-/* Fills in what is found. votes: found out, too, where their variance is 0; noise: of a chip's level in the
- * gap, V². */
-void judge_weigh(const struct fit_code *code, const struct fit_line *line,
-                 const struct judge_limits *limits, const struct judge_candidates *candidates,
-                 double noise, const struct judge_found *found, struct judge_votes *votes,
+/* cost: (count), negative log-likelihood. Rivals whose last bits cost more than the frame and `margin` are ruled out,
+ * and keep the cost of these; so are those that by these leave more over, beyond `close`. votes: what the line gives.
+ * False where a rival leaves less over than the frame: then chips would vote by that one. */
+bool judge_weigh(const struct fit_code *code, const struct judge_limits *limits, const struct judge_view *view,
+                 const struct judge_words *words, double close, double margin, struct judge_votes *votes, double *cost,
                  float *scratch);
 
 /* As Votes.most in judge.py; disturbed: share of the chips that may be. */
-double judge_most(const struct judge_limits *limits, double disturbed, const struct judge_votes *votes,
-                  size_t chips);
+double judge_most(const struct judge_limits *limits, double disturbed, const struct judge_votes *votes, size_t chips);
 
 #endif

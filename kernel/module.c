@@ -14,7 +14,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 28 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 29 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -56,11 +56,6 @@ static const struct field readout_fields[] = {
     OF_READOUT(pieces),                       OF_READOUT(taxels),
 };
 
-static const struct field votes_fields[] = {
-    FIELD(judge_limits, distortion), FIELD(judge_limits, most), FIELD(judge_limits, most_deviations),
-    FIELD(judge_limits, vote),       FIELD(judge_limits, blur),
-};
-
 static const struct field burst_fields[] = {
     FIELD(burst_search, half),      FIELD(burst_search, window),       FIELD(burst_search, group),
     FIELD(burst_search, low),       FIELD(burst_search, high),         FIELD(burst_search, bit),
@@ -72,23 +67,31 @@ static const struct field burst_fields[] = {
 };
 
 static const struct field rules_fields[] = {
-    FIELD(gap_rules, shortest),      FIELD(gap_rules, longest),       FIELD(gap_rules, bit),
-    FIELD(gap_rules, period),        FIELD(gap_rules, beyond),        FIELD(gap_rules, carried_noise),
-    FIELD(gap_rules, carried_misfit), FIELD(gap_rules, doubt),        FIELD(gap_rules, disturbed),
-    FIELD(gap_rules, wide),          FIELD(gap_rules, ruled_out),     FIELD(gap_rules, settled_chips),
-    FIELD(gap_rules, still_misfit),  FIELD(gap_rules, least_chip),    FIELD(gap_rules, uneven),
-    FIELD(gap_rules, spread),        FIELD(gap_rules, left),          FIELD(gap_rules, misfit),
-    FIELD(gap_rules, faint),         FIELD(gap_rules, near),          FIELD(gap_rules, far),
-    FIELD(gap_rules, beside),        FIELD(gap_rules, perhaps),       FIELD(gap_rules, inner),
-    FIELD(gap_rules, turned),        FIELD(gap_rules, scatter),       FIELD(gap_rules, stray_left),
-    FIELD(gap_rules, clear),         FIELD(gap_rules, most_turned),   FIELD(gap_rules, spare),
-    FIELD(gap_rules, spare_count),   FIELD(gap_rules, twins),
+    FIELD(gap_rules, judge.distortion),     FIELD(gap_rules, judge.most),
+    FIELD(gap_rules, judge.most_deviations), FIELD(gap_rules, judge.vote),
+    FIELD(gap_rules, blur),                 FIELD(gap_rules, settled_chips),
+    FIELD(gap_rules, shortest),             FIELD(gap_rules, longest),
+    FIELD(gap_rules, bit),                  FIELD(gap_rules, period),
+    FIELD(gap_rules, beyond),               FIELD(gap_rules, carried_noise),
+    FIELD(gap_rules, carried_misfit),       FIELD(gap_rules, doubt),
+    FIELD(gap_rules, disturbed),            FIELD(gap_rules, wide),
+    FIELD(gap_rules, ruled_out),            FIELD(gap_rules, rail_low),
+    FIELD(gap_rules, rail_high),            FIELD(gap_rules, deafened),
+    FIELD(gap_rules, still_misfit),         FIELD(gap_rules, least_chip),
+    FIELD(gap_rules, uneven),               FIELD(gap_rules, spread),
+    FIELD(gap_rules, left),                 FIELD(gap_rules, misfit),
+    FIELD(gap_rules, faint),                FIELD(gap_rules, near),
+    FIELD(gap_rules, far),                  FIELD(gap_rules, beside),
+    FIELD(gap_rules, perhaps),              FIELD(gap_rules, inner),
+    FIELD(gap_rules, turned),               FIELD(gap_rules, scatter),
+    FIELD(gap_rules, stray_left),           FIELD(gap_rules, clear),
+    FIELD(gap_rules, most_turned),          FIELD(gap_rules, spare),
+    FIELD(gap_rules, spare_count),          FIELD(gap_rules, twins),
 };
 
 static const struct layout layouts[] = {
     LAYOUT(words_frame, frame_fields),
     LAYOUT(readout_settings, readout_fields),
-    LAYOUT(judge_limits, votes_fields),
     LAYOUT(burst_search, burst_fields),
     LAYOUT(gap_rules, rules_fields),
 };

@@ -99,37 +99,6 @@ FUNCTION(refine, ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"), NUMBER("blur
     return Py_BuildValue("(dd)", fit.start, fit.chip);
 }
 
-FUNCTION(weigh, SETTINGS(judge_limits), ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"),
-         ARRAY("start", 'd', "c"), ARRAY("chip", 'd', "c"), NUMBER("begin"), NUMBER("end"),
-         NUMBER("noise"), SIZE("likely"), NUMBER("margin"), NUMBER("distortion"), NUMBER("variance"),
-         OUT("rows", 'f', "ckN"), OUT("amplitude", 'f', "cn"), OUT("uneven", 'f', "cn"),
-         OUT("pedestal", 'f', "c"), OUT("power", 'f', "c"), OUT("spread", 'f', "c"),
-         OUT("misfit", 'f', "c"), OUT("cost", 'd', "c"), OUT("scratch", 'f', "f"))
-{
-    const struct fit_code *code = &((struct code *)held_by(call->self))->code;
-    const union value *value = call->value;
-    struct judge_candidates candidates = {axis(call, 'c'),  value[8].size,   value[3].data,
-                                          value[4].data,    value[5].number, value[6].number,
-                                          value[9].number,  value[9].number, NULL};
-    struct judge_found found = {value[12].data, value[13].data, value[14].data, value[15].data,
-                                value[16].data, value[17].data, value[18].data, value[19].data};
-    struct judge_votes votes = {value[10].number, value[11].number};
-    struct fit_line line;
-
-    if (!is_line(call, 1, &line))
-        return NULL;
-    if (!is_frame(call, code))
-        return NULL;
-    size_t chips = judge_chips(code, &candidates);
-    if (!chips)
-        return refuse(call, "start: a candidate is not within the view");
-    if (axis(call, 'f') < judge_scratch(code, &candidates))
-        return refuse(call, "scratch: %zu values expected", judge_scratch(code, &candidates));
-    judge_weigh(code, &line, value[0].data, &candidates, value[7].number, &found, &votes,
-                value[20].data);
-    return Py_BuildValue("(ddn)", votes.distortion, votes.variance, (Py_ssize_t)chips);
-}
-
 /* Whether the lengths of a search are possible. */
 static bool is_search(const struct burst_search *search)
 {
@@ -138,48 +107,45 @@ static bool is_search(const struct burst_search *search)
            search->group < 1 << 20;
 }
 
-FUNCTION(look, SETTINGS(burst_search), SETTINGS(judge_limits), SETTINGS(gap_rules),
-         ARRAY("reaches", 'd', "r"), ARRAY("volts", 'd', "m"), NUMBER("least_power"), NUMBER("level"),
-         NUMBER("variance"), NUMBER("start"), NUMBER("scatter"), NUMBER("chip"), NUMBER("slips"),
-         OUT("rows", 'f', "1kN"), OUT("amplitude", 'f', "1n"), OUT("uneven", 'f', "1n"),
-         OUT("pedestal", 'f', "1"), OUT("power", 'f', "1"), OUT("spread", 'f', "1"),
+FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd', "r"), ARRAY("volts", 'd', "m"),
+         ARRAY("raw", 'd', "m"), NUMBER("least_power"), NUMBER("level"), NUMBER("variance"), NUMBER("start"),
+         NUMBER("scatter"), NUMBER("chip"), NUMBER("slips"), OUT("rows", 'f', "1kN"), OUT("amplitude", 'f', "1n"),
+         OUT("uneven", 'f', "1n"), OUT("pedestal", 'f', "1"), OUT("power", 'f', "1"), OUT("spread", 'f', "1"),
          OUT("misfit", 'f', "1"), OUT("values", 'd', "v"), OUT("scratch", 'f', "f"))
 {
     const struct fit_code *code = &((struct code *)held_by(call->self))->code;
     const union value *value = call->value;
     const struct burst_search *search = value[0].data;
+    const struct gap_rules *rules = value[1].data;
+    const struct fit_refining refining = {rules->blur, rules->settled_chips, axis(call, 'r'), value[2].data};
     struct burst_gap known = {value[6].number, value[7].number, 0};
-    struct gap_expected expected = {value[8].number, value[9].number, value[10].number,
-                                    value[11].number};
-    struct gap_seen seen = {.words = {value[12].data, value[13].data, value[14].data, value[15].data,
-                                      value[16].data, value[17].data, value[18].data, NULL}};
+    struct gap_expected expected = {value[8].number, value[9].number, value[10].number, value[11].number};
+    struct gap_seen seen = {.words = {value[12].data, value[13].data, value[14].data, value[15].data, value[16].data,
+                                      value[17].data, value[18].data}};
+    size_t samples = axis(call, 'm');
     enum gap_look look;
 
     if (!is_frame(call, code))
         return NULL;
     if (!is_search(search))
         return refuse(call, "burst_search: a length is 0 or too large");
-    const struct gap_rules *rules = value[2].data;
     if (rules->spare > code->frame.order || rules->spare_count > code->frame.order - rules->spare)
         return refuse(call, "gap_rules: spare rows beyond the order");
-    if (!(axis(call, 'v') >= gap_values(search, axis(call, 'm')) &&
-          axis(call, 'f') >= gap_scratch(code, search)))
-        return refuse(call, "values, scratch: %zu and %zu expected", gap_values(search, axis(call, 'm')),
+    if (!(axis(call, 'v') >= gap_values(search, samples) && axis(call, 'f') >= gap_scratch(code, search)))
+        return refuse(call, "values, scratch: %zu and %zu expected", gap_values(search, samples),
                       gap_scratch(code, search));
-    if (!gap_look(code, search, value[1].data, rules, value[3].data, axis(call, 'r'),
-                  value[4].data, axis(call, 'm'), value[5].number, &known, &expected, &seen, &look,
-                  value[19].data, value[20].data))
+    if (!gap_look(code, search, rules, &refining, value[3].data, value[4].data, samples, value[5].number, &known, &expected,
+                  &seen, &look, value[19].data, value[20].data))
         Py_RETURN_NONE;
-    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddOd)Od", (int)look, seen.gap.level, seen.gap.variance,
-                         (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last,
-                         seen.burst.slack, seen.burst.power, seen.burst.variance, seen.burst.pause,
-                         seen.proven, seen.fit.start, seen.fit.chip, seen.unaided ? Py_True : Py_False,
-                         seen.beside.level, seen.beside.variance,
+    return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddOd)Odd", (int)look, seen.gap.level, seen.gap.variance,
+                         (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last, seen.burst.slack,
+                         seen.burst.power, seen.burst.variance, seen.burst.pause, seen.proven, seen.fit.start,
+                         seen.fit.chip, seen.unaided ? Py_True : Py_False, seen.beside.level, seen.beside.variance,
                          seen.beside.quiet ? Py_True : Py_False, seen.beside.noise, seen.sound ? Py_True : Py_False,
-                         seen.noise);
+                         seen.clipped, seen.noise);
 }
 
-static PyMethodDef code_methods[] = {ENTRY(refine), ENTRY(weigh), ENTRY(look), {0}};
+static PyMethodDef code_methods[] = {ENTRY(refine), ENTRY(look), {0}};
 
 static PyType_Slot code_slots[] = {
     {Py_tp_new, Code},

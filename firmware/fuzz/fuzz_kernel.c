@@ -439,7 +439,7 @@ static void read_frames(struct input *input)
 }
 
 /* A frame of known words on a line without marks, and whatever the input adds to it: what is seen without
- * doubt on an undisturbed line was sent. Candidates of any start and chip are weighed, too. */
+ * doubt on an undisturbed line was sent. */
 static void look_for_frame(struct input *input)
 {
     enum { MOST_BITS = 11 };
@@ -451,17 +451,17 @@ static void look_for_frame(struct input *input)
     size_t gap = 6 * order * per_chip / 10 + input_u8(input), frame = chips * per_chip;
     size_t after = (size_t)input_u8(input) * per_chip / 4, size = gap + frame + after;
     float *sent = calloc(chips, sizeof *sent), *levels = malloc(chips * sizeof *levels);
-    double *volts = calloc(size, sizeof *volts), *sums = malloc((size + 1) * sizeof *sums);
+    double *volts = calloc(size, sizeof *volts);
     int32_t *places = malloc(chips * sizeof *places);
-    double reaches[] = {0.5, 0.25}, noise = 1e-4;
+    double reaches[] = {0.5, 0.25};
     struct fit_code code = {{bits, order, first, nodes, false, NAN, 0.25f, 0.5f, 2.2},
                             chips, correlate, spread, NULL, places};
-    const struct judge_limits limits = {0.3, 0.8, 1.28, 6, 0.3};
+    const struct fit_refining refining = {0.3, 0.02, 2, reaches};
     const double chip = (double)per_chip, length = (double)frame;
-    const struct gap_rules rules = {length, 1.1 * length, 1.1 * (double)order * chip,
-                                    1.6 * length, 2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, 0.02,
-                                    1e-3, 0.5, 0.02, 0.12, 3, 0.15, 0.02, 0.25, 1.25, 0.3, 2.5, 0.35, 1, 4, 2, 0.15,
-                                    512, first + nodes, order - first - nodes, false};
+    const struct gap_rules rules = {
+        {0.3, 0.8, 1.28, 6}, 0.3, 0.02, length, 1.1 * length, 1.1 * (double)order * chip, 1.6 * length,
+        2, 1.5, 3e-3, 6e-6, 0.02, 3, 60, -2.5, 2.5, 0.25, 1e-3, 0.5, 0.02, 0.12, 3, 0.15, 0.02, 0.25, 1.25, 0.3, 2.5,
+        0.35, 1, 4, 2, 0.15, 512, first + nodes, order - first - nodes, false};
     size_t half = per_chip / 2, group = frame / half < 320 ? 1 : frame / half / 320, cell = half * group;
     const struct burst_search search = {
         half, 8, group, frame / cell, 11 * frame / 10 / cell + 1, order * per_chip / cell + 2,
@@ -492,48 +492,20 @@ static void look_for_frame(struct input *input)
     float *words = malloc((chips + 2 * nodes + 4) * sizeof *words), *four = words + chips + 2 * nodes;
     double *values = malloc(gap_values(&search, size) * sizeof *values);
     float *scratch = malloc(gap_scratch(&code, &search) * sizeof *scratch);
-    seen.words = (struct judge_found){words, words + chips, words + chips + nodes, four, four + 1, four + 2,
-                                      four + 3, NULL};
-    bool has_gap = gap_look(&code, &search, &limits, &rules, reaches, 2, volts, size, 0, &known,
-                            &expected, &seen, &look, values, scratch);
+    seen.words = (struct judge_words){words, words + chips, words + chips + nodes, four, four + 1, four + 2, four + 3};
+    bool has_gap = gap_look(&code, &search, &rules, &refining, volts, volts, size, 0, &known, &expected, &seen, &look, values,
+                            scratch);
     for (size_t i = 0; has_gap && look == GAP_FRAME && !disturbed && i < chips; i++)
         MUST(sent[i] == 0 || sent[i] * words[i] > 0, WRONG_VALUE);
     MUST(!has_gap || look != GAP_FRAME || seen.proven <= (double)size, WRONG_VALUE);
 
-    enum { COUNT = 3 };
-    double start[COUNT], chips_of[COUNT], cost[COUNT];
-    struct judge_candidates all = {COUNT, kind % 4, start, chips_of, 0, 0, 60, kind & 16 ? 30 : 60, NULL};
-    for (size_t c = 0; c < COUNT; c++) {
-        start[c] = (double)gap - 1 + (double)c * (kind & 128 ? chip : 0.7);
-        chips_of[c] = kind & 128 ? chip : chip * (1 + 0.01 * (double)c);
-        double end = start[c] + (double)chips * chips_of[c];
-        all.end = end > all.end ? end : all.end;
-    }
-    all.begin = start[0];
-    float *rows = malloc(COUNT * (chips + 2 * nodes + 4) * sizeof *rows), *rest = rows + COUNT * chips;
-    float *each = rest + 2 * COUNT * nodes;
-    struct judge_found found = {rows, rest, rest + COUNT * nodes, each, each + COUNT, each + 2 * COUNT,
-                                each + 3 * COUNT, cost};
-    struct judge_votes votes = {0, 0};
-    float *more = malloc(judge_scratch(&code, &all) * sizeof *more);
-    sums[0] = 0;
-    for (size_t i = 0; i < size; i++)
-        sums[i + 1] = sums[i] + volts[i];
-    const struct fit_line line = {size, volts, sums, 0};
-    MUST(judge_chips(&code, &all) >= chips, WRONG_VALUE);
-    judge_weigh(&code, &line, &limits, &all, noise, &found, &votes, more);
-    for (size_t c = 0; c < COUNT; c++)
-        MUST(!(cost[c] < 0), WRONG_VALUE);
     free(sent);
     free(levels);
     free(volts);
-    free(sums);
     free(places);
     free(words);
     free(values);
     free(scratch);
-    free(rows);
-    free(more);
     transform_free(correlate);
     transform_free(spread);
 }

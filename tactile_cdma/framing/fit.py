@@ -9,7 +9,7 @@ sample i is the line's level at instant i: it stands for [i − ½, i + ½).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import fields
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
+from ..base.stage import stage
 from ..base.sums import dot
 from ..code.amplitude import (
     ACTIVE_SHARE,
@@ -105,29 +106,23 @@ class ChipEdges:
 
     def chips(self, line: Line) -> Floats32:
         """As integrate gives them: (k, N) float32, V."""
-        chips = mean_chips(line, *self.within(line.received.size))
+        whole, share, number, places = self.within(line.received.size)
+        levels: Floats = np.diff(line.sum_before(whole, share)) / number
+        chips = levels[places].astype(np.float32)
         return chips.reshape(self._spec.line_bits, self._spec.order)
 
     def within(self, size: int) -> tuple[Int32s, Floats, Floats, Int32s]:
-        """The edges in a line of so many samples, as mean_chips takes them."""
+        """The edges in a line of so many samples.
+
+        (e,) whole samples before each, and share of the next one, see _split; (e − 1,) samples
+        between edges; (c,) numbers of the edges that chips begin at, rising.
+        """
         if size != self._size:
             self._size = size
             whole, self._share = _split(self._edges, size)
             self._whole = whole.astype(np.int32)
             self._number = np.maximum(np.diff(whole + self._share), 0.5)
         return self._whole, self._share, self._number, self._places
-
-
-def mean_chips(
-    line: Line, whole: Int32s, share: Floats, number: Floats, places: Int32s
-) -> Floats32:
-    """Mean levels of a line between edges, V, float32: of the chips that begin at these edges.
-
-    whole, share: (e,) samples before each edge; see _split. number: (e − 1,) samples between edges.
-    places: (c,) rising.
-    """
-    levels: Floats = np.diff(line.sum_before(whole, share)) / number
-    return levels[places].astype(np.float32)
 
 
 def _split(times: Floats, size: int) -> tuple[Indices, Floats]:
@@ -164,7 +159,7 @@ def integrate(
     return levels.reshape(-1, spec.line_bits, spec.order)
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class WordFit:
     """What chips say when every node is held to one amplitude per word, for c candidates.
 
@@ -188,15 +183,7 @@ class WordFit:
     def of(self, candidate: int) -> WordFit:
         """Those of a single candidate."""
         one = slice(candidate, candidate + 1)
-        return WordFit(
-            self.rows[one],
-            self.amplitude[one],
-            self.pedestal[one],
-            self.uneven[one],
-            self.power[one],
-            self.spread[one],
-            self.misfit[one],
-        )
+        return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
 
     def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
@@ -356,7 +343,7 @@ def lowest_power(swing_v: float) -> float:
     return (FAINT_SHARE * swing_v) ** 2
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Fit:
     """A frame in a line: first chip's begin and duration of a chip, samples."""
 
@@ -368,16 +355,15 @@ class Fit:
         return self.start + spec.span_chips * self.chip
 
 
-def even_words(line: Line, fit: Fit, spec: FrameSpec, whole: WordFit | None = None) -> WordFit:
+def even_words(line: Line, fit: Fit, spec: FrameSpec, words: WordFit) -> WordFit:
     """Words of one fit, of whole chips or of their middle.
 
-    whole: those of whole chips, where they are known. These are the matched filter; their middle is
-    blind to edges a tenth of a chip off. It is taken where words are uneven and it makes them more
-    even than noise would by chance.
+    words: those of whole chips. These are the matched filter; their middle is blind to edges a
+    tenth of a chip off. It is taken where words are uneven and it makes them more even than noise
+    would by chance.
     """
-    start, chip = np.array([fit.start]), np.array([fit.chip])
-    words = whole or read_words(integrate(line, start, chip, spec), spec)
     if words.spread[0] > UNEVEN:
+        start, chip = np.array([fit.start]), np.array([fit.chip])
         middle = read_words(integrate(line, start, chip, spec, MIDDLE), spec)
         if middle.spread[0] < MORE_EVEN * words.spread[0]:
             return middle

@@ -8,13 +8,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
+from ..base.stage import stage
 from ..code.frame import FrameSpec
 from ..code.transform import chips_of
-from .fit import BLUR, Fit, Line, WordFit, compiled_code, integrate, read_words, refine
+from .fit import Fit, Line, WordFit, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected
 
@@ -23,7 +22,7 @@ RULED_OUT = 2 * LIMITS.close
 before looking: the burst makes up for 10 at most, the raster for 20."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Judgement:
     """The most likely frame of some.
 
@@ -75,7 +74,7 @@ class Weighed:
     chips: int
 
 
-def numpy_weigh(
+def weigh(
     line: Line,
     start: Floats,
     chip: Floats,
@@ -126,59 +125,6 @@ def _votes_of(levels: Floats32, off: Floats32, noise: float) -> Votes:
     return Votes(distortion, max(noise, left**2, (0.5 * distortion) ** 2, 1e-30))
 
 
-def weigh(
-    line: Line,
-    start: Floats,
-    chip: Floats,
-    view: tuple[float, float],
-    spec: FrameSpec,
-    noise: float,
-    votes: Votes | None = None,
-    likely: int | None = None,
-    margin: float = math.inf,
-) -> Weighed:
-    """As numpy_weigh, in the kernel where it can.
-
-    likely: the likeliest candidate, so far as is known. Others whose last bits cost more than it
-    and `margin` may be given the cost of these, and words that mean nothing.
-    """
-    code = compiled_code(spec)
-    if code is None:
-        return numpy_weigh(line, start, chip, view, spec, noise, votes)
-    count = start.size
-    rows = np.zeros((count, spec.line_bits, spec.order), np.float32)
-    amplitude, uneven = np.empty((2, count, spec.nodes), np.float32)
-    pedestal, power, spread, misfit = np.empty((4, count), np.float32)
-    cost = np.empty(count)
-    most = int((view[1] - view[0]) / chip.min()) + 3  # chips in view, and what rounding adds
-    scratch = np.empty((count + 2) * most + count * spec.chips, np.float32)
-    given = votes or Votes(0.0, 0.0)
-    distortion, variance, chips = code.weigh(
-        VOTE_SETTINGS, line.volts, line.sums, start, chip, *view, noise,
-        count if likely is None else likely, margin, given.distortion, given.variance,
-        rows, amplitude, uneven, pedestal, power, spread, misfit, cost, scratch,
-    )  # fmt: skip
-    words = WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
-    return Weighed(words, cost, Votes(distortion, variance), chips)
-
-
-def _vote_settings() -> NDArray[np.void] | None:
-    if kernel.compiled is None:
-        return None
-    return kernel.settings(
-        "judge_limits",
-        distortion=LIMITS.distortion,
-        most=LIMITS.most,
-        most_deviations=LIMITS.most_deviations,
-        vote=LIMITS.vote,
-        blur=BLUR,
-    )
-
-
-VOTE_SETTINGS = _vote_settings()
-"""How chips vote, for the kernel."""
-
-
 def spoken_of(words: WordFit, spec: FrameSpec) -> Floats32:
     """What nodes say by these words: (c, k, n) float32, ±1, 0 where silent."""
     spoken: Floats32 = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
@@ -211,19 +157,18 @@ class Judge:
         noise: float,
         unlikely: Floats | float = 0.0,
         expected: Expected | None = None,
-        likely: int | None = None,
     ) -> Judgement:
         """The most likely frame of candidates.
 
         start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V².
         unlikely: (c,) negative log-probability of each before looking, which the waveform itself
-        gives; expected: and where frames are expected. likely: candidate that it probably is.
+        gives; expected: and where frames are expected.
         """
         if start.size == 1:
             words = read_words(integrate(line, start, chip, self._spec), self._spec)
             return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
         view = float(start.min()), float((start + self._spec.span_chips * chip).max())
-        seen = weigh(line, start, chip, view, self._spec, noise, None, likely, RULED_OUT)
+        seen = weigh(line, start, chip, view, self._spec, noise)
         cost = unaided = self._refined_close(line, start, chip, view, seen) + unlikely
         if expected is not None:
             cost = unaided - expected.log_prior(start)

@@ -225,7 +225,8 @@ class MarkedLine:
             doubtful = np.ones(self.spec.nodes, bool)
         if levels is not None and not self._holds_more(levels):
             levels = None
-            if not self.integrated and power > self._most_explained * self.chip:
+            most = LIMITS.carried_noise * self.noise + self.silent_power  # what the gap explains
+            if not self.integrated and power > most * self.chip:
                 doubtful = np.ones(self.spec.nodes, bool)
         return self._decided(frame.start, self.nominal, levels, noise_v, clipped, doubtful)
 
@@ -253,11 +254,6 @@ class MarkedLine:
         if levels.rows is None or self.spec.first_row == 0 or not swing_v:
             return False
         return float(levels.rows[:, 0].var()) > (MOVED_SHARE * swing_v) ** 2
-
-    @property
-    def _most_explained(self) -> float:
-        """Power of chips, V², up to which it is the gap's noise."""
-        return LIMITS.carried_noise * self.noise + self.silent_power
 
     @property
     def most_silent_power(self) -> float:

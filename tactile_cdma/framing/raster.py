@@ -3,11 +3,11 @@
 """Where frames are to be expected: on a raster whose period and width are learnt."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..base.arrays import Floats
+from ..base.stage import stage
 from .fit import Fit
 
 CLOCK_ERROR = 1e-4
@@ -29,7 +29,7 @@ NARROWEST = 0.05
 """Least width of the raster, chips: how well a start is measured (docs/signal-model.md)."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Expected:
     """Where the next frame is likely to start, samples.
 

@@ -32,7 +32,7 @@ RAIL_MARGIN = 1e-3
 about one count of a 10-bit converter."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class SampleBlock:
     """Consecutive samples of the line.
 

@@ -271,11 +271,12 @@ def _silent_beside_late(frame: _Frame) -> Bools:
 def _silent_by_parts(frame: _Frame) -> Bools:
     """A word that others' rows hold in parts leaves nothing on its own."""
     parts, active = frame.parts & ~frame.active, frame.active
-    is_word = _is_one_word(frame.measures.signs[parts], frame.spec.line_bits)
-    if is_word or (frame.is_learnt and parts.any()):
-        # Where parts outnumber words, these may be parts, too.
+    said = _either(frame.measures.signs, frame.spec.line_bits)
+    words, counts = np.unique(said[parts], return_counts=True)
+    if (counts > 1).any() or (frame.is_learnt and parts.any()):
+        # Where parts outnumber words, these may be parts, too; so may one that says the same.
         outnumbered = np.count_nonzero(parts) > np.count_nonzero(active & ~frame.weak)
-        return ~active | frame.weak | outnumbered
+        return ~active | frame.weak | outnumbered | np.isin(said, words[counts > 1])
     is_shared = active & (frame.measures.amplitude > SHARED_SHARE * frame.expected)
     return frame.weak & is_shared.any()  # the rest of weak ones may be there
 
@@ -357,10 +358,10 @@ def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Flo
     return astray
 
 
-def _is_one_word(signs: NDArray[np.int32], bits: int) -> bool:
-    """Whether any rows say the same, or the opposite, as parts of one late word do; signs: (m,)."""
-    either = np.minimum(signs, signs ^ np.int32((1 << bits) - 1))
-    return len(np.unique(either)) < len(either)
+def _either(signs: NDArray[np.int32], bits: int) -> NDArray[np.int32]:
+    """The same number for a word and its opposite, as parts of one late word are; signs: (m,)."""
+    either: NDArray[np.int32] = np.minimum(signs, signs ^ np.int32((1 << bits) - 1))
+    return either
 
 
 def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bools:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tactile_cdma.rest.rest_file import rest_path
 from test.support.programs import run_python
 
 pytest.importorskip("mujoco", reason="MuJoCo (pip install mujoco) is not installed")
@@ -19,16 +20,20 @@ def outcome(*arguments: str) -> dict[str, str]:
     """What the last line says."""
     done = run_python(EXAMPLE, *arguments, timeout=240)
     assert done.returncode == 0, done.stderr
+    assert "rest.yaml" not in done.stderr, "it reads the state of another simulation"
     return dict(re.findall(r"(\w+)=(\S+)", done.stdout.splitlines()[-1]))
 
 
 def test_it_grips_lifts_and_regains_a_grip_that_slips(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And leaves no tare where the next simulation would find it."""
+    """And takes no tare of another simulation: of a damaged file of one its driver would tell."""
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    other = rest_path("", "/skin", simulated=True)
+    other.parent.mkdir()
+    other.write_text("damaged")
     found = outcome()
-    assert not (tmp_path / "tactile_cdma").exists()
+    assert other.read_text() == "damaged"
     assert [found["gripped"], found["lifted"], found["dropped"]] == ["1", "1", "0"]
     assert 5.0 <= float(found["peak_kpa"]) < 20.0
     assert 20 < float(found["reaction_ms"]) < 300

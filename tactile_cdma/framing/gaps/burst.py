@@ -8,7 +8,6 @@ window of one frame's length with the most energy holds the frame.
 """
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...base import kernel
 from ...base.arrays import Floats
+from ...base.stage import stage
 from ...code.frame import MAX_STRETCH, FrameSpec
 from ..fit import Fit, least_power
 from ..limits import LIMITS
@@ -42,7 +42,7 @@ _NEWEST = 0.3
 """Weight of the newest gap in the variance that is known. Chosen: averages about six gaps."""
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Gap:
     """The line between frames.
 
@@ -55,7 +55,7 @@ class Gap:
     begin: int
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Burst:
     """The loud part of a line: samples first…last, each uncertain by `slack` samples.
 
@@ -76,7 +76,7 @@ class Burst:
         return self.power / self.variance
 
 
-@dataclass(frozen=True, slots=True)
+@stage
 class Beside:
     """The gaps on either side of a frame.
 

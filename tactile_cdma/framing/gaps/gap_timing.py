@@ -80,7 +80,7 @@ class GapTiming(Timing):
         """
         super().__init__()
         self._spec, self._rails_v = spec, rails_v
-        search = self._search = GapSearch(spec, rate_hz)
+        search = self._search = GapSearch(spec, rate_hz, rails_v)
         if not search.chip >= 2.5:
             raise SpecError(
                 f"{search.chip:.2g} samples per chip are too few to find frames by their gaps: "
@@ -205,7 +205,7 @@ class GapTiming(Timing):
         look = None
         if self._gap is not None:
             expected = self._expected if self._sure else None
-            look = self._search.look(volts, self._gap, self._cursor, expected)
+            look = self._search.look(volts, raw, self._gap, self._cursor, expected)
         if look is None and math.isnan(sums(raw)[0]):
             self.rejections += ABSURD
             self._skip_to(self._cursor + int(np.flatnonzero(np.isnan(raw))[-1]) + 1)
@@ -215,8 +215,8 @@ class GapTiming(Timing):
             self._learn_hum(raw, candidates[0])
             if self._comes_too_early(heard):
                 return []
-        if look and look.is_sound and (frames := self._take_sound(look, candidates[0], raw)):
-            return frames
+        if look and look.is_sound:
+            return self._take_sound(look, candidates[0])
         found = self._look(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
             for other in (without_impulses(volts), raw):  # hum may have ended
@@ -355,7 +355,7 @@ class GapTiming(Timing):
         end = fit.end(spec)
         if end > raw.size + 0.5 * fit.chip:
             return INCOMPLETE
-        clipped = self._clipped(fit, raw)
+        clipped = share_clipped(raw[max(0, round(fit.start)) : round(end)], self._rails_v)
         if clipped > LIMITS.clipped:
             return AT_RAIL
         beside = beside or self._search.beside(line.volts, fit, burst)
@@ -379,24 +379,11 @@ class GapTiming(Timing):
         unaided, levels = found.unaided if found.decided else None, node_levels(words.rows[0], spec)
         return self._emit(fit, unaided, levels, beside.level, clipped, doubtful, placed)
 
-    def _take_sound(self, look: Look, gap: Gap, raw: Floats) -> list[FrameLevels]:
-        """The frame in which the kernel found nothing odd; none if a rail may hide words.
-
-        raw: the samples as they came, V.
-        """
-        fit = Fit(*look.place)
-        clipped = self._clipped(fit, raw)
-        left_v = look.around[0]
-        if clipped > LIMITS.deafened:
-            return []
+    def _take_sound(self, look: Look, gap: Gap) -> list[FrameLevels]:
+        """The frame in which the kernel found nothing odd."""
         self._learn(gap, look.words)
         levels = look.levels(self._spec)
-        return self._emit(fit, look.unaided, levels, left_v, clipped)
-
-    def _clipped(self, fit: Fit, raw: Floats) -> float:
-        """Share of a frame's samples that are at a rail."""
-        frame = raw[max(0, round(fit.start)) : round(fit.end(self._spec))]
-        return share_clipped(frame, self._rails_v)
+        return self._emit(Fit(*look.place), look.unaided, levels, look.around[0], look.clipped)
 
     def _learn(self, gap: Gap, words: WordFit) -> None:
         """Learn from a frame's words and the gap beside it."""

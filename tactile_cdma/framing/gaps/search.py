@@ -36,6 +36,7 @@ from ...code.amplitude import FAINT_SHARE
 from ...code.frame import MAX_STRETCH, FrameSpec
 from ...code.separate import NodeLevels
 from ..fit import (
+    BLUR,
     CHIPS_AT_ONCE,
     REACHES,
     SETTLED_CHIPS,
@@ -48,9 +49,10 @@ from ..fit import (
     read_words,
     refine,
 )
-from ..judge import RULED_OUT, VOTE_SETTINGS, Judge, Judgement
+from ..judge import RULED_OUT, Judge, Judgement
 from ..limits import LIMITS
 from ..raster import WIDE, Expected
+from ..timing import Rails, within_rails
 from . import stray
 from .burst import Beside, Burst, BurstSearch, Gap
 
@@ -70,9 +72,14 @@ _LEAST_CHIP = 0.5
 """Share of an expected chip duration below which a refined one fits no frame: most edges were out
 of view. Chosen."""
 _MOST_CARRIED = 16
-"""Candidates that the kernel weighs: GAP_MOST in kernel/gap.h."""
+"""Candidates that the kernel weighs: JUDGE_MOST in kernel/judge.h."""
 _SILENT, _BURST, _FRAME = 0, 2, 3
 """What the kernel finds: enum gap_look there."""
+_SHARED_LIMITS = (
+    "distortion", "most", "most_deviations", "vote", "carried_noise", "carried_misfit", "doubt",
+    "disturbed", "deafened", "spread", "left", "misfit",
+)  # fmt: skip
+"""Of `Limits`, and members of the kernel's rules by the same names."""
 
 
 class Look(NamedTuple):
@@ -80,8 +87,9 @@ class Look(NamedTuple):
 
     kind: enum gap_look. quiet, loud: the gap and the burst. proven: see GapSearch.proven; 0 where
     no frame is carried. place, unaided: of a carried frame that is beyond doubt. around: what lies
-    beside that. is_sound: its words are even and leave nothing over, and the line is at rest
-    beside. noise_v: of a row's levels then. words: of it, valid until the next look.
+    beside that. clipped: share of its samples at a rail. is_sound: its words are even and leave
+    nothing over, the line is at rest beside, and no rail hides words. noise_v: of a row's levels
+    then. words: of it, valid until the next look.
     """
 
     kind: int
@@ -92,6 +100,7 @@ class Look(NamedTuple):
     unaided: bool
     around: tuple[float, float, bool, float]
     is_sound: bool
+    clipped: float
     noise_v: float
     words: WordFit
 
@@ -132,22 +141,24 @@ class Look(NamedTuple):
 class GapSearch(BurstSearch):
     """Finds a frame of one specification between gaps, at one sampling rate."""
 
-    def __init__(self, spec: FrameSpec, rate_hz: float) -> None:
-        """See BurstSearch."""
+    def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
+        """See BurstSearch. rails_v: see share_clipped."""
         super().__init__(spec, rate_hz)
+        self._rails_v = rails_v
         self._judge = Judge(spec)
         self._code = compiled_code(spec)
         self._values = np.empty(0)
         self._make_room()
 
     def look(
-        self, volts: Floats, known: Gap, begin: float, expected: Expected | None
+        self, volts: Floats, raw: Floats, known: Gap, begin: float, expected: Expected | None
     ) -> Look | None:
         """What is in a stretch of samples, all in one call of the kernel.
 
-        None without it, and where a sample is NaN, or all are too few. volts: (m,) float64, V, from
-        stream index `begin` on. expected: the next frame, if that is sure, in stream indices. Gives
-        what the other methods would, as far as it is beyond doubt.
+        None without it, and where a sample is NaN, or all are too few. volts, raw: (m,) float64, V,
+        without hum and as they came, from stream index `begin` on. expected: the next frame, if
+        that is sure, in stream indices. Gives what the other methods would, as far as it is beyond
+        doubt.
         """
         code = self._code
         if code is None:
@@ -159,7 +170,7 @@ class GapSearch(BurstSearch):
         if expected is not None:
             place = expected.start - begin, expected.scatter, expected.chip, expected.slips
         seen = code.look(
-            self.settings, VOTE_SETTINGS, self._rules, REACHES, volts, self.least_power,
+            self.settings, self._rules, REACHES, volts, raw, self.least_power,
             known.level, known.variance, *place, *self._arrays, self._values, self._scratch,
         )  # fmt: skip
         return None if seen is None else Look._make((*seen, self._words))
@@ -178,26 +189,24 @@ class GapSearch(BurstSearch):
     @cached_property
     def _rules(self) -> NDArray[np.void]:
         spec, spare = self.spec, self.spec.spare_rows
+        rail_low, rail_high = within_rails(self._rails_v)
         return kernel.settings(
             "gap_rules",
+            **{name: getattr(LIMITS, name) for name in _SHARED_LIMITS},
+            blur=BLUR,
+            settled_chips=SETTLED_CHIPS,
             shortest=self.shortest,
             longest=self.longest,
             bit=self.bit,
             period=self.period,
             beyond=_BEYOND,
-            carried_noise=LIMITS.carried_noise,
-            carried_misfit=LIMITS.carried_misfit,
-            doubt=LIMITS.doubt,
-            disturbed=LIMITS.disturbed,
             wide=WIDE,
             ruled_out=RULED_OUT,
-            settled_chips=SETTLED_CHIPS,
+            rail_low=rail_low,
+            rail_high=rail_high,
             still_misfit=_STILL_MISFIT,
             least_chip=_LEAST_CHIP,
             uneven=UNEVEN,
-            spread=LIMITS.spread,
-            left=LIMITS.left,
-            misfit=LIMITS.misfit,
             faint=FAINT_SHARE,
             near=stray.BESIDE_CHIPS[0],
             far=stray.BESIDE_CHIPS[1],
@@ -294,7 +303,7 @@ class GapSearch(BurstSearch):
             chip = np.full(start.size, fit.chip)
             # Two nodes that cancel at the start of every bit are possible, but not likely.
             unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
-            found = self._judge.choose(line, start, chip, noise, unlikely, expected, -earliest)
+            found = self._judge.choose(line, start, chip, noise, unlikely, expected)
             shift = round((found.fit.start - fit.start) / fit.chip)
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:

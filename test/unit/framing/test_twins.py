@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from tactile_cdma.base import kernel
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import node_levels
-from tactile_cdma.framing import judge
 from tactile_cdma.framing.fit import Fit, Line, WordFit, numpy_refine, refine
 from tactile_cdma.framing.gaps.burst import Gap
 from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.gaps.search import GapSearch
-from tactile_cdma.framing.judge import Votes, Weighed
 from tactile_cdma.framing.raster import Expected
+from tactile_cdma.framing.timing import share_clipped
 from test.support.examples import examples
 from test.support.synthetic_line import DEFAULT, SPECS, Wire, check, run, words_of
 
@@ -62,76 +61,6 @@ def test_refined_timing(line: dict, off: float, longer: float, bounded: bool) ->
     assert found.chip == pytest.approx(expected.chip, abs=1e-5)
 
 
-def same(found: Weighed, expected: Weighed) -> None:
-    assert found.chips == expected.chips
-    for name in ("rows", "amplitude", "uneven", "pedestal", "power", "spread", "misfit"):
-        one, other = getattr(found.words, name), getattr(expected.words, name)
-        assert one == pytest.approx(other, rel=1e-4, abs=2e-6), name
-    assert astuple(found.votes) == pytest.approx(astuple(expected.votes), rel=1e-4)
-    assert found.cost == pytest.approx(expected.cost, rel=1e-3, abs=1e-2)
-
-
-@examples(150)
-@given(
-    LINES,
-    st.integers(-5, 0),
-    st.integers(0, 5),
-    st.sampled_from([None, Votes(0.05, 1e-3)]),
-)
-def test_candidates_whole_chips_apart(
-    line: dict, earliest: int, latest: int, votes: Votes | None
-) -> None:
-    wire, volts = line_of(line)
-    shifts = np.arange(earliest, latest + 1)
-    start = wire.sent[0].start + shifts * wire.sent[0].chip
-    chip = np.full(shifts.size, wire.sent[0].chip)
-    view = float(start.min()), float((start + wire.spec.span_chips * chip).max())
-    given = Line(volts, 0.1), start, chip, view, wire.spec, 1e-4, votes
-    same(judge.weigh(*given), judge.numpy_weigh(*given))
-
-
-@examples(150)
-@given(LINES, st.integers(1, 5), st.sampled_from([5.0, 40.0, 1e9]))
-def test_candidates_that_are_ruled_out_early_are_ruled_out(
-    line: dict, reach: int, margin: float
-) -> None:
-    wire, volts = line_of(line)
-    start = wire.sent[0].start + np.arange(-reach, reach + 1) * wire.sent[0].chip
-    chip = np.full(start.size, wire.sent[0].chip)
-    view = float(start.min()), float((start + wire.spec.span_chips * chip).max())
-    given = Line(volts, 0.1), start, chip, view, wire.spec, 1e-4
-    found = judge.weigh(*given, likely=reach, margin=margin)
-    expected = judge.numpy_weigh(*given)
-    assert astuple(found.votes) == pytest.approx(astuple(expected.votes), rel=1e-4)
-    left = found.cost > found.cost[reach] + margin
-    assert (expected.cost[left] > expected.cost[reach] + 0.5 * margin).all()
-    assert found.cost[~left] == pytest.approx(expected.cost[~left], rel=1e-3, abs=1e-2)
-    assert found.words.rows[~left] == pytest.approx(expected.words.rows[~left], rel=1e-4, abs=2e-6)
-
-
-@examples(100)
-@given(LINES, st.lists(st.tuples(st.floats(-2, 2), st.floats(-0.02, 0.1)), min_size=1, max_size=4))
-def test_candidates_of_other_chips(line: dict, others: list[tuple[float, float]]) -> None:
-    wire, volts = line_of(line)
-    off, longer = np.array(others).T
-    start, chip = wire.sent[0].start + off * wire.chip, wire.chip * (1 + longer)
-    view = float(start.min()), float((start + wire.spec.span_chips * chip).max())
-    given = Line(volts, 0.1), start, chip, view, wire.spec, 1e-4
-    same(judge.weigh(*given), judge.numpy_weigh(*given))
-
-
-def test_views_of_more_than_a_million_chips() -> None:
-    """As frames of 65,536 nodes have; here most of them are silence after a short one."""
-    spec = FrameSpec(nodes=8, bits=8, frame_period_s=0.0128)
-    wire, volts = line_of(
-        {"spec": spec, "rate": 4.0, "seed": 1, "nodes": 8, "stretch": 0.0, "rho": 20.0}
-    )
-    start, chip = wire.sent[0].start + np.arange(2) * wire.chip, np.full(2, wire.chip)
-    view = float(start[0]), float(start[0] + 1.1e6 * wire.chip)
-    given = Line(volts, 0.1), start, chip, view, spec, 1e-4
-    same(judge.weigh(*given), judge.numpy_weigh(*given))
-
-
 @examples(300)
 @given(
     LINES, st.floats(0, 1), st.floats(0, 1), st.sampled_from([1e-12, 1e-5, 1e-2]), st.floats(-1, 1)
@@ -143,10 +72,11 @@ def test_what_the_kernel_sees_at_once(
     wire, volts = line_of(line)
     cut = int(begin * wire.sent[0].start)
     volts = volts[cut : volts.size - int(end * wire.period)]
-    search = GapSearch(wire.spec, wire.rate_hz)
+    rails_v = -1e9, float(np.quantile(volts, 0.9))
+    search = GapSearch(wire.spec, wire.rate_hz, rails_v)
     known, chip = Gap(0.11, variance, 0), wire.sent[0].chip
     expected = Expected(wire.sent[0].start - cut + 0.1 * off * chip, 0.06 * chip, chip, 0.0, 0.02)
-    look = search.look(volts, known, 0.0, expected)
+    look = search.look(volts, volts, known, 0.0, expected)
     gaps = search.gaps(volts, known)
     assert (look is None) == (not gaps)
     if look is None:
@@ -176,6 +106,8 @@ def test_what_the_kernel_sees_at_once(
     assert look.beside.level == pytest.approx(beside.level, rel=1e-4, abs=1e-6)
     assert look.beside.variance == pytest.approx(beside.variance, rel=1e-2, abs=1e-15)
     assert look.beside.quiet == beside.quiet
+    frame = volts[max(0, round(fit.start)) : round(fit.end(wire.spec))]
+    assert look.clipped == pytest.approx(share_clipped(frame, rails_v), abs=2 / frame.size)
     if look.is_sound:
         noise = beside.variance * search.half / fit.chip
         assert beside.quiet and found.words.believable(wire.spec, 1.02 * noise)
