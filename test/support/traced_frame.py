@@ -10,7 +10,6 @@ those that most frames call; those in C are left in KERNEL's .gcda files.
 import ctypes
 import json
 import os
-import resource
 import sys
 import time
 from collections import Counter
@@ -28,8 +27,6 @@ __attribute__((visibility("default"))) void end_count(void) { __gcov_dump(); }
 """
 WARM, LEARNT, MOST = 150, 60, 2000
 """Frames before it is looked at what they call; those of which most call the same; most in all."""
-WAITED_S = 3e-3
-"""Least time of a frame whose bytes had not come before they were asked for, s."""
 
 
 def use_kernel(path: Path) -> None:
@@ -73,19 +70,19 @@ def main() -> int:
         if steps < WARM or found:
             return plain(self, *arguments)
         called.clear()
-        began_s, began = time.monotonic(), resource.getrusage(resource.RUSAGE_THREAD)
+        began_s = time.monotonic()
         kernel.begin_count()
         sys.setprofile(note)
         try:
-            return plain(self, *arguments)
+            frame, read_s = plain(self, *arguments)
         finally:
             sys.setprofile(None)
-            usual[frozenset(called)] += 1
-            slept = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > began.ru_nvcsw
-            waited = slept and time.monotonic() - began_s > WAITED_S
-            if steps > WARM + LEARNT and usual.most_common(1)[0][0] == called and waited:
-                kernel.end_count()
-                found = True
+        usual[frozenset(called)] += 1
+        waited = frame is not None and read_s > began_s  # its bytes had not come before
+        if steps > WARM + LEARNT and usual.most_common(1)[0][0] == called and waited:
+            kernel.end_count()
+            found = True
+        return frame, read_s
 
     driver.Driver._next = traced  # type: ignore[method-assign]
     rclpy.init()
