@@ -53,7 +53,8 @@ class Kept:
     def add(self, name: str, seed: int, result: Result) -> None:
         """Keep one more."""
         self.found[name, seed] = tally, complaints = result
-        print(json.dumps([name, seed, tally._asdict(), complaints]), file=self._file, flush=True)
+        line = [name, seed, tally._asdict(), complaints]
+        print(json.dumps(line, default=int), file=self._file, flush=True)  # numpy's counts, too
 
 
 def loaded_code() -> str:

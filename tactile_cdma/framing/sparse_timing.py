@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32, Indices
+from ..base.sums import in_order
 from ..code.amplitude import LEAST_SHARE, most_noise_power, rises
 from ..code.detect import Certificate, Detected, Detector, turn_pairs
 from ..code.frame import FrameSpec
@@ -206,7 +207,7 @@ class SparseRecogniser:
             doubtful = np.ones(spec.nodes, np.bool_)
         elif self._hides_nodes:
             doubtful = ~found.heard
-        noise = sum(self._noise_of(found).tolist()) / spec.line_bits  # in the kernel's order
+        noise = in_order(self._noise_of(found).tolist()) / spec.line_bits  # as the kernel
         rows: Floats32 | None = found.rows
         values, spoke = found.rows[:, spec.node_slice], None
         noise_v = math.sqrt(noise / spec.order)

@@ -54,7 +54,7 @@ def test_what_quick_runs_write_is_ignored_by_git() -> None:
 def test_a_run_that_was_cut_off_goes_on_where_it_was_unless_code_has_changed(
     tmp_path: Path,
 ) -> None:
-    file, done, other = tmp_path / "new" / "doubt.jsonl", Tally(words=7, wrong=1), Tally(words=2)
+    file, done, other = tmp_path / "new/doubt.jsonl", Tally(words=np.int64(7), wrong=1), Tally(2)
     with Kept(file, "code") as kept:
         kept.add("hum", 0, (done, ["frame 3"]))
         kept.add("hum", 1, (other, []))

@@ -62,7 +62,8 @@ class BatchCover:
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin. NaN where
-        something of this is. Raises ParameterError for other shapes, or no Indenter.
+        something of this is, or a force is negative. Raises ParameterError for other shapes, or no
+        Indenter.
         """
         if not isinstance(thing, Indenter) or isinstance(thing, HeightMap):
             raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
@@ -109,7 +110,7 @@ class BatchCover:
         else:
             if not self._is_flat:
                 raise ParameterError("objects are pressed with a force on flat skins only")
-            doubt = doubt + 0 * force_n
+            doubt = doubt + xp.where(force_n >= 0, 0 * force_n, np.nan)  # a skin does not pull
             volume_m3 = force_n / thing.stiffness_pa_per_m
             shift_m = self._shift_m(enters_m, volume_m3, xp, here)[:, None]
             depth_m = xp.where(enters_m < shift_m, shift_m - enters_m, 0.0)

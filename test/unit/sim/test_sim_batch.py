@@ -274,14 +274,14 @@ def test_what_is_unknown_presses_with_nan_and_what_is_no_pose_is_refused() -> No
         np.zeros((3, 3)),
     )
     turned, force_n = np.tile([0.0, 0, 0, 1], (3, 1)), np.ones(3)
-    for array in (places_m, turned, force_n):
-        array[1] = np.nan
+    for array, wrong in ((places_m, np.nan), (turned, np.nan), (force_n, np.nan), (force_n, -1.0)):
+        array[1] = wrong
         felt_pa = cover.pressure_pa(ball, places_m, turned, force_n)
         assert np.isnan(felt_pa).all(axis=1).tolist() == [False, True, False]
         array[1] = array[0]
-    for wrong in ({"position_m": places_m[0]}, {"orientation_xyzw": places_m}, {"force_n": 2.0}):
-        with pytest.raises(ParameterError, match=f"{next(iter(wrong))} is .* it must be"):
-            cover.pressure_pa(ball, **({"position_m": places_m} | wrong))  # type: ignore[arg-type]
+    for bad in ({"position_m": places_m[0]}, {"orientation_xyzw": places_m}, {"force_n": 2.0}):
+        with pytest.raises(ParameterError, match=f"{next(iter(bad))} is .* it must be"):
+            cover.pressure_pa(ball, **({"position_m": places_m} | bad))  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="knows no str"):
         cover.pressure_pa("ball", places_m)  # type: ignore[arg-type]
 
