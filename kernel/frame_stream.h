@@ -104,8 +104,8 @@ void stream_free(struct stream *stream);
 bool stream_describe(struct stream *stream, const struct stream_rules *rules,
                      const struct frame_code *code, float *rows);
 
-/* Frames are of sparse codes, taken apart by this; false if they are others. Of those it reads, `rows` are 0 but for
- * nodes that spoke, which `spoke` (n) lists. All are kept. */
+/* Frames are of sparse codes, taken apart by this; false if they are others. Of those it reads, `rows`
+ * begin with (k, speakers) levels of the nodes that `spoke` (n) lists. All are kept. */
 bool stream_detect_by(struct stream *stream, struct sparse *sparse, int32_t *spoke);
 
 /* Bytes to go on with, kept until they are used up; read at t_host, s. backlog: they had waited. */

@@ -565,7 +565,7 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
     return PyErr_NoMemory();
 }
 
-/* spoke: see words_read; not meant unless only_these. */
+/* only_these: rows are those of the nodes that spoke; see words_read_some. */
 FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_these"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
          NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
          ARRAY("tare_pa", 'f', "n"), OUT("active", '?', "n"), OUT("codes", 'i', "n"),
@@ -595,7 +595,9 @@ FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_th
                                   rest + nodes,
                                   v[17].data};
 
-    if (!are_of(call, &settings->frame))
+    if (v[2].size && !(axis(call, 'k') == settings->frame.bits && axis(call, 'N') == axis(call, 'm')))
+        return refuse(call, "rows: not of these nodes");
+    if (!v[2].size && !are_of(call, &settings->frame))
         return NULL;
     if (!(nodes == settings->frame.nodes && axis(call, 't') == settings->taxels))
         return refuse(call, "%zu nodes and %zu taxels expected, not %zu and %zu", settings->frame.nodes,

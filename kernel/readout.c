@@ -97,17 +97,20 @@ static bool is_disturbed(const struct readout *readout, const struct readout_fra
     return disturbed;
 }
 
-/* Adds the words to each node's sums: numpy_count in health.py, of nodes that are not suspect. */
-VECTORS static void count(size_t nodes, const struct readout_frame *out,
-                          const struct readout_settings *settings, float *restrict sums)
+/* Adds the words of nodes to their sums: numpy_count in health.py, of nodes that are not suspect. some: which; NULL:
+ * the first ones. */
+INLINE void count_these(const int32_t *some, size_t number, const struct readout_frame *out,
+                        const struct readout_settings *settings, float *restrict sums)
 {
+    const size_t nodes = settings->frame.nodes;
     const uint8_t *restrict active = out->active, *restrict doubtful = out->doubtful;
     const uint8_t *restrict doubled = out->doubled, *restrict odd = out->odd;
     const float *restrict amplitude = out->amplitude, *restrict rho = out->rho;
     const float *restrict margin = out->margin;
     const struct words_limits limit = settings->reading.limits;
 
-    for (size_t i = 0; i < nodes; i++) {
+    for (size_t at = 0; at < number; at++) {
+        size_t i = some ? (size_t)some[at] : at;
         int clear = rho[i] > limit.low_rho, weak = margin[i] < limit.low_margin;
         float heard = (float)active[i];
         sums[i] += heard;
@@ -116,6 +119,12 @@ VECTORS static void count(size_t nodes, const struct readout_frame *out,
         sums[3 * nodes + i] += (float)doubled[i];
         sums[4 * nodes + i] += (float)(odd[i] & clear & !weak);
     }
+}
+
+VECTORS static void count(size_t nodes, const struct readout_frame *out,
+                          const struct readout_settings *settings, float *sums)
+{
+    count_these(NULL, nodes, out, settings, sums);
 }
 
 /* ---- readings ---------------------------------------------------------------------------------- */
@@ -248,13 +257,15 @@ enum readout_look readout_read(struct readout *readout, const float *rows, const
     const struct readout_skin *skin = &readout->skin;
     size_t nodes = settings->frame.nodes;
     float *floats = readout->floats;
-    struct words_measures measures = {out->amplitude,     floats,         floats + nodes,
+    struct words_measures measures = {spoke ? floats + 3 * nodes : out->amplitude, floats, floats + nodes,
                                       floats + 2 * nodes, readout->ints, readout->ints + nodes};
     struct words_decided decided = {out->codes,    out->rho,     out->margin,
                                     out->doubtful, out->doubled, out->odd};
     enum words_look look =
-        words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, spoke, speakers, skin->sign_mask,
-                   skin->offset, skin->expected, &measures, &decided, out->active);
+        spoke ? words_read_some(&settings->frame, &settings->reading, per_noise, least_usual, rows, spoke, speakers,
+                                skin->sign_mask, skin->expected, &measures, out->amplitude, &decided, out->active)
+              : words_read(&settings->frame, &settings->reading, per_noise, least_usual, rows, skin->sign_mask,
+                           skin->offset, skin->expected, &measures, &decided, out->active);
     if (look == WORDS_NEED_STAGES || is_disturbed(readout, out))
         return READOUT_ODD;
     if (look == WORDS_LEAVE_MUCH && !in_place)
@@ -264,7 +275,10 @@ enum readout_look readout_read(struct readout *readout, const float *rows, const
         if (displaced != READOUT_PLAIN)
             return displaced;
     }
-    count(nodes, out, settings, skin->sums);
+    if (spoke)
+        count_these(spoke, speakers, out, settings, skin->sums);
+    else
+        count(nodes, out, settings, skin->sums);
     const int32_t *source = skin->source;
     /* Of nodes in scratch, where taxels have another order. */
     float *pressure_pa = source ? floats : out->pressure_pa;

@@ -75,9 +75,9 @@ enum readout_look {
     READOUT_PLAIN,
 };
 
-/* Reads the words of a frame, counts them, and converts them to readings. rows: (k, N) V. per_noise,
- * spoke, least_usual: see words_read. in_place: what they leave over is not asked. drift_v, tare_pa: added to
- * voltages, taken off pressures. */
+/* Reads the words of a frame, counts them, and converts them to readings. rows: (k, N) V; with
+ * spoke, (k, speakers) of these nodes. per_noise, least_usual: see words_read. in_place: what they leave over is not
+ * asked. drift_v, tare_pa: added to voltages, taken off pressures. */
 enum readout_look readout_read(struct readout *readout, const float *rows, const int32_t *spoke,
                                size_t speakers, float per_noise,
                                float least_usual, bool in_place, double now_s, double stale_after_s,

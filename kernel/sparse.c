@@ -35,10 +35,9 @@ struct sparse {
     double *triangle;       /* (most that are told apart)² */
     int32_t *unused;        /* codes of no node */
     int32_t *carried;       /* those that spoke in the last frame that settled */
-    int32_t *told_nodes;    /* those of the last frame that was read */
     int32_t *from;          /* where a listed one was listed before, or -1 */
     int32_t *nodes;         /* (2^m) node of every code, from 0 on; -1: none */
-    size_t unused_count, carried_count, told_count;
+    size_t unused_count, carried_count;
     struct listed now, next; /* words that are taken off; those that will be */
     double power[WORDS_MOST_BITS];
     double level;
@@ -78,7 +77,7 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->book = *book;
     sparse->rules = *rules;
     sparse->chips = calloc(2 * chips + levels + 8 * book->rows, sizeof(float));
-    sparse->unused = malloc(5 * book->rows * sizeof(int32_t));
+    sparse->unused = malloc(4 * book->rows * sizeof(int32_t));
     if (!(sparse->chips && sparse->unused && make_list(&sparse->now, book) && make_list(&sparse->next, book))) {
         sparse_free(sparse);
         return NULL;
@@ -96,7 +95,6 @@ struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_ru
     sparse->carried = sparse->unused + book->rows;
     sparse->from = sparse->carried + book->rows;
     sparse->nodes = sparse->from + book->rows;
-    sparse->told_nodes = sparse->nodes + book->rows;
     if (rules->alike && !make_products(sparse)) {
         sparse_free(sparse);
         return NULL;
@@ -138,10 +136,16 @@ static float *sums_of(const struct sparse *sparse, size_t bit)
 
 /* ---- passes over all rows or chips --------------------------------------------------------------- */
 
-VECTORS static void add_loud(size_t rows, const float *restrict sums, float *restrict loud)
+/* Means over the bits, scaled; sums: so many values from bit to bit. */
+VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums, float scale,
+                                 float *restrict loud)
 {
-    for (size_t i = 0; i < rows; i++)
-        loud[i] += fabsf(sums[i]);
+    for (size_t i = 0; i < rows; i += LANES) {
+        floats8 sum = {0};
+        for (size_t bit = 0; bit < bits; bit++)
+            sum += (floats8)(*(const ints8 *)(sums + bit * step + i) & INT32_MAX);
+        *(floats8 *)(loud + i) = sum * scale;
+    }
 }
 
 VECTORS static void add_squares(size_t rows, const float *restrict sums, float *restrict squares)
@@ -191,7 +195,6 @@ static void correlate(struct sparse *sparse)
     const float *left = sparse->left;
     float *loud = sparse->loud, *spread = sparse->spread, order = (float)book->order;
 
-    memset(loud, 0, book->rows * sizeof *loud);
     for (size_t bit = 0; bit < book->bits; bit++, left += book->order, places += book->order) {
         const float *words = now->words + bit * book->rows;
         float *sums = sums_of(sparse, bit);
@@ -201,10 +204,8 @@ static void correlate(struct sparse *sparse)
         memset(spread, 0, book->rows * sizeof *spread);
         for (size_t i = 0; i < now->count; i++)
             sums[now->codes[i]] += order * words[i];
-        add_loud(book->rows, sums, loud);
     }
-    for (size_t i = 0; i < book->rows; i++)
-        loud[i] *= 1.0f / (order * (float)book->bits);
+    average_loud(book->rows, book->bits, book->rows + APART_BY, sparse->sums, 1.0f / (order * (float)book->bits), loud);
     for (size_t i = 0; i < sparse->unused_count; i++)
         loud[sparse->unused[i]] = 0;
 }
@@ -239,12 +240,14 @@ static void exchange(struct sparse *sparse)
 /* Lists the codes that have more: most eights of codes have none, and in others it is a guess who has. */
 VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
+    const floats8 limit = (floats8){0} + least;
     size_t count = 0;
 
     for (size_t first = 0; first < rows; first += LANES) {
-        int any = 0;
-        for (size_t i = 0; i < LANES; i++)
-            any |= values[first + i] > least;
+        const ints8 above = *(const floats8 *)(values + first) > limit;
+        uint64_t pairs[LANES / 2];
+        memcpy(pairs, &above, sizeof pairs);
+        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
         for (size_t i = 0; any && i < LANES; i++) {
             codes[count] = (int32_t)(first + i);
             count += values[first + i] > least;
@@ -404,10 +407,11 @@ static double change_of(const struct sparse *sparse)
 }
 
 VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
-                         const int32_t *restrict places, float onsager, float *restrict left)
+                         const int32_t *restrict places, float onsager, const float *restrict flips, float level,
+                         float *restrict left)
 {
     for (size_t i = 0; i < count; i++)
-        left[i] = chips[i] - told[places[i]] + onsager * left[i];
+        left[i] = chips[i] - told[places[i]] + onsager * left[i] - level * flips[i];
 }
 
 /* Chips, which may be `left`, without the level. */
@@ -425,6 +429,7 @@ static void take_off(struct sparse *sparse, double level, float onsager)
     const struct listed *now = &sparse->now;
     size_t chips = book->bits * book->order;
     float *told = sparse->told, *spread = sparse->spread;
+    float known = isnan(level) ? 0 : (float)level;
 
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *words = now->words + bit * book->rows;
@@ -434,10 +439,13 @@ static void take_off(struct sparse *sparse, double level, float onsager)
         transform_multiply(book->walsh, spread, told, 1);
         for (size_t i = 0; i < now->count; i++)
             spread[now->codes[i]] = 0;
-        take(book->order, sparse->chips + first, told, book->places + first, onsager, sparse->left + first);
+        take(book->order, sparse->chips + first, told, book->places + first, onsager, book->flips + first, known,
+             sparse->left + first);
     }
-    sparse->level = isnan(level) ? product(chips, sparse->left, book->flips) / (double)chips : level;
-    shift(chips, sparse->left, book->flips, (float)sparse->level, sparse->left);
+    if (isnan(level)) {
+        sparse->level = product(chips, sparse->left, book->flips) / (double)chips;
+        shift(chips, sparse->left, book->flips, (float)sparse->level, sparse->left);
+    }
 }
 
 /* ---- a frame ----------------------------------------------------------------------------------- */
@@ -652,28 +660,22 @@ void sparse_learn(const struct sparse *sparse, double found, double *noise)
     *noise = *noise > 0 ? *noise + sparse->rules.weight * (found - *noise) : found;
 }
 
-/* Replaces the levels of those who spoke in the frame before by those of this one. */
-static void tell_spoken(struct sparse *sparse, float *rows, int32_t *spoke)
+/* Levels of those who spoke. */
+static void tell_spoken(const struct sparse *sparse, float *levels, int32_t *spoke)
 {
     const struct sparse_book *book = &sparse->book;
     const struct listed *next = &sparse->next;
-    int32_t *nodes = sparse->told_nodes;
 
     for (size_t i = 0; i < next->count; i++)
         spoke[i] = sparse->nodes[next->codes[i]];
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *sums = sums_of(sparse, bit);
-        float *levels = rows + bit * book->rows + 1;
-        for (size_t i = 0; i < sparse->told_count; i++)
-            levels[nodes[i]] = 0;
         for (size_t i = 0; i < next->count; i++)
-            levels[spoke[i]] = sums[next->codes[i]] * (1.0f / (float)book->order);
+            *levels++ = sums[next->codes[i]] * (1.0f / (float)book->order);
     }
-    sparse->told_count = next->count;
-    memcpy(nodes, spoke, next->count * sizeof *nodes);
 }
 
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, int32_t *spoke,
+bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
                  struct sparse_told *told)
 {
     const struct sparse_book *book = &sparse->book;
@@ -687,7 +689,7 @@ bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float
     found /= (double)book->bits;
     if (!words_explain(sparse, *noise) || silence_rises(sparse, found / (double)book->order))
         return false;
-    tell_spoken(sparse, rows, spoke);
+    tell_spoken(sparse, levels, spoke);
     *told = (struct sparse_told){sparse->level, sqrt(found / (double)book->order), sparse->next.count};
     sparse_learn(sparse, found, noise);
     return true;

@@ -53,9 +53,8 @@ const struct sparse_book *sparse_book(const struct sparse *sparse);
 void sparse_detect(struct sparse *sparse, const float *chips, double damping, struct sparse_found *found);
 
 /* Reads a frame that leaves nothing to decide, as SparseRecogniser does; false for any other. noise: V², of a chip, in
- * the frames before, and then with this one. rows: (k, 2^m) levels of those who spoke, 0 of all others; as the last
- * frame left them, and 0 at first. spoke: (n) their nodes, from 0 on, in any order. */
-bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *rows, int32_t *spoke,
+ * the frames before, and then with this one. spoke: (n) nodes, from 0 on, in any order. levels: (k, speakers), V. */
+bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
                  struct sparse_told *told);
 
 /* Learns the noise from that of one frame, V²; 0: unknown. */

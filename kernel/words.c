@@ -52,39 +52,20 @@ VECTORS static void measure(const float *levels, size_t step, size_t bits, size_
         measure_block(levels + first, step, bits, nodes - first, measures, first);
 }
 
-/* The same, where only some nodes have levels, and those of all others are 0. */
-static void measure_some(const float *levels, size_t step, size_t bits, size_t nodes, const int32_t *spoke,
-                         size_t speakers, const struct words_measures *measures)
-{
-    float *all[] = {measures->amplitude, measures->weakest, measures->strongest, measures->squares};
-
-    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
-        memset(all[i], 0, nodes * sizeof *all[i]);
-    memset(measures->signs, 0, nodes * sizeof *measures->signs);
-    memset(measures->weakest_bit, 0, nodes * sizeof *measures->weakest_bit);
-    for (size_t begin = 0; begin < speakers; begin += BLOCK) {
-        float some[WORDS_MOST_BITS][BLOCK], found[4][BLOCK];
-        int32_t signs[BLOCK], weakest_bit[BLOCK];
-        const struct words_measures block = {found[0], found[1], found[2], found[3], signs, weakest_bit};
-        size_t size = speakers - begin < BLOCK ? speakers - begin : BLOCK;
-        for (size_t bit = 0; bit < bits; bit++)
-            for (size_t i = 0; i < size; i++)
-                some[bit][i] = levels[bit * step + (size_t)spoke[begin + i]];
-        measure(some[0], BLOCK, bits, size, &block);
-        for (size_t i = 0; i < size; i++) {
-            size_t node = (size_t)spoke[begin + i];
-            for (size_t j = 0; j < 4; j++)
-                all[j][node] = found[j][i];
-            measures->signs[node] = signs[i];
-            measures->weakest_bit[node] = weakest_bit[i];
-        }
-    }
-}
-
 /* ---- decide ------------------------------------------------------------------------------------ */
 
-/* Whether any word is faint: find_active in stages.py. */
-VECTORS static bool find_active(size_t nodes, const float *restrict amplitude,
+/* NaN if any is, as numpy's. */
+VECTORS static float highest(size_t nodes, const float *amplitude)
+{
+    float loudest = -INFINITY;
+
+    for (size_t i = 0; i < nodes; i++)
+        loudest = amplitude[i] > loudest || isnan(amplitude[i]) ? amplitude[i] : loudest;
+    return loudest;
+}
+
+/* Whether any word is faint: find_active in stages.py. loudest: of all amplitudes. */
+VECTORS static bool find_active(size_t nodes, const float *restrict amplitude, float loudest,
                                 const float *restrict squares, const float *restrict expected,
                                 const struct words_reading *reading, float per_noise,
                                 uint8_t *restrict active)
@@ -92,11 +73,8 @@ VECTORS static bool find_active(size_t nodes, const float *restrict amplitude,
     const float threshold = reading->threshold, faint_share = reading->faint_share;
     const float sound_share = reading->sound_share, least = reading->least_squares;
     const float most_noise = reading->loud_squares, hiding = reading->hiding_rho;
-    float loudest = -INFINITY;
     int any = 0;
 
-    for (size_t i = 0; i < nodes; i++) /* NaN if any is, as numpy's */
-        loudest = amplitude[i] > loudest || isnan(amplitude[i]) ? amplitude[i] : loudest;
     float most = isnan(loudest) ? INFINITY : loudest;
     float none = isnan(loudest) ? loudest : 0; /* NaN is no sound level */
     for (size_t i = 0; i < nodes; i++) {
@@ -163,7 +141,7 @@ INLINE bool decide_by(const bool parity, size_t nodes, const struct words_measur
         odd[i] = (uint8_t)is_odd;
         any_uneven |= active[i] & (squares[i] > amplitude * amplitude * most_square);
     }
-    return any_uneven && nodes > 2;
+    return any_uneven;
 }
 
 /* Whether any word is uneven: decide in stages.py. */
@@ -500,7 +478,6 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
-                           const int32_t *spoke, size_t speakers,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active)
@@ -508,10 +485,7 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
     const float *amplitude = measures->amplitude;
     float threshold = reading->threshold;
 
-    if (spoke)
-        measure_some(rows + frame->first, frame->order, frame->bits, frame->nodes, spoke, speakers, measures);
-    else
-        measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
+    measure(rows + frame->first, frame->order, frame->bits, frame->nodes, measures);
     if (!isnan(least_usual)) {
         float usual;
         loudest_of(amplitude, frame->nodes, frame->loudest_share, &usual);
@@ -519,17 +493,94 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
         for (size_t i = 0; i < frame->nodes; i++)
             expected[i] = usual;
     }
-    if (find_active(frame->nodes, amplitude, measures->squares, expected, reading, per_noise, active))
+    if (find_active(frame->nodes, amplitude, highest(frame->nodes, amplitude), measures->squares, expected, reading, per_noise, active))
         return WORDS_NEED_STAGES;
     if (decide(frame->nodes, measures, active, expected, sign_mask, per_noise,
                (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,
-                     decided))
+                     decided) && frame->nodes > 2)
         return WORDS_NEED_STAGES;
     float share = threshold < reading->faint_share ? threshold : reading->faint_share;
     struct spoken spoken =
         clear_silent(frame->nodes, measures, decided, active, expected, share);
     return spoken.words ? look_at_rest(frame, reading, rows, offset, amplitude, active, &spoken)
                         : WORDS_NEED_STAGES;
+}
+
+/* Whether noise may hide the word of a node of such an amplitude. */
+VECTORS static bool any_hidden(size_t nodes, const float *expected, float per_noise, float hiding)
+{
+    int any = 0;
+
+    for (size_t i = 0; i < nodes; i++)
+        any |= expected[i] * per_noise < hiding;
+    return any;
+}
+
+static void clear_words(size_t nodes, float *amplitude, const struct words_decided *decided, uint8_t *active)
+{
+    memset(amplitude, 0, nodes * sizeof *amplitude);
+    memset(decided->codes, 0, nodes * sizeof *decided->codes);
+    memset(decided->rho, 0, nodes * sizeof *decided->rho);
+    memset(decided->margin, 0, nodes * sizeof *decided->margin);
+    memset(decided->doubtful, 0, nodes);
+    memset(decided->doubled, 0, nodes);
+    memset(decided->odd, 0, nodes);
+    memset(active, 0, nodes);
+}
+
+enum words_look words_read_some(const struct words_frame *frame, const struct words_reading *reading, float per_noise,
+                                float least_usual, const float *levels, const int32_t *spoke, size_t speakers,
+                                const int32_t *sign_mask, float *expected, const struct words_measures *measures,
+                                float *amplitude, const struct words_decided *decided, uint8_t *active)
+{
+    float share = fminf(reading->threshold, reading->faint_share);
+    size_t words = 0;
+
+    measure(levels, speakers, frame->bits, speakers, measures);
+    if (!isnan(least_usual)) {
+        float usual;
+        loudest_of(measures->amplitude, speakers, frame->loudest_share, &usual);
+        usual = usual < least_usual ? least_usual : usual; /* NaN stays */
+        for (size_t i = 0; i < frame->nodes; i++)
+            expected[i] = usual;
+    }
+    if (any_hidden(frame->nodes, expected, per_noise, reading->hiding_rho))
+        return WORDS_NEED_STAGES;
+    clear_words(frame->nodes, amplitude, decided, active);
+    float loudest = highest(speakers, measures->amplitude);
+    for (size_t begin = 0; begin < speakers; begin += BLOCK) {
+        size_t size = speakers - begin < BLOCK ? speakers - begin : BLOCK;
+        float usual[BLOCK], rho[BLOCK], margin[BLOCK];
+        int32_t mask[BLOCK], codes[BLOCK];
+        uint8_t doubtful[BLOCK], doubled[BLOCK], odd[BLOCK], is_active[BLOCK];
+        const struct words_measures some = {measures->amplitude + begin, measures->weakest + begin,
+                                            measures->strongest + begin, measures->squares + begin,
+                                            measures->signs + begin, measures->weakest_bit + begin};
+        const struct words_decided found = {codes, rho, margin, doubtful, doubled, odd};
+        for (size_t i = 0; i < size; i++) {
+            usual[i] = expected[spoke[begin + i]];
+            mask[i] = sign_mask[spoke[begin + i]];
+        }
+        if (find_active(size, some.amplitude, loudest, some.squares, usual, reading, per_noise, is_active))
+            return WORDS_NEED_STAGES;
+        if (decide(size, &some, is_active, usual, mask, per_noise, (unsigned)frame->bits, reading->parity,
+                   reading->most_square, &reading->limits, &found) &&
+            frame->nodes > 2)
+            return WORDS_NEED_STAGES;
+        words += clear_silent(size, &some, &found, is_active, usual, share).words;
+        for (size_t i = 0; i < size; i++) {
+            size_t node = (size_t)spoke[begin + i];
+            amplitude[node] = some.amplitude[i];
+            decided->codes[node] = codes[i];
+            decided->rho[node] = rho[i];
+            decided->margin[node] = margin[i];
+            decided->doubtful[node] = doubtful[i];
+            decided->doubled[node] = doubled[i];
+            decided->odd[node] = odd[i];
+            active[node] = is_active[i];
+        }
+    }
+    return words ? WORDS_ARE_PLAIN : WORDS_NEED_STAGES;
 }
 
 /* ---- late -------------------------------------------------------------------------------------- */

@@ -68,14 +68,20 @@ enum words_look {
 };
 
 /* The words of a frame, as decode_in_stages in decode.py reads them. per_noise: 1/V. rows: (k, N).
- * spoke: nodes whose rows are not 0, `speakers` of them; NULL: any may be. offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
+ * offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
  * written to unless least_usual (V, of the usual amplitude) is NaN. */
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,
                            float per_noise, float least_usual, const float *rows,
-                           const int32_t *spoke, size_t speakers,
                            const int32_t *sign_mask, const float *offset, float *expected,
                            const struct words_measures *measures,
                            const struct words_decided *decided, uint8_t *active);
+
+/* The same of a frame in which only some nodes have levels, (k, speakers), and detection has looked at the rest: of
+ * sparse codes. measures: of these only; amplitude and others: (n,), of all. */
+enum words_look words_read_some(const struct words_frame *frame, const struct words_reading *reading, float per_noise,
+                                float least_usual, const float *levels, const int32_t *spoke, size_t speakers,
+                                const int32_t *sign_mask, float *expected, const struct words_measures *measures,
+                                float *amplitude, const struct words_decided *decided, uint8_t *active);
 
 #define WORDS_MOST_BITS 31
 

@@ -2,6 +2,9 @@
 
 """What is done to every sample; and sums over those of a frame, compiled or in numpy."""
 
+from collections.abc import Iterable
+from functools import reduce
+from operator import add
 from typing import TypeVar
 
 import numpy as np
@@ -11,6 +14,11 @@ from . import kernel
 from .arrays import Counts, Floats, Floats32
 
 F = TypeVar("F", np.float32, np.float64)
+
+
+def in_order(values: Iterable[float]) -> float:
+    """Sum of values, one after the other, as in C; Python's own compensates rounding since 3.12."""
+    return reduce(add, values, 0.0)
 
 
 def dot(some: NDArray[F], others: NDArray[F]) -> float:

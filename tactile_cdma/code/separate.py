@@ -3,6 +3,7 @@
 """Picks the nodes' levels out of one frame's correlations, and measures their noise."""
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -35,7 +36,7 @@ class NodeLevels:
     late: nodes, counted from 0, whose words were found in chips that are read early or late.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     spoke: (m,) int32, nodes, counted from 0, whose values are not all 0, in any order; None: any.
-        Lent, as rows are.
+        Without rows, values are theirs only, (k, m); see whole. Lent, as rows are.
     understood: though the frame is in doubt, nearly all words are those that were sent, and tell of
         their nodes.
     """
@@ -48,6 +49,14 @@ class NodeLevels:
     level_unknown: bool = False
     spoke: Int32s | None = None
     understood: bool = False
+
+    def whole(self, spec: FrameSpec) -> "NodeLevels":
+        """With the values of all nodes, and rows."""
+        if self.spoke is None or self.rows is not None:
+            return self
+        rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
+        rows[:, spec.rows[self.spoke]] = self.values
+        return replace(self, values=rows[:, spec.node_slice], rows=rows)
 
 
 def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:

@@ -193,16 +193,21 @@ class CompiledStream:
             self._sparse.load = self._sparse.load.after(speakers)
         fit, levels = line.nominal, None
         if kind == _HEARD:
-            rows = self._rows
-            unknown = line.integrated and not known and may_be_offset(rows, line.spec)
-            spoke = None if self._sparse is None else self._spoke[:speakers]
-            levels = NodeLevels(
-                self._values, noise_v, rows=rows, level_unknown=unknown, spoke=spoke
-            )
+            levels = self._levels(noise_v, known, speakers)
             fit = self._fit or fit
             noise_v *= self._chip_noise
         begin = float(start) if line.integrated else start + fit.start
         return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped, turn=turn)
+
+    def _levels(self, noise_v: float, known: bool, speakers: int) -> NodeLevels:
+        """Those of a frame that the kernel has decided."""
+        rows, line = self._rows, self._line
+        assert line is not None, "only marked frames are found in the kernel"
+        if self._sparse is not None:
+            values = rows.ravel()[: len(rows) * speakers].reshape(-1, speakers)
+            return NodeLevels(values, noise_v, spoke=self._spoke[:speakers])
+        unknown = line.integrated and not known and may_be_offset(rows, line.spec)
+        return NodeLevels(self._values, noise_v, rows=rows, level_unknown=unknown)
 
     def _ask(self, packet: Received | None) -> Samples | Quiet | None:
         """A packet of samples that is to be asked about; none if no samples can be those."""

@@ -250,7 +250,7 @@ class Pipeline:
             held = taxels.try_hold(t_device) if heard.doubtful is None else None
             return words, held or taxels.update(words, t_device, self.health)
         is_odd = (
-            levels.rows is None
+            (levels.rows is None and levels.spoke is None)
             or levels.unresolved
             or levels.late
             or levels.level_unknown

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.stage import stage
+from ..base.sums import in_order
 from ..code.frame import FrameSpec
 from ..code.transform import chips_of
 from .fit import Fit, Line, WordFit, integrate, read_words, refine
@@ -211,5 +212,5 @@ class Judge:
 def _other(cost: Floats, chosen: int) -> float:
     """Probability that it is another frame than the chosen one."""
     costs = cost.tolist()
-    odds = sum(math.exp(min(costs[chosen] - each, 700.0)) for each in costs)  # of one, itself
+    odds = in_order(math.exp(min(costs[chosen] - each, 700.0)) for each in costs)  # of one, itself
     return 1 - 1 / odds

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32, Indices
+from ..base.sums import in_order
 from ..code.amplitude import LEAST_SHARE, most_noise_power, rises
 from ..code.detect import Certificate, Detected, Detector, turn_pairs
 from ..code.frame import FrameSpec
@@ -206,8 +207,10 @@ class SparseRecogniser:
             doubtful = np.ones(spec.nodes, np.bool_)
         elif self._hides_nodes:
             doubtful = ~found.heard
-        noise = sum(self._noise_of(found).tolist()) / spec.line_bits  # in the kernel's order
-        rows, spoke, noise_v = found.rows, None, math.sqrt(noise / spec.order)
+        noise = in_order(self._noise_of(found).tolist()) / spec.line_bits  # as the kernel
+        rows: Floats32 | None = found.rows
+        values, spoke = found.rows[:, spec.node_slice], None
+        noise_v = math.sqrt(noise / spec.order)
         understood = self._is_understood(found) and self._line.noise > 0
         self.crowded = not explained and understood and not self._are_told_apart(found)
         if self._settled(found):
@@ -218,11 +221,11 @@ class SparseRecogniser:
         self._learn(found, noise, explained, late, frame.opened)
         self._line.level_v = found.level_v
         if doubtful is None and not self._silence_rises(found, noise_v):
-            rows = np.zeros_like(rows)  # there is nothing to ask about the silence
-            rows[:, spec.rows[found.heard]] = found.rows[:, spec.rows[found.heard]]
+            # There is nothing to ask about the silence.
             spoke = np.flatnonzero(found.heard).astype(np.int32)
+            values, rows = np.ascontiguousarray(values[:, spoke]), None
         levels = NodeLevels(
-            rows[:, spec.node_slice],
+            values,
             noise_v,
             rows=rows,
             late=late,

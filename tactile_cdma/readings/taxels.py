@@ -262,8 +262,8 @@ class Taxels:
     ) -> tuple[Words, Readings] | None:
         """Decode one frame, and update its nodes' health and readings by its words, all at once.
 
-        Needs the compiled kernel, and levels with all rows. None, and nothing is updated, where
-        anything about the frame is odd. active_share: see decode.
+        Needs the compiled kernel, and levels with all rows, or who spoke. None, and nothing is
+        updated, where anything about the frame is odd. active_share: see decode.
         """
         chain = self.chain
         if health.any_suspect:
@@ -280,11 +280,12 @@ class Taxels:
         floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
         readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
         floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
-        spoke = (NOBODY, False) if levels.spoke is None else (levels.spoke, True)
+        some = levels.values, levels.spoke, True
+        heard = some if levels.rows is None else (levels.rows, NOBODY, False)
         in_place, baseline = False, chain.baseline
         while True:
             look = readout.kernel.read(
-                levels.rows, *spoke, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
+                *heard, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
                 self.stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
                 doubts, readings, status, readout.rest, readout.valid,
             )  # fmt: skip

@@ -164,6 +164,7 @@ def decode(
     With parity, a word whose parity is odd has its weakest bit turned (Wagner 1954, the most
     likely even word) and is doubtful.
     """
+    levels = levels.whole(spec)
     frame = _spoken(levels, spec, active_share, swing_v)
     measures, active = frame.measures, frame.active
     codes, rho, margin, doubtful, doubled, odd, uneven = decide(

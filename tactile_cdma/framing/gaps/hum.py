@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...base.arrays import Floats
-from ...base.sums import sums
+from ...base.sums import in_order, sums
 
 FREQUENCIES_HZ = np.arange(45.0, 65.1, 1.0)
 """Hum that is looked for first: mains of 50 and 60 Hz, and what small generators make of them."""
@@ -109,8 +109,8 @@ class Hum:
             return
         means = [sums(volts[i * size : (i + 1) * size])[0] / size for i in range(PARTS)]
         windows.append(_Window(begin, size, means))
-        self._sums.append(sum(means))
-        self._squares.append(sum(map(operator.mul, means, means)))
+        self._sums.append(in_order(means))
+        self._squares.append(in_order(map(operator.mul, means, means)))
         self._noises.append(noise / size)
         while windows[0].begin < begin - self._memory:
             for each in (windows, self._sums, self._squares, self._noises):
@@ -161,8 +161,8 @@ class Hum:
     def _power(self) -> float:
         """Variance of the parts' means, V²."""
         count = PARTS * len(self._windows)
-        mean = sum(self._sums) / count
-        return sum(self._squares) / count - mean * mean
+        mean = in_order(self._sums) / count
+        return in_order(self._squares) / count - mean * mean
 
     def _noise(self) -> float:
         """What noise contributes to it, V²: the median over the windows."""
