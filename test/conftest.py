@@ -46,8 +46,10 @@ def pytest_configure(config: pytest.Config) -> None:
     home = TemporaryDirectory(prefix="ros-home-")
     os.environ["ROS_HOME"] = home.name  # drivers keep tare and drift there
     config.add_cleanup(home.cleanup)
-    # Tests interrupt their child processes, which a shell's background job would have ignore it.
+    # Tests interrupt their child processes, which a shell's background job, or nohup, would have
+    # ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_make_parametrize_id(val: object) -> str | None:

@@ -41,6 +41,7 @@ inside() {
     [ ! -e "$root/root/ca.crt" ] || passed+=(PIP_CERT=/root/ca.crt)
     unshare --mount --pid --fork --kill-child sh -c '
         root=$1; shift
+        mount --bind "$root" "$root" # a root that is no mount point takes no mounts of its own
         mount -t proc proc "$root/proc"
         mount -t tmpfs tmpfs "$root/dev"
         for device in null zero full random urandom tty; do

@@ -103,8 +103,8 @@ static void measure(struct demonstrator *d)
     uint32_t number = d->scene, frame = d->scene_frame++;
 
     if (number == TP_SCENE_ALL) {
-        uint32_t all = 0;
-        for (uint32_t i = 0; i < SCENES; i++)
+        uint32_t all = scenes[0].frames;
+        for (uint32_t i = 1; i < SCENES; i++)
             all += scenes[i].frames;
         frame %= all;
         for (number = 0; frame >= scenes[number].frames; number++)

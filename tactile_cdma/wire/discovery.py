@@ -21,6 +21,8 @@ USB = "usb://"
 """Begins the URL of a port that is named by the serial number of its USB device."""
 LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
 """Where udev keeps names that survive replugging; the first is filled by our own rules."""
+MEMORY = 1
+"""Major number of /dev/null and its kind (Linux, Documentation/admin-guide/devices.txt)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +123,11 @@ def is_serial(device: str) -> bool:
         status = os.stat(device)
     except (OSError, ValueError):
         return True
-    number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
-    kind = os.path.realpath(f"/sys/dev/char/{number}/subsystem")  # pseudo-terminals have none
-    is_tty = os.path.basename(kind) == "tty" or not os.path.exists(kind)
-    return stat.S_ISCHR(status.st_mode) and is_tty
+    major = os.major(status.st_rdev)
+    kind = os.path.realpath(f"/sys/dev/char/{major}:{os.minor(status.st_rdev)}/subsystem")
+    if not os.path.exists(kind):  # of a pseudo-terminal, or there is no /sys
+        return stat.S_ISCHR(status.st_mode) and major != MEMORY
+    return stat.S_ISCHR(status.st_mode) and os.path.basename(kind) == "tty"
 
 
 def holders(device: str) -> list[str]:
