@@ -204,7 +204,7 @@ class CompiledStream:
         rows, line = self._rows, self._line
         assert line is not None, "only marked frames are found in the kernel"
         if self._sparse is not None:
-            values = rows.ravel()[: len(rows) * speakers].reshape(-1, speakers)
+            values = rows.ravel()[: len(rows) * speakers].reshape(len(rows), speakers)
             return NodeLevels(values, noise_v, spoke=self._spoke[:speakers])
         unknown = line.integrated and not known and may_be_offset(rows, line.spec)
         return NodeLevels(self._values, noise_v, rows=rows, level_unknown=unknown)

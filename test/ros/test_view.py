@@ -254,4 +254,5 @@ def test_a_patch_that_is_not_there_is_answered_with_those_that_are() -> None:
     with running(port="sim://"):
         done = run_python("-m", "tactile_cdma.ros.viewers.view", "palm", "--seconds", "1")
     assert done.returncode == 1
-    assert "no frame on /palm/skin/tactile: there is /skin/tactile" in done.stderr
+    # The nodes of a test before may not be forgotten yet.
+    assert re.search(r"no frame on /palm/skin/tactile: there is (.*, )?/skin/tactile", done.stderr)
