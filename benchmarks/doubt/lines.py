@@ -149,6 +149,7 @@ SPARSE_LINES = (
     Condition("nodes 1 to 3 chips late", Line(late=((2, 1), (3, 2), (4, 3))), SOME),
     Condition("hum of A", Line(hum_v=0.15), SOME),
     Condition("hum of 2 A, 300 Hz", Line(hum_v=0.3, hum_hz=300, onset=0.5), SOME),
+    Condition("one speaks, the line jumps", Line(steps_hz=20, step_v=0.05), Talk((3,), 0.2)),
     Condition("marks late", talk=SOME, digitizer=Digitizer(mark_shifts=(1, 2))),
     Condition("samples dropped", talk=SOME, digitizer=Digitizer(slip_share=0.3)),
 )

@@ -119,12 +119,13 @@ def test_an_image_for_any_node_says_so(
     out = capsys.readouterr().out
     assert "of any node with 8 MHz" in out and "once in 78 frames\n" in out
     assert "1 to 16 of 16: it takes its number when it is pressed" in out
-    flash = from_hex(image.read_text())
+    flash, first = from_hex(image.read_text()), node_memory(FrameSpec(), 1)
     for octets, told in (
         (
-            {0x3003 + 2 * len(node_memory(FrameSpec(), 1)): 0},
+            {0x3003 + 2 * len(first): 0},
             "memory 3 of 16: this is not a node's memory",
         ),
+        (dict(enumerate(first, 0x3003 + len(first))), "memory 2 of 16 is that of node 1"),
         ({0x3000: 17}, "memory 17 of 17: the memory is"),
         ({0x3002: 20}, "it says 16 nodes with 20 MHz"),
         ({0x3001: 255}, "it says 65296 nodes with 8 MHz"),

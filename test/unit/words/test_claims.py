@@ -71,6 +71,15 @@ def test_a_node_in_no_row_is_no_noise(skin: Skin, late: tuple[tuple[int, float],
     assert counts.right > 60
 
 
+@pytest.mark.parametrize("disturbed", [{"steps_hz": 20, "step_v": 0.05}, {"hum_v": 0.15}])
+def test_on_a_sparse_line_something_but_nobody_is_heard(disturbed: dict[str, float]) -> None:
+    """Most frames have no speaker, and are not silent."""
+    skin = Skin(nodes=256, order=64, period_chips=832, amplitude_v=0.15, sparse=True)
+    counts = tally(Line(**disturbed), Talk((3,), 0.1), skin, "means", 60)
+    assert counts.words > 3
+    assert counts.silences > 14000
+
+
 @pytest.mark.parametrize(
     ("number", "seed"),
     [
