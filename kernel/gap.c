@@ -109,7 +109,8 @@ static bool is_decided(const struct fit_code *code, const struct gap_rules *rule
     for (double close = margin / 2; !(decided && seen->unaided) && close <= margin; close *= 2) {
         if (!judge_weigh(code, &rules->judge, view, words, close, margin, &votes, cost, scratch))
             return false;
-        double least = cost[likely], most = judge_most(&rules->judge, rules->disturbed, &votes, view->count - 1 + code->span);
+        double least = cost[likely];
+        double most = judge_most(&rules->judge, rules->disturbed, &votes, view->count - 1 + code->span);
         for (size_t c = 0; c < view->count; c++) {
             if (c != likely && cost[c] < least + margin / 2)
                 return false; /* with timing of its own it may get closer */
@@ -229,8 +230,8 @@ static bool view_frame(const struct fit_code *code, const struct gap_rules *rule
 
 /* As GapSearch.carried, with the words of the frame that it finds. */
 static bool carry(const struct fit_code *code, const struct gap_rules *rules, const struct fit_refining *refining,
-                  const struct gap_expected *expected, const struct fit_line *line, struct gap_seen *seen, struct judge_view *view, float *levels,
-                  float *scratch)
+                  const struct gap_expected *expected, const struct fit_line *line, struct gap_seen *seen,
+                  struct judge_view *view, float *levels, float *scratch)
 {
     seen->fit = (struct fit){expected->start, expected->chip};
     if (view_frame(code, rules, line, seen, view, levels) && (double)*seen->words.misfit < rules->still_misfit)
@@ -264,9 +265,9 @@ VECTORS static double share_clipped(const struct gap_rules *rules, const double 
 }
 
 bool gap_look(const struct fit_code *code, const struct burst_search *search, const struct gap_rules *rules,
-              const struct fit_refining *refining, const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
-              const struct gap_expected *expected, struct gap_seen *seen, enum gap_look *look, double *values,
-              float *scratch)
+              const struct fit_refining *refining, const double *volts, const double *raw, size_t size,
+              double least_power, const struct burst_gap *known, const struct gap_expected *expected,
+              struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
 {
     size_t halves = size / search->half;
     double *sums = values, *means = sums + size + 1, *rest = means + halves;

@@ -55,8 +55,8 @@ size_t gap_scratch(const struct fit_code *code, const struct burst_search *searc
 
 /* volts: as searched. raw: as they came, with hum. False where the samples are too few for a gap, or one is NaN. */
 bool gap_look(const struct fit_code *code, const struct burst_search *search, const struct gap_rules *rules,
-              const struct fit_refining *refining, const double *volts, const double *raw, size_t size, double least_power, const struct burst_gap *known,
-              const struct gap_expected *expected, struct gap_seen *seen, enum gap_look *look, double *values,
-              float *scratch);
+              const struct fit_refining *refining, const double *volts, const double *raw, size_t size,
+              double least_power, const struct burst_gap *known, const struct gap_expected *expected,
+              struct gap_seen *seen, enum gap_look *look, double *values, float *scratch);
 
 #endif

@@ -134,8 +134,8 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd'
     if (!(axis(call, 'v') >= gap_values(search, samples) && axis(call, 'f') >= gap_scratch(code, search)))
         return refuse(call, "values, scratch: %zu and %zu expected", gap_values(search, samples),
                       gap_scratch(code, search));
-    if (!gap_look(code, search, rules, &refining, value[3].data, value[4].data, samples, value[5].number, &known, &expected,
-                  &seen, &look, value[19].data, value[20].data))
+    if (!gap_look(code, search, rules, &refining, value[3].data, value[4].data, samples, value[5].number, &known,
+                  &expected, &seen, &look, value[19].data, value[20].data))
         Py_RETURN_NONE;
     return Py_BuildValue("i(ddn)(dddddd)d(dd)O(ddOd)Odd", (int)look, seen.gap.level, seen.gap.variance,
                          (Py_ssize_t)seen.gap.begin, seen.burst.first, seen.burst.last, seen.burst.slack,

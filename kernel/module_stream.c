@@ -566,8 +566,8 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
 }
 
 /* only_these: rows are those of the nodes that spoke; see words_read_some. */
-FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_these"), NUMBER("per_noise"), NUMBER("least_usual"), FLAG("in_place"),
-         NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
+FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_these"), NUMBER("per_noise"),
+         NUMBER("least_usual"), FLAG("in_place"), NUMBER("now_s"), NUMBER("stale_after_s"), ARRAY("drift_v", 'f', "n"),
          ARRAY("tare_pa", 'f', "n"), OUT("active", '?', "n"), OUT("codes", 'i', "n"),
          OUT("floats", 'f', "3n"), OUT("doubts", '?', "3n"), OUT("readings", 'f', "2t"),
          OUT("status", 'B', "t"), OUT("rest", 'f', "2n"), OUT("valid", '?', "n"))

@@ -493,7 +493,8 @@ enum words_look words_read(const struct words_frame *frame, const struct words_r
         for (size_t i = 0; i < frame->nodes; i++)
             expected[i] = usual;
     }
-    if (find_active(frame->nodes, amplitude, highest(frame->nodes, amplitude), measures->squares, expected, reading, per_noise, active))
+    if (find_active(frame->nodes, amplitude, highest(frame->nodes, amplitude), measures->squares, expected, reading,
+                    per_noise, active))
         return WORDS_NEED_STAGES;
     if (decide(frame->nodes, measures, active, expected, sign_mask, per_noise,
                (unsigned)frame->bits, reading->parity, reading->most_square, &reading->limits,

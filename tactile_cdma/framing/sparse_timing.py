@@ -76,11 +76,6 @@ class Load(NamedTuple):
         overloads = self.overloads + (crowded or now > self.capacity)
         return Load(self.capacity, now, max(self.peak, now), overloads, crowded)
 
-    @property
-    def is_over(self) -> bool:
-        """Whether too many spoke in the newest frame."""
-        return self.crowded or self.now > self.capacity
-
 
 class SparseTiming(MarkedTiming):
     """Line timing of nodes with sparse codes."""
