@@ -15,6 +15,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
+    Info,
     Packet,
     RollCall,
     Samples,
@@ -184,5 +185,7 @@ def test_short_history_is_enough_for_the_stream(specimen: Specimen) -> None:
 def test_the_converter_clips_where_the_amplifier_does(specimen: Specimen) -> None:
     loud = replace(specimen("capture"), gain=1.2)
     with EmulatedSkin([loud], Amplifier(low_v=-1, high_v=4)) as skin:
-        counts = np.concatenate([packet.counts for packet in Host(skin).stream(20 * MS)])
-        assert (counts.min(), counts.max()) == (0, 4095)
+        host = Host(skin)
+        counts = np.concatenate([packet.counts for packet in host.stream(20 * MS)])
+        info = host.all(Info)[-1]
+        assert (counts.min(), info.zero_count, counts.max()) == (0, 2048, 4095)
