@@ -195,6 +195,7 @@ class PatchFeed:
         self._on_taxels(self, taxels)
 
     def _take_places(self, message: TactileSkinInfo) -> None:
+        self.places = None  # those of before may be of another skin
         self.places = Places(message)
 
     def _take_array(self, message: TactileArray, info: MessageInfo) -> None:
@@ -203,5 +204,6 @@ class PatchFeed:
         self.array, self.is_new = message, True
 
     def _take_info(self, message: TactileSkinInfo) -> None:
+        self._cloud = None
         positions_m, normals, _ = (place.astype(np.float32) for place in places_of(message))
         self._cloud = message.info_id, Cloud(positions_m, normals, self._index)
