@@ -7,13 +7,15 @@
 
 #define OF_RULES(member) FIELD(sparse_rules, member)
 
+#define OF_DETECTION(member) FIELD(sparse_rules, detect.member)
+
 static const struct field sparse_fields[] = {
-    OF_RULES(swing),      OF_RULES(least),     OF_RULES(soft_noise),    OF_RULES(slope),
-    OF_RULES(log_odds),   OF_RULES(hard_share), OF_RULES(settled),      OF_RULES(near),
-    OF_RULES(negligible), OF_RULES(stalled),   OF_RULES(turns),         OF_RULES(capacity),
-    OF_RULES(most_noise), OF_RULES(more),      OF_RULES(tolerance),     OF_RULES(chance),
-    OF_RULES(chance_of_bit), OF_RULES(hiding), OF_RULES(weight),        OF_RULES(silent_square),
-    OF_RULES(silent_power), OF_RULES(alike),
+    OF_DETECTION(swing),     OF_DETECTION(least),      OF_DETECTION(soft_noise), OF_DETECTION(slope),
+    OF_DETECTION(log_odds),  OF_DETECTION(hard_share), OF_DETECTION(settled),    OF_DETECTION(near),
+    OF_DETECTION(negligible), OF_DETECTION(stalled),   OF_DETECTION(turns),      OF_RULES(capacity),
+    OF_RULES(most_noise),    OF_RULES(more),           OF_RULES(tolerance),      OF_RULES(chance),
+    OF_RULES(chance_of_bit), OF_RULES(hiding),         OF_RULES(weight),         OF_RULES(silent_square),
+    OF_RULES(silent_power),  OF_RULES(alike),
 };
 
 const struct layout sparse_layout = LAYOUT(sparse_rules, sparse_fields);
@@ -78,7 +80,7 @@ FUNCTION(detect, ARRAY("chips", 'f', "kN"), NUMBER("damping"), OUT("rows", 'f', 
          OUT("heard", '?', "n"), OUT("left", 'f', "kN"), OUT("power", 'd', "k"))
 {
     struct owned *owned = held_by(call->self);
-    struct sparse_found found = {.rows = call->value[2].data,
+    struct detected found = {.rows = call->value[2].data,
                                  .left = call->value[4].data,
                                  .heard = call->value[3].data,
                                  .power = call->value[5].data};
@@ -87,7 +89,7 @@ FUNCTION(detect, ARRAY("chips", 'f', "kN"), NUMBER("damping"), OUT("rows", 'f', 
           axis(call, 'M') == owned->rows && axis(call, 'n') == owned->nodes))
         return refuse(call, "chips: not of this book");
     Py_BEGIN_ALLOW_THREADS
-    sparse_detect(owned->sparse, call->value[0].data, call->value[1].number, &found);
+    detector_detect(sparse_detector(owned->sparse), call->value[0].data, call->value[1].number, &found);
     Py_END_ALLOW_THREADS
     return Py_BuildValue("dO", found.level, found.settled ? Py_True : Py_False);
 }
@@ -100,8 +102,8 @@ FUNCTION(loudness, ARRAY("chips", 'f', "kN"), SIZE("lateness"), FLAG("late"), OU
     if (!(axis(call, 'k') == owned->bits && axis(call, 'N') == owned->order &&
           axis(call, 'n') == owned->nodes && call->value[1].size < owned->order))
         return refuse(call, "chips: not of this book, or all of a bit late");
-    sparse_loudness(owned->sparse, call->value[0].data, call->value[2].size ? lateness : -lateness,
-                    call->value[3].data);
+    detector_loudness(sparse_detector(owned->sparse), call->value[0].data, call->value[2].size ? lateness : -lateness,
+                      call->value[3].data);
     Py_RETURN_NONE;
 }
 

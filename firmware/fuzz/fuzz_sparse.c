@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The driver's detection of sparse codes (../kernel/sparse.h) on frames of known words, and whatever the input adds to
- * them, any level or none. What is claimed to be taken off, and left over, must add up to the chips in plain sums; few
- * words on an undisturbed line must be those that were sent. */
+/* The driver's detection of sparse codes (../kernel/detect.h, sparse.h) on frames of known words, and whatever the input
+ * adds to them, any level or none. What is claimed to be taken off, and left over, must add up to the chips in plain
+ * sums; few words on an undisturbed line must be those that were sent. */
 #include "fuzz.h"
 #include "sparse.h"
 
@@ -51,7 +51,7 @@ static float level_of(const struct sparse_book *book, const float *chips, size_t
 }
 
 /* Words of a frame that settled: one amplitude in all bits, and with what is left and the level all of the chips. */
-static void check_sum(const struct sparse_book *book, const float *chips, const struct sparse_found *found)
+static void check_sum(const struct sparse_book *book, const float *chips, const struct detected *found)
 {
     static float words[MOST_ROWS][MOST_BITS];
 
@@ -105,8 +105,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     struct transform *walsh = transform_new(taps[0], 0, NULL, NULL, 1, 0);
     const struct sparse_book book = {bits, order, rows, nodes, walsh, places, codes, flips};
     const struct sparse_rules rules = {
-        .swing = 1, .least = 0.35, .soft_noise = 0.1, .slope = 0.75, .log_odds = 8, .hard_share = 2.2,
-        .settled = 0.01, .near = 0.1, .negligible = 1e-4, .stalled = 0.97, .turns = 24,
+        .detect = {.swing = 1, .least = 0.35, .soft_noise = 0.1, .slope = 0.75, .log_odds = 8, .hard_share = 2.2,
+                   .settled = 0.01, .near = 0.1, .negligible = 1e-4, .stalled = 0.97, .turns = 24},
         .capacity = nodes < order / 4 ? nodes : order / 4, .most_noise = 0.1 * (double)order, .more = 0.1,
         .tolerance = 0.03, .chance = 4 * sqrt(2.0 / (double)(bits * order)), .chance_of_bit = 4 * sqrt(2.0 / (double)order),
         .hiding = 0.3, .weight = 0.25, .silent_square = 0.01 * (double)bits, .silent_power = 2.5 * (double)bits,
@@ -139,8 +139,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     }
 
     struct sparse *sparse = sparse_new(&book, &rules);
-    struct sparse_found found = {.rows = levels, .left = left, .heard = heard, .power = power};
-    sparse_detect(sparse, chips, damping, &found);
+    struct detected found = {.rows = levels, .left = left, .heard = heard, .power = power};
+    detector_detect(sparse_detector(sparse), chips, damping, &found);
     if (found.settled)
         check_sum(&book, chips, &found);
     for (size_t bit = 0; bit < bits; bit++)
@@ -152,7 +152,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
                 MUST((levels[bit * rows + node + 1] > 0) == (sent[node] >> bit & 1), WRONG_VALUE);
         }
     check_certified(&book, sparse, chips, sent, is_sound && bits >= 8 && order >= 16);
-    sparse_loudness(sparse, chips, late, loudness);
+    detector_loudness(sparse_detector(sparse), chips, late, loudness);
     for (size_t node = 0; node < nodes; node += 1 + nodes / 8) {
         float mean = 0;
         for (size_t bit = 0; bit < bits; bit++)

@@ -191,7 +191,7 @@ def late(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec
     signs, meant, left = _taken_apart(levels, amplitude, active, spec)
     chips = _without_leakage(chips_of(left, spec), chips_of(meant, spec))
     earlier, later = signs[:-1], signs[1:]
-    variance = np.square(chips[:, EDGE:-EDGE]).mean(axis=1)
+    variance = np.square(chips[:, EDGE:-EDGE]).mean(axis=1, dtype=np.float32)
     most_by_chance = by_chance_of(spec)
 
     def shows(word: Floats32, owner: Floats32, edge: Floats32, noise: Floats32) -> Bools:

@@ -8,7 +8,7 @@ They share no code with the reader: messages are written by rosbags from their d
 import io
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,7 @@ class BagMaker:
         invalid: Any = None,
         simulated: bool = True,
         uncertain: Any = None,
-    ) -> None:
+    ) -> Self:
         """Frames and info of a patch.
 
         invalid: (t_s) → indices of taxels without a reading. uncertain: (t_s) → what the stamp may
@@ -115,8 +115,9 @@ class BagMaker:
                 status=status,
                 noise_rms=0.001,
             )
+        return self
 
-    def camera(self, topic: str, seconds: float, rate_hz: float, compressed: bool = False) -> None:
+    def camera(self, topic: str, seconds: float, rate_hz: float, compressed: bool = False) -> Self:
         """Images of 8 × 6 pixels, whose red is the number of the image (modulo 256)."""
         for i in range(round(seconds * rate_hz)):
             t_s = (i + 0.25) / rate_hz
@@ -139,8 +140,9 @@ class BagMaker:
                 }
             fields |= {"header": header, "data": np.frombuffer(data, dtype=np.uint8)}
             self.add(t_s + 0.04, topic, kind, **fields)
+        return self
 
-    def joints(self, topic: str, seconds: float) -> None:
+    def joints(self, topic: str, seconds: float) -> Self:
         """Two joints at 100 Hz: the time, and its negative."""
         nothing = np.zeros(0)
         for i in range(round(seconds * 100)):
@@ -155,8 +157,9 @@ class BagMaker:
                 velocity=nothing,
                 effort=nothing,
             )
+        return self
 
-    def contacts(self, node: str, seconds: float, end_s: float) -> None:
+    def contacts(self, node: str, seconds: float, end_s: float) -> Self:
         """Contacts and wrench until end_s: unknown before 1 s, from then on a force of −t N."""
         vector = lambda *xyz: self.make(  # noqa: E731
             "geometry_msgs/msg/Vector3", **dict(zip("xyz", xyz, strict=True))
@@ -197,6 +200,7 @@ class BagMaker:
                 wrench=wrench,
                 contacts=[],
             )
+        return self
 
     def write(self, path: Path, sqlite: bool = False, compressed: str = "none") -> Path:
         plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP

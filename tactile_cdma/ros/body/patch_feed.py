@@ -57,6 +57,7 @@ class PatchFeed:
         self.is_new = False
         self._heard_s, self._stamp_ns = -math.inf, 0
         self._late_s = self._underway_s = math.inf
+        self._settles = False  # ROS time has just stepped back
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index = node, index
         self._on_contacts, self._on_taxels = on_contacts, on_taxels
@@ -91,12 +92,16 @@ class PatchFeed:
 
         The least, because a busy computer takes some messages late, but not all.
         """
-        late_s, self._late_s = self._late_s, math.inf
+        late_s, self._late_s = self._late_s, math.nan if self._settles else math.inf
+        self._settles = False
         return late_s if late_s < math.inf else 0.0
 
     def step_back(self) -> None:
-        """ROS time has stepped back, as where a bag begins anew: no stamp counts as off for now."""
-        self._late_s, self._stamp_ns = math.nan, 0
+        """ROS time has stepped back, as where a bag begins anew: no stamp counts as off for now.
+
+        Until late_s was asked twice: messages of before may still come after the first time.
+        """
+        self._late_s, self._stamp_ns, self._settles = math.nan, 0, True
 
     def underway_s(self) -> float:
         """Least time that a message took since the last call, s; NaN if that is not known.

@@ -84,16 +84,21 @@ def test_points_become_a_file_that_the_driver_takes(
         assert fitted.pressure_pa == pytest.approx(curve.pressure_pa, abs=300)
         assert fitted.voltage_v == pytest.approx(curve.voltage_v, abs=ADC.lsb_v)
     assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
+    output.write_text(output.read_text().replace("skin: palm", "skin: 'thumb'"))
+    assert main(["calibrate", "--seal", str(output)]) == 0
+    identity = pairs(capsys.readouterr().out)["identity"]
+    assert read_calibration(output, NODES, ADC, SIMULATED, "thumb").identity == identity
 
 
 def test_a_wrong_area_is_warned_of_and_a_far_too_small_one_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    loads = tmp_path / "loads.csv"
+    loads, picture = tmp_path / "loads.csv", tmp_path / "picture.of.palm"
     write_loads(loads)
     loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
     arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--area-mm2"]
-    assert main(["calibrate", *arguments, "1000"]) == 0
+    assert main(["calibrate", *arguments, "1000", "--png", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG"), "whatever its name"
     assert "warning" not in capsys.readouterr().out
     assert main(["calibrate", *arguments, "100", "--force"]) == 0
     assert "warning: 0.1 times as sensitive" in capsys.readouterr().out.replace("0.0996", "0.1")
@@ -176,25 +181,6 @@ def test_no_option_is_ignored_and_no_file_lost(
     write_loads(Path("loads.csv"))
     assert cause in refusal(capsys, "loads.csv", "--force", "-o", "skin.yaml", *options)
     assert [path.name for path in tmp_path.iterdir()] == ["loads.csv"]
-
-
-def test_the_picture_is_a_png_whatever_its_name(tmp_path: Path) -> None:
-    loads, picture = tmp_path / "loads.csv", tmp_path / "picture.of.palm"
-    write_loads(loads)
-    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--png", str(picture)]
-    assert main(["calibrate", *arguments]) == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-def test_sealing_is_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
-    write_loads(loads)
-    assert main(["calibrate", str(loads), "-o", str(output)]) == 0
-    output.write_text(output.read_text().replace("skin: ''", "skin: 'thumb'"))
-    capsys.readouterr()
-    assert main(["calibrate", "--seal", str(output)]) == 0
-    identity = pairs(capsys.readouterr().out)["identity"]
-    assert read_calibration(output, NODES, ADC, SIMULATED, "thumb").identity == identity
 
 
 def staircase(t_s: float) -> float:
@@ -427,10 +413,7 @@ def test_a_port_that_is_not_there_is_told_of_before_a_load_and_leaves_no_file(
 
 @pytest.mark.parametrize("begun", ["node;pressure_bar;voltage_mv\n1;0;3200\n", "\n", "\ufffd"])
 def test_points_follow_on_points_only(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    begun: str,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, begun: str
 ) -> None:
     monkeypatch.setattr("builtins.input", lambda question: "0")
     points = tmp_path / "points.csv"

@@ -124,10 +124,7 @@ GOOD = "1,0,3.2\n1,50,1.6\n"
         (f"{HEADING}\n{GOOD}1,-60,1.5\n", "line 4: pressure_kpa is -60; .* 0 or more"),
         (f"{HEADING}\n{GOOD}1,60,3.4\n", "line 4: 3.4 V; a node measures 0…3.3 V"),
         (f"{HEADING}\n1,0,3200\n1,50,1600\n", "line 2: 3200 V; .* Name the column voltage_mv"),
-        (
-            "node,pressure_kpa,voltage_mv\n1,0,3.2\n1,50,1.6\n",
-            "3.2 mV: are these V",
-        ),
+        ("node,pressure_kpa,voltage_mv\n1,0,3.2\n1,50,1.6\n", "3.2 mV: are these V"),
         ("node,pressure_kpa,code\n1,0,993\n", "'code'; known are node, "),
         (f"{HEADING}\n1,3.2,0\n1,1.6,50\n", "are the columns swapped"),
         (f"{HEADING}\n1,0,3.2\n", "pressure_kpa is never above 0: a curve needs loads"),

@@ -55,12 +55,7 @@ def line_of(spec: FrameSpec, clocks: NodeClocks, words: np.ndarray, per_chip: fl
 
 
 @examples(10)
-@given(
-    st.sampled_from([2.0, 3.0, 4.5]),
-    st.floats(0, 1),
-    st.floats(0, 0.02),
-    st.integers(0, 99),
-)
+@given(st.sampled_from([2.0, 3.0, 4.5]), st.floats(0, 1), st.floats(0, 0.02), st.integers(0, 99))
 def test_block_elimination_is_regularised_least_squares(
     per_chip: float, delay: float, rate: float, seed: int
 ) -> None:

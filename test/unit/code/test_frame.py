@@ -63,31 +63,6 @@ def test_codes_that_do_not_fit_are_refused(code: int) -> None:
         word_bits([0, code], 10)
 
 
-def test_a_bipolar_node_sends_plus_or_minus_its_signed_row() -> None:
-    spec = FrameSpec(polarity=-1)
-    active = np.arange(16) == 4
-    codes = np.full(16, 0b1000000001)
-    chips = line_chips(spec, codes, active)
-    row = 0.3 * spec.signs[4] * spec.book.matrix[spec.rows[4]]
-    assert np.allclose(chips[0], -row)
-    assert np.allclose(chips[1], row)
-    assert np.allclose(chips[9], -row)
-
-
-def test_a_unipolar_node_is_at_zero_or_full_level() -> None:
-    spec = FrameSpec(drive="unipolar")
-    chips = line_chips(spec, np.arange(16) * 60, np.arange(16) == 7)
-    assert np.allclose(np.unique(chips), [0, 0.3])
-    assert np.allclose(line_chips(spec, np.zeros(16, int), np.zeros(16, bool)), 0)
-
-
-def test_the_line_is_the_sum_of_its_nodes() -> None:
-    spec = FrameSpec(drive="unipolar", polarity=-1)
-    codes = np.random.default_rng(0).integers(0, 1024, 16)
-    alone = [line_chips(spec, codes, np.arange(16) == node) for node in range(16)]
-    assert np.allclose(line_chips(spec, codes), np.sum(alone, axis=0), atol=1e-5)
-
-
 @given(
     st.integers(1, 300),
     st.sampled_from(["bipolar", "unipolar"]),

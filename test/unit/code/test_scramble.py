@@ -36,28 +36,6 @@ MOST_LATE = 40
 """Chips."""
 
 
-def test_the_sequence_is_that_of_the_document() -> None:
-    """Written out by docs/protocol.md."""
-    for seed in (0, 1, 0xDEADBEEF):
-        h = (seed + 65_536 * 0x9E3779B9) & MASK
-        h = ((h ^ h >> 16) * 0x85EBCA6B) & MASK
-        h = ((h ^ h >> 13) * 0xC2B2AE35) & MASK
-        h ^= h >> 16
-        octets = [h & 255, h >> 8 & 255, h >> 16 & 255, h >> 24]
-        while len(octets) < 4 + 30:
-            a, d = octets[-4], octets[-1]
-            t = (a ^ (a << 1)) % 256
-            octets.append(d ^ (d >> 3) ^ t ^ (t >> 1))
-        del octets[:4]
-        for order in (1, 2, 8, 20, 24):
-            size = (order + 7) // 8
-            for bit, flips in enumerate(chip_flips(10, order, seed)):
-                for chip in range(order):
-                    place = 8 * size - order + chip
-                    octet = octets[bit * size + place // 8]
-                    assert flips[chip] == (-1 if octet >> place % 8 & 1 else 1)
-
-
 def test_no_seed_stops_it() -> None:
     """The state 0 would stay 0, and flip nothing; this seed's hash is 0."""
     seed = -65_536 * 0x9E3779B9 & MASK

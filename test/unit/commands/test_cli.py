@@ -148,10 +148,7 @@ def test_a_terminal_of_another_alphabet_is_served() -> None:
     ("options", "message"),
     [
         (["--frame-period-ms", "9"], "longer than its period"),
-        (["--order", "92"], "nearest feasible orders are 88 and 96"),
-        (["--bits", "99"], "bits is 99"),
         (["--timing", "line"], "use --timing gap"),
-        (["--drive", "unipolar", "--first-row", "0", "--order", "16"], "cannot use code row 0"),
         (["--params", "/nowhere.yaml"], "/nowhere.yaml: No such file"),
     ],
 )

@@ -13,33 +13,20 @@ from test.support.command_line import Refused
 from test.support.simulated import recording
 
 pytestmark = pytest.mark.xdist_group("export options")  # its files are made once
-CHOICES = [
-    ["--topic", "/skin/tactile"],
-    ["--start", "0"],
-    ["--end", "2"],
-    ["--episode", "0:1"],
-    ["--marks", "/marks"],
-    ["--from-first-complete"],
-]
-OF_LEROBOT = [
-    ["--fps", "30"],
-    ["--clock", "/camera"],
-    ["--samples", "window"],
-    ["--nan", "hold"],
-    ["--image", "/nope"],
-    ["--state", "/nope"],
-    ["--action", "/nope"],
-    ["--task", "grip"],
-]
-OF_SKIN = [["--nodes", "99"], ["--vref", "1.0"], ["--no-parity"], ["--params", "skin.yaml"]]
+OF_CHOICE = "--topic /skin/tactile|--start 0|--end 2|--episode 0:1|--marks /m|--from-first-complete"
+OF_DATASET = (
+    "--fps 30|--clock /c|--samples window|--nan hold|--image /i|--state /s|--action /a|--task grip"
+)
+CHOICES, OF_LEROBOT, OF_SKIN = (
+    [option.split() for option in options.split("|")]
+    for options in (OF_CHOICE, OF_DATASET, "--nodes 99|--vref 1.0|--no-parity|--params skin.yaml")
+)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("options")
-    maker = BagMaker()
-    maker.skin("/skin", 0.3)
-    found = {"bag": maker.write(folder / "bag")}
+    found = {"bag": BagMaker().skin("/skin", 0.3).write(folder / "bag")}
     found["recording"] = recording(folder / "touch.skin", SimOptions(), 0.3)
     found["table"] = folder / "out.npz"
     assert main(["export", str(found["bag"]), "-o", str(found["table"])]) == 0

@@ -97,10 +97,7 @@ def test_patches_can_be_selected_by_name(tmp_path: Path) -> None:
         ("patches:\n  a: {parameters: {skin: }}", "line 2: skin must be a text, got None"),
         ("patches:\n  a: {parameters: {port: [1]}}", "port must be a text, got [1]"),
         ("patches:\n  a: {parameters: {mount_xyz_m: [1, 2]}}", "line 2: mount_xyz_m is [1, 2]"),
-        (
-            "patches:\n  a: {parameters: {mount_rpy_rad: 1}}",
-            "must be a list of numbers, got 1",
-        ),
+        ("patches:\n  a: {parameters: {mount_rpy_rad: 1}}", "must be a list of numbers, got 1"),
         ("patches:\n  a: {params_file: none.yaml}", ": no parameter file "),
         (
             "patches:\n  a: {parameters: {port: /dev/x}}\n  b: {parameters: {port: /dev/x}}",

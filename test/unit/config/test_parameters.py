@@ -14,17 +14,8 @@ import pytest
 import yaml
 
 from tactile_cdma.base.errors import ParameterError, SpecError
-from tactile_cdma.config.arguments import (
-    check_params_are_for,
-    launch_values,
-)
-from tactile_cdma.config.parameters import (
-    BY_NAME,
-    PARAMETERS,
-    SIMULATION,
-    check_values,
-    read_file,
-)
+from tactile_cdma.config.arguments import check_params_are_for, launch_values
+from tactile_cdma.config.parameters import BY_NAME, PARAMETERS, SIMULATION, check_values, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.calibrations import write_calibration
 
@@ -177,8 +168,6 @@ def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:
         ("/**: {ros__parameters: {skin: {a: 1}}}", "keys with values"),
         ("/**: {ros__parameters: {skin: 2001-99-99, nodes: ~}}", "nodes must be an integer"),
         ("/**: {ros__parameters: {nodes: " + "9" * 5000 + "}}", "nodes must be an integer"),
-        ("a: &a {b: *a}", "aliases"),
-        ("a: " + "[" * 100_000, "nested deeper"),
         ("/**: {ros__parameters: {nodes: 010}}", "nodes must be an integer"),
     ],
 )

@@ -19,16 +19,7 @@ from tactile_cdma.base.errors import CaptureError, ParameterError
 from tactile_cdma.datasets.alignment import STALE_S, WAIT_S, Aligner, Row
 from tactile_cdma.datasets.episodes import FOREVER_NS, Episode, find_episodes, parse_interval
 from tactile_cdma.datasets.samples import NANO, Kind, RawImage, Sample, SampleStream, SkinFrame
-from tactile_cdma.datasets.touch import (
-    DROP,
-    HOLD,
-    LAST,
-    MODES,
-    WINDOW,
-    ZERO,
-    Touch,
-    TouchStream,
-)
+from tactile_cdma.datasets.touch import DROP, HOLD, LAST, MODES, WINDOW, ZERO, Touch, TouchStream
 
 MS = 1_000_000
 ALWAYS = [Episode(0, FOREVER_NS, "all")]
@@ -106,7 +97,7 @@ def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
     merged = sorted(samples + frames, key=lambda sample: sample.seen_ns)
     rows = rows_of(Aligner(streams, {}, episodes, 30, clock="camera"), merged)
     assert [(row.tick.time_ns // MS, row.tick.episode) for row in rows] == [
-        *((33, 0), (66, 0), (101, 1), (133, 1)),
+        *((33, 0), (66, 0), (101, 1), (133, 1))
     ]
     assert [number(row) for row in rows] == [30, 60, 100, 130]
 
@@ -322,16 +313,6 @@ def test_a_window_holds_all_samples_of_an_interval_the_newest_last(policy: str) 
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_nothing_of_a_patch_that_stopped_is_a_valid_reading(mode: str) -> None:
-    taken = TouchStream(taxels=1, slots=1, mode=mode, policy=DROP)
-    taken.take(0, skin_frame(3.0))
-    assert touch_at(taken, 400).complete
-    stopped = touch_at(taken, 600, has_stopped=True)
-    assert not stopped.complete and not stopped.valid.any()
-    assert stopped.pressure_pa.ravel().tolist() == [3.0]
-
-
-@pytest.mark.parametrize("mode", MODES)
 def test_a_frame_that_may_be_of_another_time_has_no_valid_reading(mode: str) -> None:
     taken = TouchStream(taxels=1, slots=1, mode=mode, policy=HOLD)
     for ms, uncertainty_s in ((0, 0.04), (10, 0.06), (20, np.inf)):
@@ -377,7 +358,7 @@ def test_episodes_are_intervals_or_between_marks() -> None:
     whole = find_episodes(_Marked(), "press")  # type: ignore[arg-type]
     assert [(e.begin_ns, e.end_ns) for e in whole] == [(0, FOREVER_NS)]
     assert found(_Marked(), intervals=[(20.0, 30.0), (1.5, 3.0)]) == [
-        *((101.5, 103.0, "press"), (120.0, 130.0, "press")),
+        *((101.5, 103.0, "press"), (120.0, 130.0, "press"))
     ]
     flags = _Marked(*((110, _Message(True)), (120, _Message(False)), (130, _Message(True))))
     assert found(flags, marks="/record") == [(110, 120, "press"), (130, 200, "press")]

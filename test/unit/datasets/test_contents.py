@@ -21,8 +21,7 @@ NANO = 10**9
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Half a second without taxel 2, and 10 of 156 frames missing."""
-    maker = BagMaker()
-    maker.skin("/skin", SECONDS, lambda t_s: [2] if t_s < 0.5 else [])
+    maker = BagMaker().skin("/skin", SECONDS, lambda t_s: [2] if t_s < 0.5 else [])
     arrays = [message for message in maker.messages if message[1] == "/skin/tactile"]
     for lost in (*arrays[100:104], *arrays[120:126]):
         maker.messages.remove(lost)
@@ -115,8 +114,7 @@ def test_frames_that_were_never_published_are_not_called_lost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As of a skin at rest with idle_rate_hz."""
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
+    maker = BagMaker().skin("/skin", 1.0)
     maker.messages = [
         one for one in maker.messages if one[1] != "/skin/tactile" or one[3].sequence % 8 == 0
     ]
@@ -129,8 +127,7 @@ def test_frames_that_were_never_published_are_not_called_lost(
 def test_a_bag_without_a_skin_is_not_deserialised(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    maker = BagMaker()
-    maker.joints("/joint_states", 0.1)
+    maker = BagMaker().joints("/joint_states", 0.1)
     time_ns, topic, kind, _ = maker.messages[3]
     maker.messages[3] = (time_ns, topic, kind, b"\x00\x01\x00\x00odd")
     lines = said(maker.write(tmp_path / "bag"), capsys)

@@ -17,8 +17,7 @@ MCAP, SQLITE, METADATA = "session.mcap", "session.db3", "metadata.yaml"
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, bytes]]:
     """Files of a bag of either kind, by the name of the one with messages."""
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
+    maker = BagMaker().skin("/skin", 1.0)
     folder = tmp_path_factory.mktemp("damaged")
     return {
         name: {file.name: file.read_bytes() for file in path.iterdir()}

@@ -55,8 +55,7 @@ def robot(maker: BagMaker, seconds: float, gripper_end_s: float) -> None:
 def test_two_publishers_of_joints_are_one_state_or_chosen(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 2.0)
+    maker = BagMaker().skin("/skin", 2.0)
     robot(maker, 2.0, 2.0)
     bag = maker.write(tmp_path / "bag")
     found = rows(tmp_path / "all", bag, "--state", "/joint_states", "--action", "/joint_states")
@@ -78,8 +77,7 @@ def test_one_of_two_publishers_that_stops_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The arm goes on: the gripper's last position must not be taken for the present one."""
-    maker = BagMaker()
-    maker.skin("/skin", 3.0)
+    maker = BagMaker().skin("/skin", 3.0)
     robot(maker, 3.0, 1.0)
     found = rows(tmp_path / "out", maker.write(tmp_path / "bag"), "--state", "/joint_states")
     t_s = (np.array(found["unix_time_ns"]) - BEGIN_NS) * 1e-9
@@ -92,8 +90,7 @@ def test_files_agree_on_joints_by_name(tmp_path: Path, arm_first: bool) -> None:
     """Whoever publishes first, and in whatever order: a column is one joint in all files."""
     bags = []
     for file in range(2):
-        maker = BagMaker()
-        maker.skin("/skin", 1.0)
+        maker = BagMaker().skin("/skin", 1.0)
         robot(maker, 1.0, 1.0)
         if bool(file) == arm_first:
             maker.messages = [
@@ -117,10 +114,7 @@ def test_files_agree_on_joints_by_name(tmp_path: Path, arm_first: bool) -> None:
 
 
 def test_two_topics_with_the_same_elements_are_refused(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.5)
-    maker.joints("/left", 0.5)
-    maker.joints("/right", 0.5)
+    maker = BagMaker().skin("/skin", 0.5).joints("/left", 0.5).joints("/right", 0.5)
     bag = maker.write(tmp_path / "bag")
     words = ["export", bag, "--lerobot", tmp_path / "out", "--fps", "30", "--state", "/left"]
     said = refused(*words, "--state", "/right")
@@ -160,9 +154,7 @@ def with_channels(bag: Path, *channels: tuple[str, str, str, str, str]) -> Path:
 def test_channels_that_cannot_be_read_are_left_out_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
-    maker.camera("/front/image_raw", 1.0, 30)
+    maker = BagMaker().skin("/skin", 1.0).camera("/front/image_raw", 1.0, 30)
     event = "example_interfaces/srv/AddTwoInts_Event"
     bag = with_channels(
         maker.write(tmp_path / "bag"),
@@ -195,8 +187,7 @@ def test_channels_that_cannot_be_read_are_left_out_by_name(
 def test_messages_that_do_not_fit_are_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
+    maker = BagMaker().skin("/skin", 1.0)
     for i in [i for i, one in enumerate(maker.messages) if one[1] == "/skin/tactile"][5:8]:
         maker.messages[i] = (*maker.messages[i][:3], b"\x00\x01\x00\x00odd")
     bag = maker.write(tmp_path / "bag")
@@ -241,17 +232,13 @@ def test_the_info_of_a_split_bag_is_in_its_first_file(
 def test_compressed_bags_are_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], sqlite: bool, compressed: str
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.5)
-    bag = maker.write(tmp_path / "bag", sqlite, compressed)
+    bag = BagMaker().skin("/skin", 0.5).write(tmp_path / "bag", sqlite, compressed)
     assert main(["export", str(bag), "-o", str(tmp_path / "out.npz")]) == 0
     assert f"frames=39 missing_frames=0 taxels={TAXELS} " in capsys.readouterr().out
 
 
 def test_a_compressed_file_by_itself_is_told(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.1)
-    [file] = maker.write(tmp_path / "bag", compressed="file").glob("*.zstd")
+    [file] = BagMaker().skin("/skin", 0.1).write(tmp_path / "bag", compressed="file").glob("*.zstd")
     said = refused("export", file, "-o", tmp_path / "out.npz")
     assert f"{file}: a compressed file of a bag: give its folder, or decompress it" in said
 
@@ -265,9 +252,7 @@ def test_long_sessions_keep_lerobot_s_tolerance(
     later_s = np.diff((np.arange(2 * export.LONGEST_S * 30) / 30).astype(np.float32))
     assert np.abs(later_s - 1 / 30).max() > 1e-4  # else there were nothing to do
     monkeypatch.setattr(export, "LONGEST_S", 1)
-    maker = BagMaker()
-    maker.skin("/skin", 2.5)
-    found = rows(tmp_path / "out", maker.write(tmp_path / "bag"))
+    found = rows(tmp_path / "out", BagMaker().skin("/skin", 2.5).write(tmp_path / "bag"))
     lengths = np.bincount(found["episode_index"]).tolist()
     assert lengths[:-1] == [30, 30] and 0 < lengths[-1] < 30
     assert (np.diff(found["unix_time_ns"]) < 1e9 / 29).all()  # no row is lost

@@ -40,8 +40,7 @@ def palm_invalid(t_s: float) -> Sequence[int]:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    maker = BagMaker()
-    maker.skin("/skin", SECONDS)
+    maker = BagMaker().skin("/skin", SECONDS)
     maker.skin("/left_palm/skin", SECONDS, palm_invalid)
     maker.camera("/front/image_raw", SECONDS, 30)
     maker.camera("/wrist/image_raw/compressed", SECONDS, 15, compressed=True)
@@ -107,14 +106,6 @@ def test_every_sample_is_at_its_time_to_less_than_a_millisecond(bag: Path, tmp_p
     assert array(table, f"{SKIN}.valid")[2:].all()
 
 
-def test_one_value_per_interval(bag: Path, tmp_path: Path) -> None:
-    table = exported(bag, tmp_path / "out", "--samples", "last", "--topic", "/skin/tactile")
-    found, ages_s = array(table, SKIN), array(table, f"{SKIN}.age_s")
-    assert found.shape == (len(table), TAXELS) and ages_s.shape == (len(table),)
-    t_s = seconds(table)
-    assert worst_error_s(found, t_s - ages_s, np.isfinite(found)) < 1e-3
-
-
 def test_a_taxel_without_a_reading_is_held_zero_or_its_row_left_out(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,9 +156,7 @@ def test_from_first_complete_begins_when_every_taxel_has_spoken(bag: Path, tmp_p
 def test_a_taxel_that_never_speaks_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.5, lambda t_s: [7])
-    bag = maker.write(tmp_path / "bag")
+    bag = BagMaker().skin("/skin", 0.5, lambda t_s: [7]).write(tmp_path / "bag")
     exported(bag, tmp_path / "out")
     assert "skin: no valid reading of taxel 7" in capsys.readouterr().err
     options = ["--fps", "30", "--from-first-complete"]
@@ -259,10 +248,7 @@ def test_vectors_are_the_clock(bag: Path, tmp_path: Path) -> None:
 
 def stopping(*stops: tuple[str, float, float]) -> BagMaker:
     """Six seconds in which topics are silent between two times, s."""
-    maker = BagMaker()
-    maker.skin("/skin", 6.0)
-    maker.camera("/front/image", 6.0, 30)
-    maker.joints("/joints", 6.0)
+    maker = BagMaker().skin("/skin", 6.0).camera("/front/image", 6.0, 30).joints("/joints", 6.0)
     for topic, begin_s, end_s in stops:
         begin_ns, end_ns = (BEGIN_NS + round(t_s * 1e9) for t_s in (begin_s, end_s))
         maker.messages = [
@@ -343,9 +329,7 @@ def test_a_clock_that_paused_ends_an_episode(tmp_path: Path) -> None:
 
 
 def test_a_clock_slower_than_a_row_per_second_is_refused(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
-    maker.camera("/slow/image", 8.0, 0.4)
+    maker = BagMaker().skin("/skin", 1.0).camera("/slow/image", 8.0, 0.4)
     words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out"]
     said = refused(*words, "--clock", "/slow/image")
     assert "2.500 s from message to message of /slow/image; a dataset has 1 row per s" in said
@@ -449,9 +433,7 @@ def test_episodes_by_intervals_and_by_files(bag: Path, tmp_path: Path) -> None:
     table = exported(bag, tmp_path / "out", "--episode", "1:1.5", "--episode", "0.2:0.6")
     lengths = np.bincount(array(table, "episode_index")).tolist()
     assert lengths == [12, 15]
-    maker = BagMaker()
-    maker.skin("/skin", 0.5)
-    other = maker.write(tmp_path / "other", sqlite=True)
+    other = BagMaker().skin("/skin", 0.5).write(tmp_path / "other", sqlite=True)
     both = [str(path) for path in (bag, other)]
     only = ["--topic", "/skin/tactile", "--image", "/front/image_raw"]
     assert main(["export", *both, "--lerobot", str(tmp_path / "x"), "--fps", "30", *only]) == 1
@@ -525,9 +507,7 @@ def test_work_that_ends_early_leaves_nothing(
 
 
 def test_what_cannot_be_is_one_clear_error(bag: Path, tmp_path: Path, refused: Refused) -> None:
-    empty = BagMaker()
-    empty.joints("/joint_states", 0.1)
-    without_skin = empty.write(tmp_path / "joints")
+    without_skin = BagMaker().joints("/joint_states", 0.1).write(tmp_path / "joints")
     (tmp_path / "nothing").mkdir()
     (tmp_path / "torn.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(40))
     out = ["--lerobot", tmp_path / "out"]
@@ -570,17 +550,11 @@ def test_what_cannot_be_is_one_clear_error(bag: Path, tmp_path: Path, refused: R
     ],
 )
 def test_stamps_far_from_their_recording_are_not_believed(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    topic: str,
-    camera_off_s: int,
-    expected: int,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, camera_off_s: int, expected: int
 ) -> None:
     """One stamp in 2036; a camera whose clock counts from its start; one ahead, one 5 s behind."""
     seconds_s = 6.0 if camera_off_s == -5 else 1.0
-    maker = BagMaker()
-    maker.skin("/skin", seconds_s)
-    maker.camera("/front/image", seconds_s, 30)
+    maker = BagMaker().skin("/skin", seconds_s).camera("/front/image", seconds_s, 30)
     for _, of, _, message in maker.messages:
         if of == topic == "/front/image":
             message.header.stamp.sec += camera_off_s
@@ -603,25 +577,21 @@ def test_stamps_far_from_their_recording_are_not_believed(
 
 @pytest.mark.parametrize("period_s", [0.0, -1.0, 1e-9, float("inf"), float("nan")])
 def test_a_frame_period_that_cannot_be_is_unknown(tmp_path: Path, period_s: float) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.5)
+    maker = BagMaker().skin("/skin", 0.5)
     maker.messages[0][3].frame_period = period_s
     table = exported(maker.write(tmp_path / "bag"), tmp_path / "out")
     assert array(table, f"{SKIN}.age_s").shape == (len(table),)  # one frame per row
 
 
 def test_rows_hold_a_bounded_number_of_frames(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.5)
+    maker = BagMaker().skin("/skin", 0.5)
     maker.messages[0][3].frame_period = 1e-4
     words = ["export", maker.write(tmp_path / "bag"), "--lerobot", tmp_path / "out", "--fps", "1"]
     assert "10000 frames of skin per row, 0.0001 s apart; at most 1000" in refused(*words)
 
 
 def test_joints_are_taken_by_their_names(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
-    maker.joints("/joints", 1.0)
+    maker = BagMaker().skin("/skin", 1.0).joints("/joints", 1.0)
     joints = [message for _, topic, _, message in maker.messages if topic == "/joints"]
     for message in joints[1::2]:
         message.name, message.position = message.name[::-1], message.position[::-1].copy()
@@ -645,9 +615,7 @@ def test_joints_are_taken_by_their_names(tmp_path: Path, refused: Refused) -> No
 def test_values_that_are_not_finite_stay_out_of_the_statistics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], bad: float
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
-    maker.joints("/joints", 1.0)
+    maker = BagMaker().skin("/skin", 1.0).joints("/joints", 1.0)
     for seen_ns, topic, _, message in maker.messages:
         if topic == "/joints" and seen_ns < BEGIN_NS + 500_000_000:
             message.position[0] = bad
@@ -665,8 +633,7 @@ def test_values_that_are_not_finite_stay_out_of_the_statistics(
 
 def test_no_row_is_later_than_the_recording(tmp_path: Path) -> None:
     """A stamp 9 s ahead is believed, since clocks may differ, but makes no rows of its own."""
-    maker = BagMaker()
-    maker.skin("/skin", 1.0)
+    maker = BagMaker().skin("/skin", 1.0)
     for _, topic, _, message in maker.messages:
         if topic == "/skin/tactile" and message.sequence == 40:
             message.header.stamp.sec += 9

@@ -92,8 +92,7 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
 
 
 def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 2.0)
+    maker = BagMaker().skin("/skin", 2.0)
     maker.messages = [one for one in maker.messages if one[1] != "/skin/info"]  # places unknown
     maker.joints("/joint_states", 2.0)
     maker.contacts("/skin", 2.0, end_s=2.0)

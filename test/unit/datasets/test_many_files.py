@@ -23,8 +23,7 @@ SECONDS = 1.5
 
 def bag(path: Path, contacts: bool = False, seconds: float = SECONDS, **info: Any) -> Path:
     """A bag of a skin; info: fields of its TactileSkinInfo."""
-    maker = BagMaker()
-    maker.skin("/skin", seconds)
+    maker = BagMaker().skin("/skin", seconds)
     for name, value in info.items():
         setattr(maker.messages[0][3], name, value)
     if contacts:
@@ -101,9 +100,7 @@ def test_contacts_that_not_all_files_have_are_left_out(
 
 
 def test_other_streams_have_to_be_in_all_files(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", SECONDS)
-    maker.camera("/front/image_raw", SECONDS, 30)
+    maker = BagMaker().skin("/skin", SECONDS).camera("/front/image_raw", SECONDS, 30)
     with_camera, without = maker.write(tmp_path / "with"), bag(tmp_path / "without")
     contacts = bag(tmp_path / "contacts", contacts=True)
     fps = ["--fps", "30"]
@@ -118,9 +115,7 @@ def test_other_streams_have_to_be_in_all_files(tmp_path: Path, refused: Refused)
 
 
 def test_tables_do_not_read_contacts(tmp_path: Path) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.3)
-    maker.contacts("/skin", 0.3, 0.3)
+    maker = BagMaker().skin("/skin", 0.3).contacts("/skin", 0.3, 0.3)
     for i, (time_ns, topic, kind, _) in enumerate(maker.messages):
         if topic == "/skin/contacts":
             maker.messages[i] = (time_ns, topic, kind, b"\x00\x01\x00\x00odd")
@@ -133,8 +128,7 @@ def test_no_rows_are_made_for_a_pause(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], stray_s: int
 ) -> None:
     """An hour off is too little to say which times are wrong: the recorder may have paused."""
-    maker = BagMaker()
-    maker.skin("/skin", SECONDS)
+    maker = BagMaker().skin("/skin", SECONDS)
     for i, (seen_ns, topic, kind, message) in enumerate(maker.messages):
         if topic == "/skin/tactile" and message.sequence == 40:
             message.header.stamp.sec += stray_s

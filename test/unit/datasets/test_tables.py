@@ -25,9 +25,7 @@ def unknown_at_first(t_s: float) -> list[int]:
 
 @pytest.fixture(scope="module", params=["mcap", "sqlite3"])
 def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    maker = BagMaker()
-    maker.skin("/skin", SECONDS, unknown_at_first)
-    maker.skin("/left_palm/skin", SECONDS)
+    maker = BagMaker().skin("/skin", SECONDS, unknown_at_first).skin("/left_palm/skin", SECONDS)
     for seen_s, begins in ((0.4, True), (0.805, False), (1.0, True)):
         maker.add(seen_s, "/recording", "std_msgs/msg/Bool", data=begins)
     path = tmp_path_factory.mktemp(request.param) / "session"
@@ -117,8 +115,7 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path) -> None
 def test_a_patch_without_info_has_unknown_places(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.3)
+    maker = BagMaker().skin("/skin", 0.3)
     maker.messages = [message for message in maker.messages if message[1] != "/skin/info"]
     export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
     assert "no info, so places and calibration are unknown" in capsys.readouterr().err
@@ -134,8 +131,7 @@ def test_frames_of_another_size_are_refused(
     tmp_path: Path, refused: Refused, taxels: int, field: str
 ) -> None:
     """A shorter or longer row would shift all that follow it."""
-    maker = BagMaker()
-    maker.skin("/skin", 1.2)
+    maker = BagMaker().skin("/skin", 1.2)
     for _, topic, _, message in maker.messages:
         if topic == "/skin/tactile" and message.sequence >= 80:
             message.status = np.zeros(taxels, dtype=np.uint8)
@@ -149,8 +145,7 @@ def test_frames_of_another_size_are_refused(
 
 
 def test_a_patch_without_taxels_is_refused(tmp_path: Path, refused: Refused) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.3)
+    maker = BagMaker().skin("/skin", 0.3)
     for _, topic, _, message in maker.messages:
         if topic == "/skin/tactile":
             message.pressure, message.status = np.zeros(0, np.float32), np.zeros(0, np.uint8)
@@ -160,8 +155,7 @@ def test_a_patch_without_taxels_is_refused(tmp_path: Path, refused: Refused) -> 
 
 def other_skin(path: Path, skin: str = "/skin", /, **fields: Any) -> Path:
     """A bag whose skin differs by some fields of its info."""
-    maker = BagMaker()
-    maker.skin(skin, 0.2)
+    maker = BagMaker().skin(skin, 0.2)
     for name, value in fields.items():
         setattr(maker.messages[0][3], name, value)
     return maker.write(path)
@@ -203,8 +197,7 @@ def test_rows_and_columns_of_files_must_agree(tmp_path: Path, refused: Refused) 
 def test_an_info_of_another_type_is_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    maker = BagMaker()
-    maker.skin("/skin", 0.3)
+    maker = BagMaker().skin("/skin", 0.3)
     del maker.messages[0]
     maker.add(0.0, "/skin/info", "std_msgs/msg/String", data="left palm")
     export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")

@@ -3,7 +3,6 @@
 """The driver thread on real pyserial ports: sim://, a pty, and what can go wrong there."""
 
 import os
-import re
 import select
 import socket
 import threading
@@ -16,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import serial
 
 from tactile_cdma.base.errors import PortError, SpecError
 from tactile_cdma.config.skin_config import SkinConfig
@@ -27,7 +25,7 @@ from tactile_cdma.readings.stuck import LOOK_S, StuckNodes
 from tactile_cdma.readings.taxels import Readings
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire.messages import Samples, Start
+from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.wire.port import Port
 from test.support.boards import board, plugged
@@ -59,28 +57,6 @@ def test_frames_arrive_at_the_frame_rate_with_host_times() -> None:
     periods = [(f.t_start - watch.frames[0].t_start) / 12.8e-3 for f in watch.frames]
     assert periods == pytest.approx([frame.sequence for frame in watch.frames], abs=0.01)
     assert [p for p in watch.problems if p] == []
-
-
-def test_a_real_tty_gives_the_same_frames_and_values_as_sim(tmp_path: Path) -> None:
-    """The same seed on sim:// and behind a pty: same words, pressures and status.
-
-    At the pace at which they are read, so that a busy machine does not make the digitizer drop.
-    """
-    options = "scene=moving&noise=0.02&speed=0"
-    by_sim, by_tty = Watch(), Watch()
-    with (
-        plugged(board(7, options)) as path,
-        by_sim.driver(f"sim://?seed=7&{options}"),
-        by_tty.driver(path),
-    ):
-        wait_for(lambda: min(len(by_sim.frames), len(by_tty.frames)) >= 100)
-    for a, b in zip(by_sim.frames[:100], by_tty.frames[:100], strict=True):
-        assert a.sequence == b.sequence
-        assert np.array_equal(a.words.active, b.words.active)
-        assert np.array_equal(a.words.codes, b.words.codes)
-        assert np.array_equal(a.readings.pressure_pa, b.readings.pressure_pa, equal_nan=True)
-        assert np.array_equal(a.readings.status, b.readings.status)
-        assert a.words.noise_rms_v == b.words.noise_rms_v
 
 
 def test_unplugging_and_plugging_in_again_resumes(tmp_path: Path) -> None:
@@ -197,37 +173,6 @@ def test_ports_with_something_else_are_diagnosed(content: bytes, message: str) -
         assert message in (watch.problems[0] or "")
 
 
-def test_a_contradicting_digitizer_is_named_and_nothing_false_comes() -> None:
-    watch = Watch()
-    with watch.driver("sim://?order=24"):
-        wait_for(lambda: watch.problems)
-    assert "order 24 (parameters: 20)" in (watch.problems[0] or "")
-    assert watch.frames == []
-
-
-def test_missing_ports_and_bad_options_are_clear(tmp_path: Path) -> None:
-    with pytest.raises(PortError, match="no such port; is the digitizer plugged in"):
-        Port("/dev/ttyNOSUCH", 115_200)
-    with pytest.raises(PortError, match="unknown kind of port"):
-        Port("com://1", 115_200)
-    with pytest.raises(PortError, match="scene"):
-        Port("sim://?scene=nonsense", 115_200)
-    for url in ("hwgrep://(", "alt:///dev/null?class=os"):  # options of pyserial's own handlers
-        with pytest.raises(PortError, match=re.escape(url)):
-            Port(url, 115_200)
-    file = tmp_path / "file"
-    file.touch()
-    with pytest.raises(PortError, match="not a serial port"):
-        Port(str(file), 115_200)
-
-
-def test_a_port_that_is_open_elsewhere_is_busy() -> None:
-    with raw_pty() as (_, name):
-        with Port(name, 115_200), pytest.raises(PortError, match="busy: another program"):
-            Port(name, 115_200)
-        Port(name, 115_200).close()
-
-
 def test_a_port_without_permission_names_the_group() -> None:
     with raw_pty() as (_, name):
         os.chmod(name, 0)
@@ -304,12 +249,6 @@ def network_port() -> Iterator[str]:
         server.close()
 
 
-def test_a_network_port_keeps_up() -> None:
-    watch = Watch()
-    with network_port() as url, watch.driver(url):
-        wait_for(lambda: len(watch.frames) >= 300)  # 3.8 s of frames
-
-
 def test_a_driver_that_is_left_behind_skips_what_waits_and_counts_it() -> None:
     """Handing on takes two frame periods: every other frame is one too many."""
     ages_s: list[float] = []
@@ -360,18 +299,12 @@ def test_what_the_wire_cannot_say_is_refused() -> None:
         Session(SkinConfig.of({"chip_us": 33.33333}))
 
 
-def test_simulated_port_is_found_by_pyserial_itself() -> None:
-    with serial.serial_for_url("sim://?speed=0", timeout=PATIENCE_S) as port:
-        port.write(PacketWriter().encode(Start()))
-        assert PacketParser().feed(port.read(8000))
-
-
 @pytest.mark.slow
 def test_calls_between_frames_cost_none() -> None:
     """Tares, and calibrations read anew, from another thread, as fast as they get in."""
     watch, calls = Watch(), 0
     with watch.driver("sim://?scene=all&seed=2&speed=0") as driver:
-        while len(watch.frames) < 2000 or calls < 20:
+        while len(watch.frames) < 800 or calls < 20:
             with driver.between_frames() as pipeline:
                 pipeline.adjust(CONFIG)
                 if pipeline.taxels.baseline.seen:

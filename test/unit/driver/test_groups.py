@@ -107,9 +107,7 @@ def test_groups_whose_codes_are_not_told_apart_are_divided_until_they_are(
     assert heard.all()
 
 
-def test_a_lost_frame_leaves_no_value_of_its_group_certain(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_lost_frame_leaves_no_value_of_its_group_certain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes are released while their turns are lost; those of other groups say so by themselves."""
     robot = Robot(monkeypatch, True)
     robot.frames(RELEASE_S - 0.02)

@@ -16,7 +16,6 @@ from tactile_cdma.base.errors import ParameterError, SpecError
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import Origin, SourceWatch
-from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -25,10 +24,9 @@ from tactile_cdma.wire.introduction import described_info
 from tactile_cdma.wire.messages import Configure, GetInfo, Info, Start, Stop
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.boards import board, board_id, plugged
-from test.support.hosts import Talk, Watch
+from test.support.hosts import Talk
 from test.support.independent_line import Digitizer, Line, Skin, render
 from test.support.independent_line import Talk as Saying
-from test.support.waiting import wait_for
 
 SEPARATORS = ("", ":", "-", "_", ".", " ")
 ids = st.binary(min_size=8, max_size=8).filter(any)
@@ -153,21 +151,6 @@ def two_boards(tmp_path: Path) -> Iterator[tuple[str, str]]:
     """Ports of boards 1 and 2."""
     with plugged(board(1), tmp_path / "a") as first, plugged(board(2), tmp_path / "b") as second:
         yield first, second
-
-
-def test_boards_on_each_others_ports_are_both_refused(two_boards: tuple[str, str]) -> None:
-    swapped = Watch(), Watch()
-    configs = [SkinConfig.of({"digitizer_id": board_id(seed)}) for seed in (2, 1)]
-    with (
-        swapped[0].driver(two_boards[0], configs[0]),
-        swapped[1].driver(two_boards[1], configs[1]),
-    ):
-        wait_for(lambda: all(watch.problems for watch in swapped))
-    assert all("wrong digitizer" in (watch.problems[0] or "") for watch in swapped)
-    assert not any(watch.frames for watch in swapped)
-    right = Watch()
-    with Driver(configs[0], two_boards[1], 2_000_000, right.frames.append, right.note):
-        wait_for(lambda: len(right.frames) > 20)
 
 
 def test_a_recording_is_of_the_right_board_only(

@@ -35,10 +35,7 @@ from tactile_cdma.wire.messages import (
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.simulated import Truth
 
-SKINS = {
-    "raw": {"samples_per_chip": 4},
-    "integrated": {"samples_per_chip": 1},
-}
+SKINS = {"raw": {"samples_per_chip": 4}, "integrated": {"samples_per_chip": 1}}
 SMALL = {"nodes": 3, "bits": 8, "chip_us": 100.0, "frame_period_ms": 40.0}
 STEP_S = 0.01
 RECOVERY_S = 3.0

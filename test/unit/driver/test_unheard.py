@@ -21,7 +21,6 @@ from test.support.simulated import stream
 
 HEARTBEAT = 20
 IDLE = f"sim://?seed=1&scene=idle&heartbeat={HEARTBEAT}"
-COMPILED = [False] if kernel.compiled is None else [False, True]
 Edit = Callable[[int, Samples | Quiet], Samples | Quiet | None]
 
 
@@ -42,6 +41,11 @@ def heard(
     return found + pipeline.flush()
 
 
+@pytest.fixture(params=[False] if kernel.compiled is None else [False, True])
+def compiled(request: pytest.FixtureRequest) -> bool:
+    return bool(request.param)
+
+
 def packet_s(packet: object) -> float:
     return getattr(packet, "device_time_us", 0) * 1e-6
 
@@ -50,7 +54,6 @@ def unheard(frame: TactileFrame) -> int:
     return int(np.count_nonzero(is_unheard(frame.readings.status)))
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
 @pytest.mark.parametrize("lost", [40, 47])
 def test_after_a_lost_frame_every_node_is_unheard_until_its_heartbeat(
     compiled: bool, lost: int
@@ -72,7 +75,6 @@ def test_after_a_lost_frame_every_node_is_unheard_until_its_heartbeat(
     assert spoken.all()
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
 def test_where_nodes_repeat_only_those_are_unheard_that_spoke_before_the_loss(
     compiled: bool,
 ) -> None:
@@ -87,7 +89,6 @@ def test_where_nodes_repeat_only_those_are_unheard_that_spoke_before_the_loss(
     assert np.array_equal(is_unheard(first.readings.status), last.words.active & silent)
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
 def test_where_every_node_speaks_in_every_frame_none_is_unheard(compiled: bool) -> None:
     url = "sim://?seed=1&scene=moving&threshold=0"
     frames = heard(lambda n, packet: None if n % 5 == 4 else packet, compiled, url, 40)
@@ -95,7 +96,6 @@ def test_where_every_node_speaks_in_every_frame_none_is_unheard(compiled: bool) 
     assert not any(map(unheard, frames))
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
 def test_after_a_restart_of_the_stream_every_node_is_unheard(compiled: bool) -> None:
     """Also where time goes on and no frame seems to be missing."""
 
@@ -108,7 +108,6 @@ def test_after_a_restart_of_the_stream_every_node_is_unheard(compiled: bool) -> 
     assert unheard(frames[-1]) == 0
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
 def test_in_a_roll_call_silence_says_nothing(compiled: bool) -> None:
     """Whoever is not called is silent, whatever presses."""
 

@@ -28,9 +28,12 @@ def tally(line: Line, talk: Talk, skin: Skin, frames: int = 60, seed: int = 3) -
     return counts
 
 
+@pytest.mark.parametrize(
+    ("skin", "hum_hz"),
+    [(Skin(), 50.0), (OLD, 59.9), (Skin(period_chips=400), 50.0)],
+    ids=["78 per s", "row 0", "50 per s"],
+)
 @pytest.mark.parametrize("talk", [Talk(), TWO, CHURN], ids=["all", "two", "some"])
-@pytest.mark.parametrize("hum_hz", [50.0, 59.9])
-@pytest.mark.parametrize("skin", [Skin(), OLD, Skin(period_chips=400)], ids=["78", "row 0", "50"])
 def test_hum_costs_few_frames(skin: Skin, hum_hz: float, talk: Talk) -> None:
     """Of a third of an amplitude; at 50 frames per second each one is at the same place in it."""
     counts = tally(Line(hum_v=0.1, hum_hz=hum_hz), talk, skin)

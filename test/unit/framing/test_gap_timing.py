@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
@@ -31,6 +31,12 @@ from test.support.synthetic_line import (
     same,
     words_of,
 )
+
+
+def heard(spec: FrameSpec, rate_hz: float, volts: np.ndarray) -> list[dict[int, int]]:
+    """The words of every frame in which somebody speaks."""
+    frames = run(GapTiming(spec, rate_hz), volts)
+    return [words_of(frame, spec) for frame in frames if frame.levels is not None]
 
 
 @pytest.mark.parametrize("rate", [4.0, 8.13, 10.0, 20.0])
@@ -72,10 +78,7 @@ def test_a_first_word_as_quiet_as_the_gap(
     check(wire, run(timing, volts), start_chips=0.25)  # its edges are few
     assert timing.rejected == 0
     inside = int(wire.sent[0].start + wire.rng.uniform(0.1, 0.9) * PAPER.chips * wire.chip)
-    frames = [
-        f for f in run(GapTiming(wire.spec, wire.rate_hz), volts[inside:]) if f.levels is not None
-    ]
-    assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
+    assert heard(wire.spec, wire.rate_hz, volts[inside:]) == [s.words for s in wire.sent[1:]]
 
 
 @pytest.mark.parametrize("rho", [60, 8])
@@ -108,13 +111,17 @@ def test_noise_before_a_frame_does_not_hide_it(seed: int) -> None:
     check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts(rho=30)), start_chips=0.2)
 
 
-@pytest.mark.parametrize("rate", [3.3, 5.0, 8.13, 40.0])
+@pytest.mark.parametrize(
+    ("rate", "nodes", "rho"), [(3.3, None, None), (5, None, None), (40, None, None), (8.13, 12, 10)]
+)
 @pytest.mark.parametrize("name", SPECS)
-def test_random_words_and_subsets(name: str, rate: float) -> None:
+def test_random_words_and_subsets(
+    name: str, rate: float, nodes: int | None, rho: float | None
+) -> None:
     wire = Wire(SPECS[name], rate, seed=1)
-    wire.send_random(10)
+    wire.send_random(10, nodes)
     timing = GapTiming(wire.spec, wire.rate_hz)
-    check(wire, run(timing, wire.volts(offset_v=-1.3)), start_chips=0.05 + 0.35 / rate)
+    check(wire, run(timing, wire.volts(rho=rho, offset_v=-1.3)), 0.05 + (0.35 + bool(rho)) / rate)
     assert timing.rejected == 0
 
 
@@ -137,14 +144,6 @@ def test_jitter_and_hum() -> None:
     check(wire, run(GapTiming(PAPER, wire.rate_hz), volts), start_chips=0.25)
 
 
-@pytest.mark.parametrize("name", SPECS)
-def test_noise(name: str) -> None:
-    wire = Wire(SPECS[name], 8.13, seed=3)
-    wire.send_random(12, nodes=12)
-    frames = run(GapTiming(wire.spec, wire.rate_hz), wire.volts(rho=10))
-    check(wire, frames, start_chips=0.15)
-
-
 @pytest.mark.parametrize("words", [(483,), (0,), (1023,), (483, 804, 405, 483)])
 def test_equal_words_everywhere(words: tuple[int, ...]) -> None:
     """With natural signs few chips per bit are loud, and shifts look much alike."""
@@ -153,14 +152,6 @@ def test_equal_words_everywhere(words: tuple[int, ...]) -> None:
         scene = {node: words[node % len(words)] for node in range(16)}
         wire.send((i + 0.25) * wire.period, scene)
     check(wire, run(GapTiming(PAPER, wire.rate_hz), wire.volts()))
-
-
-def test_a_larger_book() -> None:
-    spec = FrameSpec(nodes=240, chip_s=4e-6)
-    wire = Wire(spec, 4.2, seed=4)
-    wire.send_random(3)
-    wire.send(3.25 * wire.period, {7: 513})
-    check(wire, run(GapTiming(spec, wire.rate_hz), wire.volts()), start_chips=0.15)
 
 
 def test_offset_and_clipping_are_reported() -> None:
@@ -177,14 +168,15 @@ def test_offset_and_clipping_are_reported() -> None:
 
 
 @examples(25)
-@given(st.data())
-def test_chunking_is_invisible(data: st.DataObject) -> None:
+@given(st.lists(st.integers(0, 8500), max_size=30).map(sorted))
+@example([*range(1, 2600)])
+def test_chunking_is_invisible(cuts: list[int]) -> None:
     wire = Wire(PAPER, 5.1, seed=5)
     wire.send_random(3)
     wire.send(5.25 * wire.period, {2: 77})
     volts = wire.volts(rho=12)
-    cuts = sorted(data.draw(st.lists(st.integers(0, volts.size), max_size=30)))
     whole = run(GapTiming(PAPER, wire.rate_hz), volts)
+    cuts = [min(cut, volts.size) for cut in cuts]
     same(run(GapTiming(PAPER, wire.rate_hz), volts, cuts), whole)
     assert sum(frame.levels is None for frame in whole) >= 2
 
@@ -248,22 +240,13 @@ def test_the_log_tells_when_the_raster_places_frames_and_when_no_more(
     assert "no frame at sample" in caplog.text and "raster is lost" in caplog.text
 
 
-def test_sample_by_sample() -> None:
-    wire = Wire(DEFAULT, 3.1, seed=6)
-    wire.send_random(2)
-    volts = wire.volts()
-    whole = run(GapTiming(DEFAULT, wire.rate_hz), volts)
-    same(run(GapTiming(DEFAULT, wire.rate_hz), volts, list(range(1, volts.size))), whole)
-
-
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
 def test_a_recording_that_begins_within_a_frame(share: float) -> None:
     wire = Wire(PAPER, 8.13, seed=7)
     wire.send_random(4)
     cut = int(wire.sent[0].start + share * PAPER.chips * wire.sent[0].chip)
-    volts = wire.volts()[cut:]
-    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if f.levels is not None]
-    assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent[1:]]
+    found = heard(PAPER, wire.rate_hz, wire.volts()[cut:])
+    assert found == [s.words for s in wire.sent[1:]]
 
 
 @pytest.mark.parametrize("tail", [0.0, 3.0, 500.0])
@@ -304,7 +287,7 @@ def test_a_slot_in_noise_that_hides_words_is_not_called_silent(rho: float, told:
     assert len(frames) + timing.rejected > 10
 
 
-@pytest.mark.parametrize("rho", [2.8, 3.5, 4.5, 6.0])
+@pytest.mark.parametrize("rho", [2.8, 4.5])
 def test_a_lone_node_that_noise_hides_is_not_called_silent(rho: float) -> None:
     """A burst is found by its power, which a lone node hardly adds to that of the noise."""
     wire = Wire(DEFAULT, 4.0, seed=21)
@@ -359,8 +342,7 @@ def test_frames_after_garbage() -> None:
     wire = Wire(PAPER, 8.13, seed=14)
     wire.send_random(10)
     volts = np.concatenate((garbage("telegraph"), garbage("nan"), wire.volts(offset_v=2.0)))
-    frames = [f for f in run(GapTiming(PAPER, wire.rate_hz), volts) if f.levels is not None]
-    found = [words_of(f, PAPER) for f in frames]
+    found = heard(PAPER, wire.rate_hz, volts)
     assert len(found) >= 6
     assert found == [s.words for s in wire.sent][-len(found) :]
 
@@ -374,11 +356,7 @@ def test_what_cannot_work_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("spec", "frames"),
-    [
-        (PAPER, 150),
-        (DEFAULT, 150),
-        (FrameSpec(nodes=256, order=256, first_row=0, chip_s=4e-6), 6),
-    ],
+    [(PAPER, 150), (DEFAULT, 150), (FrameSpec(nodes=256, order=256, first_row=0, chip_s=4e-6), 6)],
     ids=["paper", "default", "256"],
 )
 def test_bit_errors_stay_within_half_a_decibel_of_the_bound(spec: FrameSpec, frames: int) -> None:
@@ -416,7 +394,7 @@ def test_a_first_frame_that_could_be_another_says_so(words: dict[int, int]) -> N
     assert words_of(second, PAPER) == wire.sent[1].words
 
 
-@pytest.mark.parametrize("order", [12, 16, 20])
+@pytest.mark.parametrize("order", [12, 20])
 @pytest.mark.parametrize("slips", [False, True], ids=["jitter", "slips"])
 @pytest.mark.parametrize("equal", [False, True], ids=["random", "equal"])
 def test_two_nodes_off_the_raster_are_right_or_flagged(
@@ -464,12 +442,12 @@ def test_a_frame_whose_energy_is_bunched_is_one_frame() -> None:
 def test_bursts_of_noise_are_no_frames(spec: FrameSpec) -> None:
     """As long and as strong as frames of all nodes at ρ = 3, in noise that would excuse them."""
     rng, period = np.random.default_rng(15), round(8 * spec.frame_period_s / spec.chip_s)
-    volts = rng.normal(0, 3.7, 150 * period)
+    volts = rng.normal(0, 3.7, 60 * period)
     volts += rng.normal(0, 4.0, volts.size) * (np.arange(volts.size) % period < 8.4 * spec.chips)
     timing = GapTiming(replace(spec, amplitude_v=None), 8 / spec.chip_s)
     frames = run(timing, volts.astype(np.float32))
     assert all(frame.levels is None for frame in frames)
-    assert timing.rejected > 100
+    assert timing.rejected > 40
 
 
 def test_hum_hides_no_frame_once_the_amplitude_is_learnt() -> None:
@@ -512,18 +490,9 @@ def test_a_learnt_amplitude_is_forgotten_in_silence() -> None:
     wire.send(0.3 * wire.period, {4: 500})
     faint = wire.volts(length=2 * wire.period)
     silence = wire.rng.normal(0, 1e-3, round(1200 * wire.period)).astype(np.float32)
-    heard = [
-        f
-        for f in run(GapTiming(spec, wire.rate_hz), np.concatenate((loud, silence, faint)))
-        if f.levels is not None
-    ]
-    assert [words_of(f, spec) for f in heard[1:]] == [{4: 500}]
-    heard = [
-        f
-        for f in run(GapTiming(spec, wire.rate_hz), np.concatenate((loud, faint)))
-        if f.levels is not None
-    ]
-    assert len(heard) == 1
+    _, *after = heard(spec, wire.rate_hz, np.concatenate((loud, silence, faint)))
+    assert after == [{4: 500}]
+    assert len(heard(spec, wire.rate_hz, np.concatenate((loud, faint)))) == 1
 
 
 @pytest.mark.parametrize("order", [256, 1024])

@@ -2,6 +2,7 @@
 
 """Line timing on simulated lines: its shortcuts change no word, and disturbances cost little."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 
@@ -52,6 +53,45 @@ def blocks(options: SimOptions, setup: Setup, frames: int) -> list[SampleBlock]:
 
 def run(timing: LineTiming, given: list[SampleBlock]) -> list[FrameLevels]:
     return [frame for block in given for frame in timing.feed(block)] + timing.flush()
+
+
+def changed(
+    given: list[SampleBlock], change: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> list[SampleBlock]:
+    """The same blocks of another line: of its volts and the numbers of its samples."""
+    line = np.concatenate([block.volts for block in given])
+    line = change(line, np.arange(line.size)).astype(np.float32)
+    return [
+        replace(block, volts=line[block.first_index : block.first_index + block.volts.size])
+        for block in given
+    ]
+
+
+def codes_of(options: SimOptions, setup: Setup, frames: int) -> list[np.ndarray]:
+    return [node.codes for node in islice(truth(options, setup), frames)]
+
+
+def assert_read(frames: list[FrameLevels], codes: list[np.ndarray], spec: FrameSpec) -> None:
+    """Every frame is heard, and all its words are right and certain."""
+    assert len(frames) == len(codes)
+    for frame, sent in zip(frames, codes, strict=True):
+        assert frame.levels is not None
+        words = decode(frame.levels, spec)
+        assert words.active.all() and not words.doubtful.any()
+        assert np.array_equal(words.codes, sent)
+
+
+@pytest.fixture
+def refinements(monkeypatch: pytest.MonkeyPatch) -> list[Line]:
+    """The lines whose timing was refined."""
+    calls = []
+
+    def counted(line: Line, *args: object, **options: object) -> object:
+        calls.append(line)
+        return refine(line, *args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("tactile_cdma.framing.line_timing.refine", counted)
+    return calls
 
 
 def ungated(rate_hz: float) -> LineTiming:
@@ -111,21 +151,14 @@ def test_the_energy_gate_changes_nothing(scene: str, rate: int, noise: float, se
 
 @pytest.mark.parametrize("noise", [0.005, 0.1, 0.4])
 def test_timing_carried_over_is_as_good_as_timing_refined(
-    noise: float, monkeypatch: pytest.MonkeyPatch
+    noise: float, refinements: list[Line], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Words are as accurate, and nearly every refinement is saved."""
-    calls = []
-
-    def counted(line: Line, *args: object, **options: object) -> object:
-        calls.append(line)
-        return refine(line, *args, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr("tactile_cdma.framing.line_timing.refine", counted)
     options = SimOptions(scene="all", threshold=0, noise=noise, seed=3)
     setup = Setup(SPEC, 4, SyncMode.DRIVE, False)
     sent = blocks(options, setup, 60)
     carried = run(LineTiming(SPEC, setup.rate_hz), sent)
-    assert len(calls) <= 2 * (1 + 60 // CARRIED_FRAMES)
+    assert len(refinements) <= 2 * (1 + 60 // CARRIED_FRAMES)
     monkeypatch.setattr(LineRecogniser, "_by_carried", lambda *_: None)
     refined = run(LineTiming(SPEC, setup.rate_hz), sent)
     errors = []
@@ -171,14 +204,7 @@ def test_no_stretch_that_is_left_out_would_have_won(
         assert other.doubtful is None or not other.doubtful.any()
 
 
-def test_frames_that_are_all_stretched_alike_reuse_timing(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-
-    def counted(line: Line, *args: object, **options: object) -> object:
-        calls.append(line)
-        return refine(line, *args, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr("tactile_cdma.framing.line_timing.refine", counted)
+def test_frames_that_are_all_stretched_alike_reuse_timing(refinements: list[Line]) -> None:
     timing, rng, stretched = LineTiming(SPEC, 4 / SPEC.chip_s), np.random.default_rng(3), 4.2
     chip = ((np.arange(1024) + 0.5) / stretched).astype(int)
     for number in range(140):
@@ -189,7 +215,7 @@ def test_frames_that_are_all_stretched_alike_reuse_timing(monkeypatch: pytest.Mo
         assert len(frames) == 1 and frames[0].levels is not None
         assert frames[0].chip_samples == pytest.approx(stretched, rel=1e-3)
         assert np.array_equal(decode(frames[0].levels, SPEC).codes, codes)
-    assert len(calls) <= 3 * (1 + 140 // CARRIED_FRAMES)
+    assert len(refinements) <= 3 * (1 + 140 // CARRIED_FRAMES)
 
 
 def test_timing_that_changes_is_noticed_at_once() -> None:
@@ -200,14 +226,8 @@ def test_timing_that_changes_is_noticed_at_once() -> None:
     at = given[-1].first_index + given[-1].volts.size
     for block in blocks(replace(steady, stretch=0.01, seed=5), setup, 10):
         given.append(SampleBlock(block.first_index + at, block.volts, block.sync))
-    frames = run(LineTiming(SPEC, setup.rate_hz), given)
-    assert len(frames) == 40
-    codes = [node.codes for node in islice(truth(steady, setup), 30)]
-    codes += [node.codes for node in islice(truth(steady, setup), 10)]
-    for frame, sent in zip(frames, codes, strict=True):
-        assert frame.levels is not None
-        words = decode(frame.levels, SPEC)
-        assert np.array_equal(words.codes, sent) and not words.doubtful.any()
+    codes = codes_of(steady, setup, 30) + codes_of(steady, setup, 10)
+    assert_read(run(LineTiming(SPEC, setup.rate_hz), given), codes, SPEC)
 
 
 @pytest.mark.parametrize("rate", [1, 4])
@@ -219,11 +239,7 @@ def test_frames_with_restarts_in_them(rate: int, parity: bool) -> None:
     options = SimOptions(scene="moving", threshold=0, noise=0.05)
     setup = Setup(spec, rate, SyncMode.DRIVE, integrated=rate == 1)
     frames = run(LineTiming(spec, setup.rate_hz), blocks(options, setup, 20))
-    assert len(frames) == 20
-    for frame, sent in zip(frames, islice(truth(options, setup), 20), strict=True):
-        assert frame.levels is not None
-        words = decode(frame.levels, spec)
-        assert words.active.all() and np.array_equal(words.codes, sent.codes)
+    assert_read(frames, codes_of(options, setup, 20), spec)
 
 
 @pytest.mark.parametrize(("resync", "guard"), [(32, 0), (0, 1)])
@@ -250,21 +266,11 @@ def test_an_absurd_sample_loses_its_frame_only() -> None:
 def test_nodes_that_all_restart_late(delay: float) -> None:
     spec = FrameSpec(resync_chips=32, guard_chips=1)
     setup = Setup(spec, 8, SyncMode.DRIVE, False)
-    sent = blocks(SimOptions(scene="all", threshold=0), setup, 12)
-    shift = round(delay * 8)
-    line = np.concatenate([block.volts for block in sent])
-    late = np.concatenate((np.zeros(shift, np.float32), line[:-shift]))
-    given = [
-        replace(block, volts=late[block.first_index : block.first_index + block.volts.size])
-        for block in sent
-    ]
-    frames = run(LineTiming(spec, setup.rate_hz), given)
-    assert len(frames) == 12
-    nodes = islice(truth(SimOptions(scene="all", threshold=0), setup), 12)
-    for frame, node in zip(frames, nodes, strict=True):
-        assert frame.levels is not None
-        words = decode(frame.levels, spec)
-        assert np.array_equal(words.codes, node.codes) and not words.doubtful.any()
+    options, shift = SimOptions(scene="all", threshold=0), round(delay * 8)
+    given = changed(
+        blocks(options, setup, 12), lambda volts, _: np.append(np.zeros(shift), volts[:-shift])
+    )
+    assert_read(run(LineTiming(spec, setup.rate_hz), given), codes_of(options, setup, 12), spec)
 
 
 @pytest.mark.parametrize("gap_chips", [1, 2, 3])
@@ -285,28 +291,18 @@ def test_short_gaps_are_enough(gap_chips: int, rate: int) -> None:
         assert np.array_equal(words.codes, codes)
 
 
-def loud_blocks(frames: int) -> tuple[list[SampleBlock], list[np.ndarray], Setup]:
-    """Frames in which all nodes speak, and their codes."""
-    options, setup = SimOptions(scene="all", threshold=0, seed=8), Setup(SPEC, 4)
-    codes = [node.codes for node in islice(truth(options, setup), frames)]
-    return blocks(options, setup, frames), codes, setup
+ALWAYS = SimOptions(threshold=0)
+RAW = Setup(SPEC, 4)
 
 
 def test_a_burst_in_the_gap_costs_no_frame_after_it() -> None:
-    given, codes, setup = loud_blocks(20)
-    period = round(setup.rate_hz * SPEC.frame_period_s)
-    line = np.concatenate([block.volts for block in given])
-    burst = slice(6 * period - 160, 6 * period - 10)
-    line[burst] += np.where(np.arange(150) % 2, 10.0, -10.0).astype(np.float32)
-    sent = [
-        replace(block, volts=line[block.first_index : block.first_index + block.volts.size])
-        for block in given
-    ]
-    frames = run(LineTiming(SPEC, setup.rate_hz), sent)
-    assert len(frames) == 20
-    for frame, sent_codes in zip(frames, codes, strict=True):
-        assert frame.levels is not None
-        assert np.array_equal(decode(frame.levels, SPEC).codes, sent_codes)
+    until = 6 * round(RAW.rate_hz * SPEC.frame_period_s) - 10
+
+    def burst(volts: np.ndarray, at: np.ndarray) -> np.ndarray:
+        return volts + np.where(at % 2, 10.0, -10.0) * ((until - 150 <= at) & (at < until))
+
+    given = changed(blocks(ALWAYS, RAW, 20), burst)
+    assert_read(run(LineTiming(SPEC, RAW.rate_hz), given), codes_of(ALWAYS, RAW, 20), SPEC)
 
 
 @pytest.mark.parametrize("drive", ["bipolar", "unipolar"])
@@ -400,10 +396,6 @@ def test_what_is_no_frame_is_rejected(what: str, number: int) -> None:
     assert timing.rejected == len(given)
 
 
-ALWAYS = SimOptions(threshold=0)
-RAW = Setup(SPEC, 4)
-
-
 def right(frames: list[FrameLevels], options: SimOptions, setup: Setup) -> list[int]:
     """Numbers of the frames; their certain words are what was said."""
     numbers = [round(frame.start / (setup.spec.frame_period_s * setup.rate_hz)) for frame in frames]
@@ -419,18 +411,10 @@ def right(frames: list[FrameLevels], options: SimOptions, setup: Setup) -> list[
 
 def test_hum_costs_no_frame() -> None:
     """Of three nodes' amplitude: it is under the words and under the silence after them."""
-    given = blocks(ALWAYS, RAW, 20)
-    hum = [
-        replace(
-            block,
-            volts=block.volts
-            + 0.9
-            * np.sin(
-                2 * np.pi * 50 / RAW.rate_hz * (block.first_index + np.arange(block.volts.size))
-            ),
-        )
-        for block in given
-    ]
+    hum = changed(
+        blocks(ALWAYS, RAW, 20),
+        lambda volts, at: volts + 0.9 * np.sin(2 * np.pi * 50 / RAW.rate_hz * at),
+    )
     assert right(run(LineTiming(SPEC, RAW.rate_hz), hum), ALWAYS, RAW) == list(range(20))
 
 
@@ -441,11 +425,10 @@ def test_a_late_node_costs_the_others_nothing_once_frames_are_known(before: int,
     late = np.zeros(size, np.float32)
     word = 0.3 * np.outer([1, -1, -1, 1, 1, -1, 1, -1, 1, 1], SPEC.book.rows([18])[0]).ravel()
     late[40 : 40 + 4 * SPEC.chips] = np.repeat(word, 4)
-    given = []
-    for block in blocks(ALWAYS, RAW, before + 10):
-        at = block.first_index + np.arange(block.volts.size)
-        volts = block.volts + late[at % size] * (at >= before * size)
-        given.append(replace(block, volts=volts.astype(np.float32)))
+    given = changed(
+        blocks(ALWAYS, RAW, before + 10),
+        lambda volts, at: volts + late[at % size] * (at >= before * size),
+    )
     frames = run(LineTiming(SPEC, RAW.rate_hz), given)
     assert len(right(frames, ALWAYS, RAW)) == before + 10 - lost
 
@@ -453,9 +436,7 @@ def test_a_late_node_costs_the_others_nothing_once_frames_are_known(before: int,
 @pytest.mark.parametrize("rate", [1, 4])
 def test_a_line_at_its_rail_is_no_silence(rate: int) -> None:
     setup = Setup(SPEC, rate, SyncMode.DRIVE, integrated=rate == 1)
-    given = [
-        replace(block, volts=np.full_like(block.volts, 5.0)) for block in blocks(ALWAYS, setup, 5)
-    ]
+    given = changed(blocks(ALWAYS, setup, 5), lambda volts, _: np.full_like(volts, 5.0))
     timing = LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0))
     assert not run(timing, given)
     assert timing.rejected == 5
@@ -463,9 +444,7 @@ def test_a_line_at_its_rail_is_no_silence(rate: int) -> None:
 
 
 def test_a_frame_at_the_rails_does_not_tell_who_was_silent() -> None:
-    given = [
-        replace(block, volts=np.clip(100 * block.volts, -5, 5)) for block in blocks(ALWAYS, RAW, 5)
-    ]
+    given = changed(blocks(ALWAYS, RAW, 5), lambda volts, _: np.clip(100 * volts, -5, 5))
     timing = LineTiming(SPEC, RAW.rate_hz, (-5.0, 5.0))
     assert not run(timing, given)
     assert timing.rejected == 5

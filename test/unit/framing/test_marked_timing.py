@@ -5,12 +5,7 @@
 import numpy as np
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.framing.marked_timing import (
-    MarkedFrame,
-    MarkedLine,
-    MarkedTiming,
-    Verdict,
-)
+from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
 from tactile_cdma.framing.timing import MISFIT, QuietBlock, SampleBlock
 
 SPEC = FrameSpec()

@@ -89,10 +89,7 @@ def test_what_is_written_reads_back(spec: FrameSpec, data: st.DataObject) -> Non
 
 @pytest.mark.parametrize(
     ("nodes", "order", "node", "number", "octets"),
-    [
-        (256, 48, 256, 140, "8c081062c8a986bdec"),
-        (4000, 912, 1, 2455, "9739e2e8db8c04293bde3bd6"),
-    ],
+    [(256, 48, 256, 140, "8c081062c8a986bdec"), (4000, 912, 1, 2455, "9739e2e8db8c04293bde3bd6")],
 )
 def test_a_sparse_code_is_its_first_octets(
     nodes: int, order: int, node: int, number: int, octets: str

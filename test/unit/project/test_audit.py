@@ -54,10 +54,7 @@ def test_vulnerabilities_are_told_with_what_mends_them() -> None:
     ],
 )
 def test_advisories_that_cannot_be_had_are_no_clean_bill(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    complaint: str,
-    reason: str,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], complaint: str, reason: str
 ) -> None:
     program = f"import sys; sys.exit({complaint!r})"
     monkeypatch.setattr(audit, "TOOL", [sys.executable, "-c", program])

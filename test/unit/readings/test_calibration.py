@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.readings.calibration import AdcScale, Curves, PressureCurve
+from test.support.examples import examples
 
 CURVE = PressureCurve.two_stage()
 
@@ -111,6 +112,7 @@ def any_curve(draw: st.DrawFn) -> PressureCurve:
     return PressureCurve(tuple(pressure_pa), tuple(3.3 - np.append(0.0, np.cumsum(falls_v))))
 
 
+@examples(40)
 @given(st.lists(any_curve(), min_size=1, max_size=5), st.floats(0.0, 1.0))
 def test_the_curves_of_a_skin_are_those_of_its_sensors(
     curves: list[PressureCurve], share: float

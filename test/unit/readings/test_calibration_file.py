@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CalibrationError, SpecError, TactileError
-from tactile_cdma.base.marked_yaml import MOST_BYTES
 from tactile_cdma.config.parameters import DEFAULTS
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
@@ -174,10 +173,8 @@ def test_a_file_for_another_skin_is_refused(path: Path) -> None:
             "version: 0",
             "version is 0; this program reads version 1: write the file again",
         ),
-        ("version: 1", "version: one", "version is 'one'; it must be a whole number"),
         ("pressure: Pa", "pressure: kPa", "the unit of pressure is kPa; it must be Pa"),
         ("voltage: V}", "volt: V}", "unknown key 'volt' in units; did you mean 'voltage'"),
-        ("bits: 10", "bits: ten", "bits is 'ten'; it must be a whole number"),
         ("bits: 10", "bits: 17", "bits is 17; it must lie within 8…16"),
         ("bits: 10", "bits: 010", "bits is '010'; it must be a whole number"),
         ("bits: 10", "bitz: 10", "unknown key 'bitz' in the file; did you mean 'bits'"),
@@ -189,7 +186,6 @@ def test_a_file_for_another_skin_is_refused(path: Path) -> None:
         ("1.7, 1.1]", "3.25, 1.1]", "node 2, corner 2: 3.25 V after 3.25 V"),
         ("48000.0", "148000.0", "node 2, corner 3: 140000 Pa after 148000 Pa"),
         ("48000.0", "inf", "node 2, corner 2: pressure is inf; it must be finite"),
-        ("48000.0", "-.INF", r"node 2, corner 2: pressure is -\.INF; it must be finite"),
         ("48000.0", "'many'", "node 2, corner 2: pressure is 'many'; it must be a number"),
         ("[0.0, 48000.0", "[5.0, 48000.0", "node 2 begins at 5 Pa, not at 0"),
         ("[0.0, 48000.0, 140000.0]", "[0.0, 48000.0]", "node 2: 2 pressures and 3 voltages"),
@@ -220,21 +216,12 @@ def test_other_files_are_refused(path: Path) -> None:
     text = path.read_text()
     for content, cause in (
         ("", "empty"),
-        ("[1, 2", "not a YAML file"),
-        ("[" * 50_000, "nested deeper than"),
         ("just words", "it must be keys with values"),
         ("a: 1", "the file has no 'schema'"),
         (text[: text.index("curves")], "the file has no 'curves'"),
-        ("a: &a [x, x]\nb: [*a, *a]\n", "line 2: anchors and aliases (& and *) are not supported"),
-        (text.replace("schema", "# schema"), "the file has no 'schema'"),
     ):
         path.write_text(content)
         assert cause in refusal(path)
-    path.write_bytes(b"\xff\xfe\x00")
-    assert "not a text file in UTF-8" in refusal(path)
-    with path.open("wb") as file:
-        file.truncate(MOST_BYTES + 1)
-    assert "larger than 16 MB" in refusal(path)
     path.unlink()
     assert "No such file" in refusal(path)
 

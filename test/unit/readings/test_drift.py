@@ -348,9 +348,7 @@ def test_nobody_is_a_stray_for_not_being_looked_at() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_frames_that_are_skipped_while_steady_change_nothing(
-    seed: int,
-) -> None:
+def test_frames_that_are_skipped_while_steady_change_nothing(seed: int) -> None:
     """Neither readings nor drift, however long voltages stay and whatever comes afterwards."""
     rng = np.random.default_rng(seed)
     beside = nodes_beside(Layout.grid(9, 3, 3, 7e-3, 5e-3), 9)

@@ -101,10 +101,7 @@ def test_no_two_nodes_share_a_file() -> None:
 
 
 def test_a_home_that_nobody_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(
-        RestError,
-        match=r"~nobody-of-that-name/skins: tare .* no such user's home",
-    ):
+    with pytest.raises(RestError, match=r"~nobody-of-that-name/skins: tare .* no such user's home"):
         rest_path("~nobody-of-that-name/skins", "/skin")
     monkeypatch.setenv("ROS_HOME", "~nobody-of-that-name")
     with pytest.raises(RestError, match="~nobody-of-that-name/tactile_cdma"):
@@ -118,16 +115,6 @@ def test_writing_replaces_the_file_and_leaves_nothing_else(tmp_path: Path) -> No
     back = read_rest(path)
     assert back is not None and back.rest_v is None
     assert os.listdir(path.parent) == [path.name]
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "skin.rest.yaml"
-    write_rest(path, STATE)
-    before = path.read_bytes()
-    with pytest.raises(UnicodeEncodeError):
-        write_rest(path, replace(STATE, skin="\ud800"))
-    assert path.read_bytes() == before
-    assert os.listdir(tmp_path) == [path.name]
 
 
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
@@ -188,16 +175,13 @@ GOOD = {
     [
         ({"schema": "something/else"}, "it must be 'tactile_cdma/rest'"),
         ({"version": 2}, "version is 2; this program reads version 1"),
-        ({"version": None}, "version is empty; it must be a whole number"),
         ({"nodes": "x"}, "line 4: nodes is 'x'; it must be a whole number"),
-        ({"nodes": True}, "nodes is 'true'"),
         ({"skin": [5]}, "skin is a list; it must be text"),
         ({"rest_v": [1.0]}, "rest_v has 1 entries; it must have 2"),
         ({"rest_v": "12"}, "rest_v is '12'; it must be a list"),
         ({"rest_v": [1.0, "x"]}, "number 2 of rest_v is 'x'"),
         ({"rest_v": [True, 1.0]}, "number 1 of rest_v is 'true'"),
         ({"rest_v": [1.0, float("nan")]}, "number 2 of rest_v is .nan"),
-        ({"rest_v": [10**400, 1.0]}, "number 1 of rest_v is"),
         ({"drift_v": [0.0, 101.0]}, "number 2 of drift_v is 101; it must lie within -100…100 V"),
     ],
 )
@@ -214,43 +198,23 @@ def test_damaged_content_is_refused_with_the_file_and_the_cause(
     assert str(path) in str(refused.value)
 
 
-LAUGHS = (
-    b"schema: tactile_cdma/rest\na: &a [1]\n"
-    + b"".join(
-        b"%c: &%c [%s]\n" % (name, name, b", ".join([b"*%c" % (name - 1)] * 9))
-        for name in b"bcdefghijkl"
-    )
-    + b"version: *l\n"
-)
-"""Its version is a list of lists … of 9¹¹ ones."""
-
-
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
         (b"", "empty"),
-        (b"just text", "must be keys with values"),
         (b"- a\n- b", "must be keys with values"),
         (b"a: b", "schema"),
-        (b"\xff\xfe\x00", "not a text file"),
         (b"a: [1, 2", "not a YAML file"),
-        (b"[" * 100_000, "nested deeper"),
-        (LAUGHS, "aliases"),
         (b"!!python/object/apply:os.system ['true']", "must be keys with values"),
-        (b"x" * (17 << 20), "larger than 16 MB"),
     ],
 )
 def test_files_of_any_other_kind_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
+    """test_marked_yaml has what else is no plain YAML."""
     path = tmp_path / "skin.rest.yaml"
     path.write_bytes(data)
     with pytest.raises(RestError, match=reason):
         read_rest(path)
     assert path.read_bytes() == data
-
-
-def test_a_folder_in_the_file_s_place_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RestError, match="directory"):
-        read_rest(tmp_path)
 
 
 def test_a_state_fits_its_skin_only() -> None:

@@ -33,6 +33,7 @@ PRELOAD_PA = 8 * COUNT_PA
 REST_V = 3.3 - 8 * COUNT_V
 TARE_S = 1.5
 """Longer than a tare takes: the last second, from the first frame on."""
+Preload = Callable[[float], None]
 OTHER_CURVE = PressureCurve.two_stage(knee_pa=40e3)
 
 
@@ -96,7 +97,7 @@ class Run:
 
 
 @pytest.fixture
-def preload(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+def preload(monkeypatch: pytest.MonkeyPatch) -> Preload:
     """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
     load_pa = [0.0]
 
@@ -112,7 +113,7 @@ def on_file(folder: Path) -> dict[str, object]:
     return content
 
 
-def test_a_tare_outlives_the_run(preload: Callable[[float], None], tmp_path: Path) -> None:
+def test_a_tare_outlives_the_run(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     first = Run(tmp_path).activate().stream(TARE_S)
     assert np.allclose(first.pressure_pa, PRELOAD_PA, atol=15)
@@ -134,9 +135,7 @@ def test_a_tare_outlives_the_run(preload: Callable[[float], None], tmp_path: Pat
     assert not again.log.warnings
 
 
-def test_a_tare_of_one_scene_is_not_that_of_another(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_a_tare_of_one_scene_is_not_that_of_another(preload: Preload, tmp_path: Path) -> None:
     preload(52e3)
     Run(tmp_path).activate().stream(TARE_S).keeper.tare(force=True)
     other = Run(tmp_path, "sim://?scene=hand").activate().stream(0.3)
@@ -149,10 +148,7 @@ def test_a_tare_of_one_scene_is_not_that_of_another(
 
 @pytest.mark.parametrize("earlier", [False, True])
 def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
-    preload: Callable[[float], None],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    earlier: bool,
+    preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, earlier: bool
 ) -> None:
     """The digitizer says what it is, in the driver's thread, before or after the file is made."""
     preload(PRELOAD_PA)
@@ -176,9 +172,7 @@ def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
     assert yaml.safe_load((tmp_path / f"{NAME}.old").read_text())["simulated"] == "no"
 
 
-def test_a_third_skins_tare_costs_nobody_his(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_a_third_skins_tare_costs_nobody_his(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     for skin in ("left", "right", "spare"):
         Run(tmp_path, skin=skin).activate().stream(TARE_S).keeper.tare()
@@ -187,7 +181,7 @@ def test_a_third_skins_tare_costs_nobody_his(
 
 
 def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(
-    preload: Callable[[float], None], tmp_path: Path
+    preload: Preload, tmp_path: Path
 ) -> None:
     preload(PRELOAD_PA)
     first = Run(tmp_path).activate().stream(TARE_S)
@@ -205,9 +199,7 @@ def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(
     assert (tmp_path / f"{NAME}.old").exists()
 
 
-def test_no_frame_has_a_tare_that_is_dropped(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_no_frame_has_a_tare_that_is_dropped(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     Run(tmp_path).activate().stream(TARE_S).keeper.tare()
     run = Run(tmp_path, port="/dev/ttyACM0").activate()
@@ -217,7 +209,7 @@ def test_no_frame_has_a_tare_that_is_dropped(
 
 
 def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(
-    preload: Callable[[float], None], tmp_path: Path
+    preload: Preload, tmp_path: Path
 ) -> None:
     preload(PRELOAD_PA)
     board = Run(tmp_path, port="/dev/ttyACM0").activate().stream(TARE_S)
@@ -231,7 +223,7 @@ def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(
 
 
 def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(
-    preload: Callable[[float], None], tmp_path: Path
+    preload: Preload, tmp_path: Path
 ) -> None:
     preload(20e3)
     run = Run(tmp_path).activate().stream(TARE_S)
@@ -249,9 +241,7 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(
     assert run.changes == 3
 
 
-def test_a_tare_names_the_nodes_that_keep_what_they_had(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_a_tare_names_the_nodes_that_keep_what_they_had(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     run = Run(tmp_path, stale_after_s=0.5).activate().stream(TARE_S)
     run.driver.pipeline.taxels.chain.baseline.look(
@@ -282,7 +272,7 @@ def test_without_frames_there_is_no_tare(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["nonsense: [", "other nodes"])
 def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_another(
-    tmp_path: Path, content: str, preload: Callable[[float], None]
+    tmp_path: Path, content: str, preload: Preload
 ) -> None:
     path = tmp_path / NAME
     if content == "other nodes":
@@ -312,9 +302,7 @@ def test_a_calibration_that_was_put_there_is_not_overwritten(tmp_path: Path) -> 
     assert (tmp_path / "skin.calibration.yaml.old").read_text().startswith(lab)
 
 
-def test_a_calibration_tried_while_inactive_costs_no_tare(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_a_calibration_tried_while_inactive_costs_no_tare(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     other = tmp_path / "other.yaml"
     write_calibration(other, Calibration.default(OTHER_CURVE, 16), AdcScale())
@@ -328,7 +316,7 @@ def test_a_calibration_tried_while_inactive_costs_no_tare(
 
 
 def test_a_calibration_with_the_same_curves_keeps_the_tare(
-    preload: Callable[[float], None], tmp_path: Path
+    preload: Preload, tmp_path: Path
 ) -> None:
     preload(PRELOAD_PA)
     run = Run(tmp_path).activate().stream(TARE_S)
@@ -345,7 +333,7 @@ def test_a_calibration_with_the_same_curves_keeps_the_tare(
 
 
 def test_other_curves_keep_the_rest_that_a_tare_was_taken_at(
-    preload: Callable[[float], None], tmp_path: Path
+    preload: Preload, tmp_path: Path
 ) -> None:
     preload(PRELOAD_PA)
     steep = PressureCurve.two_stage(stage1_v_per_pa=0.066e-3, knee_pa=24e3)
@@ -362,9 +350,7 @@ def test_other_curves_keep_the_rest_that_a_tare_was_taken_at(
     assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
 
 
-def test_without_a_folder_to_write_to_the_skin_goes_on(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_without_a_folder_to_write_to_the_skin_goes_on(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     (tmp_path / "file").write_text("")
     run = Run(tmp_path / "file").activate().stream(TARE_S)
@@ -378,7 +364,7 @@ def test_without_a_folder_to_write_to_the_skin_goes_on(
 
 
 def test_what_was_found_on_a_simulator_and_never_saved_is_dropped_on_a_board(
-    preload: Callable[[float], None], tmp_path: Path
+    preload: Preload, tmp_path: Path
 ) -> None:
     """A tare that could not be written, and drift that was not yet due."""
     preload(PRELOAD_PA)
@@ -397,9 +383,7 @@ def test_what_was_found_on_a_simulator_and_never_saved_is_dropped_on_a_board(
     assert not run.drift_v.any()
 
 
-def test_of_a_replayed_recording_nothing_is_read_or_kept(
-    preload: Callable[[float], None], tmp_path: Path
-) -> None:
+def test_of_a_replayed_recording_nothing_is_read_or_kept(preload: Preload, tmp_path: Path) -> None:
     preload(PRELOAD_PA)
     Run(tmp_path).activate().stream(TARE_S).keeper.tare()
     before = (tmp_path / NAME).read_text()
@@ -417,7 +401,7 @@ def test_of_a_replayed_recording_nothing_is_read_or_kept(
 
 
 def test_drift_is_reported_and_kept(
-    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The skin rests a count off where it was tared, then two."""
     monkeypatch.setattr(rest_keeper, "TELL_S", 0.0)
@@ -447,7 +431,7 @@ def test_drift_is_reported_and_kept(
 
 
 def test_drift_is_reported_and_saved_seldom(
-    preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = [1000.0]
     monkeypatch.setattr(rest_keeper.time, "monotonic", lambda: now_s[0])

@@ -51,9 +51,7 @@ def test_senders_of_one_pace_make_one_message_per_period() -> None:
         assert now_s - min(latest.values()) < 0.01
 
 
-@given(
-    st.lists(st.tuples(st.floats(0.005, 0.2), st.floats(0, 0.01)), min_size=1, max_size=5),
-)
+@given(st.lists(st.tuples(st.floats(0.005, 0.2), st.floats(0, 0.01)), min_size=1, max_size=5))
 def test_every_message_goes_out_once_unless_a_quicker_sender_needs_it_again(
     senders: list[tuple[float, float]],
 ) -> None:

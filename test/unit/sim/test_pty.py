@@ -31,9 +31,8 @@ def collect(port: serial.Serial, parser: PacketParser, count: int) -> list[Sampl
     return packets
 
 
-@pytest.mark.parametrize("speed", [1, 0])
-def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
-    options = SimOptions(seed=4, stretch=0.1, speed=speed)
+def test_a_tty_carries_the_same_samples(tmp_path: Path) -> None:
+    options = SimOptions(seed=4, stretch=0.1, speed=0)
     with (
         plugged(lambda: VirtualDigitizer(options), tmp_path / "skin") as path,
         serial.Serial(path, 2_000_000, timeout=PATIENCE_S) as port,
@@ -42,11 +41,8 @@ def test_a_tty_carries_the_same_samples(speed: int, tmp_path: Path) -> None:
         port.write(PacketWriter().encode(Start()))
         parser = PacketParser()
         packets = collect(port, parser, 150)
-    assert not parser.counters.crc_errors
-    assert speed or not parser.counters.lost_packets
+    assert not parser.counters.crc_errors and not parser.counters.lost_packets
     for packet, block in zip(packets, stream(options, options.setup()), strict=False):
-        if speed and packet.first_index > block.first_index:
-            break  # in real time a busy machine is too late for some
         assert (packet.first_index, packet.sync) == (block.first_index, block.sync)
         assert np.array_equal(packet.counts, block.counts)
     assert not (tmp_path / "skin").is_symlink()

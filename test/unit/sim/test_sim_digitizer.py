@@ -13,13 +13,7 @@ from tactile_cdma.code.transform import correlate
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import Block, stream
-from tactile_cdma.wire._protocol import (
-    MAX_PACKET_US,
-    MAX_SAMPLES,
-    TAIL_CHIPS,
-    Result,
-    SyncMode,
-)
+from tactile_cdma.wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, Result, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,
     Command,

@@ -147,8 +147,9 @@ def test_no_shipped_skin_goes_stale_untouched(name: str) -> None:
     options += ["scene=idle", f"amplitude_mv={config.spec.amplitude_v * 1e3}"]
     frames = int((config.stale_after_s + 1.5) / config.spec.frame_period_s)
     assert stale_after_all_spoke(config, f"sim://?{'&'.join(options)}", frames) == 0
-    deaf = f"sim://?{'&'.join([*options, 'heartbeat=0'])}"
-    assert stale_after_all_spoke(config, deaf, frames) > 0.9  # a taxel may have no node
+    if name == "skin":  # else there were nothing to see
+        deaf = f"sim://?{'&'.join([*options, 'heartbeat=0'])}"
+        assert stale_after_all_spoke(config, deaf, frames) > 0.9
 
 
 @settings(max_examples=8)

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from tactile_cdma.config.skin_config import SkinConfig
@@ -17,6 +16,7 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from test.support.damaged_frames import another_word, nobody
 from test.support.oracle import Oracle
 from torture.outcome import PAGE, Outcome, from_json, summary, to_json, updated
 
@@ -42,16 +42,6 @@ def test_a_sound_line_has_no_fault() -> None:
     assert not any(verdict.wrong.any() or verdict.missed.any() for verdict in verdicts)
     assert [verdict.lost for verdict in verdicts] == [None] + 29 * [0]
     assert not any(verdict.uncounted for verdict in verdicts)
-
-
-def another_word(frame: TactileFrame) -> TactileFrame:
-    codes = frame.words.codes.copy()
-    codes[3] ^= 1
-    return replace(frame, words=replace(frame.words, codes=codes))
-
-
-def nobody(frame: TactileFrame) -> TactileFrame:
-    return replace(frame, words=replace(frame.words, active=np.zeros(16, bool)))
 
 
 def elsewhere(frame: TactileFrame) -> TactileFrame:

@@ -20,6 +20,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.stream import NumpyStream
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.reader import numpy_read
+from test.support.damaged_frames import another_word, nobody
 from torture.connection import interruptions, wrong_port
 from torture.connection.judge import ConnectionJudge, Digitizer
 from torture.connection.plug import Host, Plug, Tty
@@ -103,43 +104,25 @@ def nothing(frames: list[TactileFrame]) -> list[TactileFrame]:
     return frames
 
 
-def another_word(frames: list[TactileFrame]) -> list[TactileFrame]:
-    codes = frames[5].words.codes.copy()
-    codes[3] ^= 1
-    frames[5] = replace(frames[5], words=replace(frames[5].words, codes=codes))
-    return frames
-
-
-def silenced(frames: list[TactileFrame]) -> list[TactileFrame]:
-    words = replace(frames[5].words, active=np.zeros(16, dtype=bool))
-    frames[5] = replace(frames[5], words=words)
-    return frames
+def at_sixth(damage: Callable[[TactileFrame], TactileFrame]) -> Callable[..., list[TactileFrame]]:
+    return lambda frames: [*frames[:5], damage(frames[5]), *frames[6:]]
 
 
 def out_of_nowhere(frames: list[TactileFrame]) -> list[TactileFrame]:
     return [*frames, replace(frames[-1], t_start=frames[-1].t_start + 0.4 * PERIOD_S)]
 
 
-def stamped_too_early(frames: list[TactileFrame]) -> list[TactileFrame]:
-    frames[5] = replace(frames[5], t_host=frames[5].t_host - 0.1)
-    return frames
-
-
-def stamped_in_the_future(frames: list[TactileFrame]) -> list[TactileFrame]:
-    frames[5] = replace(frames[5], t_host=frames[5].t_host + 1000)
-    return frames
-
-
 @pytest.mark.parametrize(
     ("damage", "wrong"),
     [
         (nothing, 0),
-        (another_word, 1),
-        (silenced, 16),
+        (at_sixth(another_word), 1),
+        (at_sixth(nobody), 16),
         (out_of_nowhere, 16),
-        (stamped_too_early, 1),
-        (stamped_in_the_future, 1),
+        (at_sixth(lambda frame: replace(frame, t_host=frame.t_host - 0.1)), 1),
+        (at_sixth(lambda frame: replace(frame, t_host=frame.t_host + 1000)), 1),
     ],
+    ids=["sound", "another word", "nobody", "out of nowhere", "too early", "in the future"],
 )
 def test_wrong_values_are_found(
     damage: Callable[[list[TactileFrame]], list[TactileFrame]], wrong: int

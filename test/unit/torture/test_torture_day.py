@@ -7,6 +7,7 @@ import mmap
 import os
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from tactile_cdma.driver.clock import DeviceClock
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.rest import rest_file
 from tactile_cdma.sim.options import SimOptions
+from test.support.damaged_frames import another_pressure, another_word, nobody, with_readings
 from torture.day import campaign as day
 from torture.day import host_clock, saves
 from torture.day.host_clock import HostClock, UsbLine
@@ -88,32 +90,15 @@ def test_laps_continue_each_other(decoded: Decoded) -> None:
     assert (judge.frames, judge.wrong, judge.uncounted) == (100, 0, 0)
 
 
-def another_word(frame: TactileFrame) -> TactileFrame:
-    codes = frame.words.codes.copy()
-    codes[np.flatnonzero(frame.words.active)[0]] ^= 1
-    return replace(frame, words=replace(frame.words, codes=codes))
-
-
-def nobody(frame: TactileFrame) -> TactileFrame:
-    return replace(frame, words=replace(frame.words, active=np.zeros(16, bool)))
-
-
-def another_pressure(frame: TactileFrame) -> TactileFrame:
-    pressure_pa = frame.readings.pressure_pa.copy()
-    pressure_pa[3] += 90
-    return replace(frame, readings=replace(frame.readings, pressure_pa=pressure_pa))
-
-
-def another_flag(frame: TactileFrame) -> TactileFrame:
-    return replace(frame, readings=replace(frame.readings, status=frame.readings.status ^ 4))
-
-
-def elsewhere(frame: TactileFrame) -> TactileFrame:
-    return replace(frame, t_start=frame.t_start + 5e-6)
-
-
 @pytest.mark.parametrize(
-    "damage", [another_word, nobody, another_pressure, another_flag, elsewhere]
+    "damage",
+    [
+        another_word,
+        nobody,
+        another_pressure,
+        lambda frame: with_readings(frame, status=frame.readings.status ^ 4),
+        lambda frame: replace(frame, t_start=frame.t_start + 5e-6),
+    ],
 )
 def test_a_false_frame_is_found(
     damage: Callable[[TactileFrame], TactileFrame], decoded: Decoded
@@ -175,47 +160,43 @@ def test_a_clock_that_falls_for_a_stall_is_found(
     assert usb.wrong_values
 
 
-class TestHoldings:
-    """What a process holds."""
+def memory(leaks: ExitStack) -> None:
+    """Pages of their own: malloc may give a hole of earlier tests, and nothing grows."""
+    pages = mmap.mmap(-1, 1 << 24, flags=mmap.MAP_PRIVATE)
+    pages.write(bytes(1 << 24))
+    leaks.callback(pages.close)
 
-    def holdings(self, leak: Callable[[], object]) -> day.Holdings:
-        gc.collect()  # what other tests have left must not go meanwhile
-        holdings = day.Holdings()
+
+def thread(leaks: ExitStack) -> None:
+    end = threading.Event()
+    waiting = threading.Thread(target=end.wait)
+    waiting.start()
+    leaks.callback(waiting.join)
+    leaks.callback(end.set)
+
+
+@pytest.mark.parametrize(
+    ("leak", "grown"),
+    [
+        (lambda leaks: None, False),
+        (memory, True),
+        (lambda leaks: leaks.callback(len, [[] for _ in range(500)]), True),
+        (lambda leaks: leaks.callback(os.close, os.open(os.devnull, os.O_RDONLY)), True),
+        (thread, True),
+    ],
+    ids=["nothing", "memory", "objects", "a file", "a thread"],
+)
+def test_what_a_process_holds_more_of_is_found(
+    leak: Callable[[ExitStack], object], grown: bool
+) -> None:
+    gc.collect()  # what other tests have left must not go meanwhile
+    holdings = day.Holdings()
+    with ExitStack() as leaks:
         for step in range(day.LOOKS + 1):
             if step == day.LOOKS // 2:
-                leak()
+                leak(leaks)
             holdings.look(step / day.LOOKS, 30.0 * step)
-        return holdings
-
-    def test_what_stays_the_same_has_not_grown(self) -> None:
-        assert not self.holdings(lambda: None).grown
-
-    def test_grown_memory_is_found(self) -> None:
-        """Pages of their own: malloc may give a hole of earlier tests, and nothing grows."""
-        kept: list[mmap.mmap] = []
-
-        def leak() -> None:
-            kept.append(mmap.mmap(-1, 1 << 24, flags=mmap.MAP_PRIVATE))
-            kept[0].write(bytes(1 << 24))
-
-        assert self.holdings(leak).grown
-
-    def test_more_objects_are_found(self) -> None:
-        kept: list[object] = []
-        assert self.holdings(lambda: kept.extend([] for _ in range(500))).grown
-
-    def test_an_open_file_is_found(self, tmp_path: Path) -> None:
-        with (tmp_path / "file").open("w") as file, file:
-            kept = []
-            assert self.holdings(lambda: kept.append((tmp_path / "file").open())).grown
-            kept[0].close()
-
-    def test_a_thread_is_found(self) -> None:
-        end = threading.Event()
-        thread = threading.Thread(target=end.wait)
-        assert self.holdings(thread.start).grown
-        end.set()
-        thread.join()
+    assert bool(holdings.grown) == grown
 
 
 def test_a_leak_has_a_slope_through_noise_and_visits() -> None:

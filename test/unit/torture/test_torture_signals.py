@@ -14,6 +14,7 @@ from tactile_cdma.driver.session import Session
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
+from test.support.damaged_frames import another_word, with_readings, with_words
 from test.support.simulated import Truth
 from torture.outcome import Outcome
 from torture.signals import faulty_line, faulty_nodes
@@ -48,9 +49,7 @@ def test_a_slice_of_the_campaign_has_no_fault(kind: Kind, skin: Skin) -> None:
 
 
 def planted(
-    monkeypatch: pytest.MonkeyPatch,
-    change: Callable[..., list[TactileFrame]],
-    skin: Skin = SKIN,
+    monkeypatch: pytest.MonkeyPatch, change: Callable[..., list[TactileFrame]], skin: Skin = SKIN
 ) -> Outcome:
     """What is found of a driver whose frames are changed like this; they come with its pipeline."""
 
@@ -62,24 +61,13 @@ def planted(
     return outcome(HUM, skin)
 
 
-def test_a_wrong_word_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
-        codes = [frame.words.codes ^ (np.arange(16) == 3) for frame in frames]
-        words = [replace(f.words, codes=c) for f, c in zip(frames, codes, strict=True)]
-        return [replace(f, words=w) for f, w in zip(frames, words, strict=True)]
-
-    assert planted(monkeypatch, change).wrong_values > 10
-
-
-def with_words(frame: TactileFrame, node: int, spoke: bool, flag: Status) -> TactileFrame:
+def claimed(frame: TactileFrame, node: int, spoke: bool, flag: Status) -> TactileFrame:
     """A frame in which a node is claimed to have spoken, or not, with a flag or none."""
     active, codes = frame.words.active.copy(), frame.words.codes.copy()
     active[node], codes[node] = spoke, AT_REST
     status = frame.readings.status.copy()
     status[node] = flag | (0 if spoke else Status.SILENT)
-    words = replace(frame.words, active=active, codes=codes)
-    readings = replace(frame.readings, status=status)
-    return replace(frame, words=words, readings=readings)
+    return with_readings(with_words(frame, active=active, codes=codes), status=status)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +78,7 @@ def test_an_invented_or_missed_word_is_wrong_unless_it_is_flagged(
     monkeypatch: pytest.MonkeyPatch, spoke: bool, flag: Status, counted: bool
 ) -> None:
     def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
-        return [with_words(f, 3, spoke, flag) if 36 <= f.sequence < 40 else f for f in frames]
+        return [claimed(f, 3, spoke, flag) if 36 <= f.sequence < 40 else f for f in frames]
 
     # Untouched, a node speaks in every frame, or at its heartbeat: node 4 in frames 23 and 43.
     skin = Skin(LINE, {}, {"scene": "idle", "threshold": int(spoke)})
@@ -134,17 +122,20 @@ def test_what_reached_the_converter_is_known(skin: Skin) -> None:
         assert shares == pytest.approx([share] * 16, abs=0.05)
 
 
-def test_a_pressure_that_leaks_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
-        for frame in frames:
-            frame.readings.pressure_pa[5] = np.nan
-        return frames
+def leaking(frame: TactileFrame) -> TactileFrame:
+    return with_readings(frame, pressure_pa=np.full_like(frame.readings.pressure_pa, np.nan))
 
-    assert planted(monkeypatch, change).wrong_values > 10
+
+@pytest.mark.parametrize("spoil", [another_word, leaking])
+def test_wrong_words_and_pressures_that_leak_are_found(
+    monkeypatch: pytest.MonkeyPatch, spoil: Callable[[TactileFrame], TactileFrame]
+) -> None:
+    found = planted(monkeypatch, lambda _, frames: list(map(spoil, frames)))
+    assert found.wrong_values > 10
 
 
 def test_losses_that_nothing_tells_of_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
+    def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
         kept = [frame for frame in frames if frame.sequence != 38]
         return [replace(f, sequence=f.sequence - (f.sequence > 38)) for f in kept]
 
@@ -153,18 +144,10 @@ def test_losses_that_nothing_tells_of_are_found(monkeypatch: pytest.MonkeyPatch)
     assert not found.wrong_values and not found.hangs
 
 
-def test_a_driver_that_does_not_recover_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
-        return [frame for frame in frames if frame.sequence < 40]
-
-    assert planted(monkeypatch, change).hangs == 1
-
-
-def test_a_traceback_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(_pipeline: Pipeline, frames: list[TactileFrame]) -> list[TactileFrame]:
-        return [frames[9]]  # there never are so many
-
-    assert planted(monkeypatch, change).crashes == 1
+def test_a_driver_that_does_not_recover_or_fails_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert planted(monkeypatch, lambda _, frames: [f for f in frames if f.sequence < 40]).hangs == 1
+    # There never are so many.
+    assert planted(monkeypatch, lambda _, frames: [frames[9]]).crashes == 1
 
 
 def test_a_broken_node_that_nobody_notices_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

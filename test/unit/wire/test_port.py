@@ -133,6 +133,11 @@ def test_a_socket_whose_other_end_is_closed_is_lost() -> None:
         ("socket://localhost:99999", "host and port .* are not named"),
         ("RFC2217://localhost:4000", "plain bytes, and use socket://host:port"),
         ("socket://localhost:1", "refused"),
+        ("/dev/ttyNOSUCH", "no such port; is the digitizer plugged in"),
+        ("com://1", "unknown kind of port"),
+        ("sim://?scene=nonsense", "scene"),
+        ("hwgrep://(", r"hwgrep://\("),  # options of pyserial's own handlers
+        ("alt:///dev/null?class=os", r"alt:///dev/null\?class=os"),
     ],
 )
 def test_a_port_that_cannot_be_opened_is_an_error_with_its_cause(url: str, message: str) -> None:

@@ -10,11 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.code.codes import code_book
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.code.separate import separate
-from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.words.decode import decode, silent
 from test.support.examples import examples
 
@@ -26,28 +24,6 @@ SPECS = {
     "12 bits, 35 nodes": FrameSpec(nodes=35, bits=12, chip_s=20e-6),
     "256 nodes": FrameSpec(nodes=256, bits=16, chip_s=2e-6),
 }
-
-
-@pytest.mark.parametrize("order", [1, 2, 4, 12, 20, 64, 72, 128, 144, 400, 1024, 1040])
-def test_fast_correlation_equals_the_matrix_product(order: int) -> None:
-    chips = np.random.default_rng(order).normal(size=(3, order)).astype(np.float32)
-    exact = chips.astype(np.float64) @ code_book(order).matrix.T.astype(np.float64) / order
-    assert np.allclose(correlate(chips, code_book(order)), exact, atol=1e-6)
-
-
-@pytest.mark.parametrize("order", [1, 2, 12, 64, 240, 1040, 4096])
-def test_correlation_takes_apart_what_spreading_adds_up(order: int) -> None:
-    symbols = np.random.default_rng(order).normal(size=(2, 3, order)).astype(np.float32)
-    assert np.allclose(
-        correlate(spread(symbols, code_book(order)), code_book(order)), symbols, atol=1e-4
-    )
-
-
-@pytest.mark.parametrize("order", [16, 20, 1040])
-def test_correlation_keeps_the_energy(order: int) -> None:
-    chips = np.random.default_rng(1).normal(size=(10, order)).astype(np.float32)
-    energy = np.square(correlate(chips, code_book(order)).astype(np.float64)).sum() * order
-    assert energy == pytest.approx(np.square(chips.astype(np.float64)).sum(), rel=1e-5)
 
 
 @examples(60)
@@ -116,7 +92,7 @@ def test_a_discharge_within_one_bit_passes_no_wrong_word_for_a_good_one(nodes: i
     """It fades over many chips, turns a few nodes' levels, and leaves most others nearly as is."""
     spec, rng = FrameSpec(nodes=nodes, chip_s=1e-6), np.random.default_rng(nodes)
     turned = 0
-    for _ in range(4000 * 16 // nodes):
+    for _ in range(2000 * 16 // nodes):
         codes = rng.integers(0, 1 << spec.bits, nodes)
         since = np.arange(spec.order) - rng.integers(0, spec.order)
         height, chips = 0.3 * 10 ** rng.uniform(0.7, 2.7), 10 ** rng.uniform(0, 2.5)
@@ -128,7 +104,7 @@ def test_a_discharge_within_one_bit_passes_no_wrong_word_for_a_good_one(nodes: i
         wrong = words.codes != codes
         turned += wrong.any()
         assert not (wrong & ~words.doubtful).any()
-    assert turned > 100 * 16 / nodes, "it had something to find"
+    assert turned > 50 * 16 / nodes, "it had something to find"
 
 
 @pytest.mark.parametrize("name", ["default", "paper", "256 nodes"])
