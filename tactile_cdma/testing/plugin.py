@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -33,6 +33,8 @@ _OF_BOTH |= {"layout_file": "layout"}
 """Parameters that the simulated skin needs as options, too, so that it is the same skin."""
 START_S = 120.0
 """Longest wait for a driver's start, s; chosen for a busy computer."""
+ASK_S, LATE_S = 0.5, 5.0
+"""Interval of the first questions, s, and longest wait for the answers to all of them; chosen."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -108,24 +110,31 @@ class SimulatedDriver:
             ),
             START_S,
         )
-        # Discovery goes both ways: the first frames may pass unheard.
-        self._spin_until(lambda: self._heard(()), START_S)
+        asked, next_s = 0, 0.0
+
+        def heard() -> bool:
+            """Whether a frame came; asks again now and then, as the first ones may pass unheard."""
+            nonlocal asked, next_s
+            if time.monotonic() > next_s:
+                asked, next_s = asked + 1, time.monotonic() + ASK_S
+                self._ask(())
+            return bool(self._touches)
+
+        self._spin_until(heard, START_S)
+        with suppress(TimeoutError):  # one that comes late would be taken for a step's answer
+            self._spin_until(lambda: len(self._touches) >= asked, LATE_S)
 
     def step(self, *objects: Indenter, timeout_s: float = 5.0) -> Touch:
         """Let these objects, and no others, touch the skin for one frame; returns what it feels."""
-        from ..ros.driver.objects import sim_objects
-
         self._touches.clear()
-        self._objects.publish(sim_objects(objects))
+        self._ask(objects)
         self._spin_until(lambda: self._touches, timeout_s)
         return self._touches[-1]
 
-    def _heard(self, objects: tuple[Indenter, ...]) -> bool:
-        try:
-            self.step(*objects, timeout_s=0.5)
-        except TimeoutError:
-            return False
-        return True
+    def _ask(self, objects: tuple[Indenter, ...]) -> None:
+        from ..ros.driver.objects import sim_objects
+
+        self._objects.publish(sim_objects(objects))
 
     def _spin_until(self, condition: Callable[[], object], timeout_s: float) -> None:
         end_s = time.monotonic() + timeout_s

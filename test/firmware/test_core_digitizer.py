@@ -4,7 +4,6 @@
 
 import ctypes
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -49,10 +48,8 @@ REFUSED = Result.UNSUPPORTED
 
 
 @pytest.fixture
-def digitizer(core: ctypes.CDLL) -> Iterator[CoreDigitizer]:
-    made = CoreDigitizer(core)
-    yield made
-    made.close()
+def digitizer(core: ctypes.CDLL) -> CoreDigitizer:
+    return CoreDigitizer(core)
 
 
 def awake(digitizer: CoreDigitizer) -> CoreDigitizer:
@@ -179,7 +176,6 @@ def test_whatever_is_received_is_answered_or_counted(
     acks = of_kind(got, Ack)
     assert len(acks) + status.command_errors == runs
     assert status.commands_refused == sum(ack.result != Result.OK for ack in acks)
-    digitizer.close()
 
 
 def test_its_own_packets_coming_back_are_errors(digitizer: CoreDigitizer) -> None:
@@ -291,7 +287,6 @@ def test_samples_before_the_stream_begins_are_none_of_it(
 def accepts(core: ctypes.CDLL, *asked: Configure, **board: Any) -> list[bool]:
     digitizer = awake(CoreDigitizer(core, Board.of(**board)))
     results = [of_kind(answers(digitizer, one), Ack)[0].result for one in asked]
-    digitizer.close()
     assert set(results) <= {Result.OK, REFUSED}
     return [result == Result.OK for result in results]
 
@@ -335,7 +330,6 @@ def test_means_take_all_that_the_converter_gives(core: ctypes.CDLL) -> None:
         frame = replace(LAYOUT, chip_ns=chip_ns, samples_per_chip=least, frame_period_us=period_us)
         answer = answers(digitizer, Configure(frame, integrated=True))
         assert (of_kind(answer, Ack)[0].result, digitizer.ticks_per_sample) == (Result.OK, ticks)
-    digitizer.close()
     assert accepts(core, of_frame(integrated=True, samples_per_chip=26)) == [False]
     slow = of_frame(integrated=True, chip_ns=1_000_000_000, frame_period_us=201_000_000)
     assert accepts(core, slow, max_ticks=11_718) == [True]
@@ -431,7 +425,6 @@ def test_pulses_lead_frames_and_restarts(
             expected.append(Pulse(tick - 64 * 48, SYNC_RESTART))
     assert digitizer.pulses(len(expected)) == expected
     assert expected[0].announces == first
-    digitizer.close()
 
 
 def test_there_are_no_pulses_where_there_is_no_stream_or_no_mark(core: ctypes.CDLL) -> None:
@@ -445,7 +438,6 @@ def test_there_are_no_pulses_where_there_is_no_stream_or_no_mark(core: ctypes.CD
     assert not digitizer.pulses(1)
     digitizer.send(of_frame(), Start())
     assert digitizer.pulses(1) == [Pulse(48_000 - 64 * 48, SYNC_FRAME)]
-    digitizer.close()
 
 
 def called_frames(digitizer: CoreDigitizer, frames: int) -> list[bool]:
@@ -466,7 +458,6 @@ def test_a_roll_call_begins_with_the_next_pulse(core: ctypes.CDLL) -> None:
     assert set(units) == {SYNC_FRAME, SYNC_CALL}
     called = called_frames(digitizer, 12)
     assert [number for number, one in enumerate(called) if one] == [2, 3, 4, 6, 7, 8]
-    digitizer.close()
 
 
 def test_a_roll_call_lasts_as_many_frames_as_there_are_nodes(core: ctypes.CDLL) -> None:
@@ -478,7 +469,6 @@ def test_a_roll_call_lasts_as_many_frames_as_there_are_nodes(core: ctypes.CDLL) 
         digitizer.pulses(1)
         called += called_frames(digitizer, 1)
     assert called == [True] * 70 + [False] * 10
-    digitizer.close()
 
 
 def test_a_roll_call_asked_for_with_start_is_held(core: ctypes.CDLL) -> None:
@@ -487,7 +477,6 @@ def test_a_roll_call_asked_for_with_start_is_held(core: ctypes.CDLL) -> None:
     assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_CALL, SYNC_FRAME]
     digitizer.send(RollCall(), Start())  # a new stream has no calls of the old one
     assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME, SYNC_FRAME]
-    digitizer.close()
 
 
 def test_a_new_stream_begins_with_a_frame_and_no_roll_call(core: ctypes.CDLL) -> None:
@@ -504,7 +493,6 @@ def test_a_new_stream_begins_with_a_frame_and_no_roll_call(core: ctypes.CDLL) ->
     digitizer.send(RollCall())
     digitizer.pulses(4)
     assert called_frames(digitizer, 1) == [True]
-    digitizer.close()
 
 
 def test_a_roll_call_needs_marked_raw_frames(core: ctypes.CDLL) -> None:
@@ -517,7 +505,6 @@ def test_a_roll_call_needs_marked_raw_frames(core: ctypes.CDLL) -> None:
         ((of_frame(SyncMode.NONE), Start(), RollCall()), REFUSED),
     ):
         assert of_kind(answers(digitizer, *asked), Ack)[-1].result == result
-    digitizer.close()
 
 
 def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:
@@ -543,7 +530,6 @@ def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:
     assert turns[38:] == [0, 0]
     told = [p.turn for p in of_kind(digitizer.packets(), Samples) if p.sync]
     assert told[1:] == turns[: len(told) - 1]
-    digitizer.close()
 
 
 def test_groups_are_refused_where_nodes_could_not_hear_of_them(core: ctypes.CDLL) -> None:
@@ -564,7 +550,6 @@ def test_groups_are_refused_where_nodes_could_not_hear_of_them(core: ctypes.CDLL
     assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME] * 2
     digitizer.receive(wrap(bytes([PacketType.GROUPS, 1, 0, TURN_MOST_LOG2 + 1])))
     assert digitizer.packets()[-1].result == Result.OUT_OF_RANGE
-    digitizer.close()
 
 
 # A slow host
@@ -589,7 +574,6 @@ def test_packets_without_room_are_dropped_whole_and_told_of(core: ctypes.CDLL) -
     assert not any(packet.overrun for packet in sent)
     assert status.packets_dropped == len(made) - len(sent) > 30
     assert digitizer.parser.counters.lost_packets == status.packets_dropped
-    digitizer.close()
 
 
 def test_a_host_that_was_away_for_long_is_answered(core: ctypes.CDLL) -> None:
@@ -601,7 +585,6 @@ def test_a_host_that_was_away_for_long_is_answered(core: ctypes.CDLL) -> None:
         digitizer.time(second * 1_000_000)
     digitizer.send(Configure(LAYOUT), GetInfo(), Start())
     assert [type(packet) for packet in digitizer.packets()[-5:]] == [Ack, Info, Ack, Info, Ack]
-    digitizer.close()
 
 
 def test_reports_that_find_no_room_are_counted_too(core: ctypes.CDLL) -> None:
@@ -613,7 +596,6 @@ def test_reports_that_find_no_room_are_counted_too(core: ctypes.CDLL) -> None:
     _, status = digitizer.packets()
     assert len(of_kind(got, Ack)) < 100
     assert len(got) + status.packets_dropped == 2 * 100 + 2
-    digitizer.close()
 
 
 @examples(40)
@@ -634,7 +616,6 @@ def test_what_is_sent_is_whole_however_it_is_taken(
     seen = parser.counters
     assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.jumps
     assert seen.lost_packets == status.packets_dropped
-    digitizer.close()
 
 
 def test_packets_may_end_where_the_ring_ends(core: ctypes.CDLL) -> None:
@@ -644,7 +625,6 @@ def test_packets_may_end_where_the_ring_ends(core: ctypes.CDLL) -> None:
             digitizer.send(GetInfo())
             digitizer.packets()
         assert digitizer.parser.counters.packets == 2 + 2 * 30
-        digitizer.close()
 
 
 def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
@@ -710,4 +690,3 @@ def test_a_frame_with_a_hole_is_never_quiet(core: ctypes.CDLL) -> None:
     ]
     assert [p.first_index for p in got if p.overrun] == [1405, 2028, 3052]
     assert [p.first_index for p in got if p.sync] == [80, 1104, 2128, 3152]
-    digitizer.close()

@@ -74,4 +74,3 @@ def test_the_host_reads_every_word(core: ctypes.CDLL, name: str) -> None:
         assert np.array_equal(frame.words.codes, sent)
     period_s = config.spec.frame_period_s
     assert np.allclose(np.diff([frame.t_start for frame in frames]), period_s, atol=5e-6)
-    digitizer.close()

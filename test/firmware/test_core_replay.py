@@ -98,7 +98,6 @@ def test_the_core_is_the_same_on_every_machine(
     (tmp_path / "output").unlink()
     assert replayed(in_qemu(image), digitizer, tmp_path) == digitizer.given
     assert len(digitizer.given) > 100_000
-    digitizer.close()
 
 
 @pytest.mark.parametrize(
@@ -126,7 +125,6 @@ def test_a_sample_costs_few_instructions(
     print(f"{name}: {instructions / samples:.1f} instructions per sample")
     assert samples == 400 * 128
     assert 2 < instructions / samples < INSTRUCTIONS_PER_SAMPLE
-    digitizer.close()
 
 
 def test_a_script_that_ends_early_is_refused(
@@ -139,4 +137,3 @@ def test_a_script_that_ends_early_is_refused(
         (tmp_path / "events").write_bytes(script(digitizer)[:cut])
         with pytest.raises(AssertionError, match=r"replay: .*(longer|no start)"):
             run(native, "events", "output", cwd=tmp_path)
-    digitizer.close()

@@ -19,7 +19,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from emulated import EmulatedSkin, Node
-from rp2040_skin import Rp2040Skin
 from serve import LiveSkin
 from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.config.parameters import read_file
@@ -56,7 +55,7 @@ def wired(nodes: list[Node], **board: Any) -> EmulatedSkin:
 
 
 @contextmanager
-def live(port: Path, emulated: EmulatedSkin | Rp2040Skin) -> Iterator[PressedSkin]:
+def live(port: Path, emulated: EmulatedSkin) -> Iterator[PressedSkin]:
     """An emulated skin on a tty of this path, in the host's time as far as it can follow."""
     stop, ready = threading.Event(), threading.Event()
     with emulated:
@@ -130,15 +129,6 @@ def test_what_presses_the_emulated_skin_is_what_the_topic_says(tmp_path: Path) -
     expected = np.where(full, 0, CONFIG.curve.pressure(voltages))
     assert np.allclose(pressures, expected, rtol=1e-5, atol=1)
     assert np.ptp(pressures, axis=0).max() > 20e3  # something did move
-
-
-def test_the_same_through_the_rp2040s_image(tmp_path: Path, rp2040_image: Path) -> None:
-    skin_of_nodes = Rp2040Skin(reference_nodes(CONFIG, threshold=0), reference_amplifier(CONFIG))
-    with live(tmp_path / "tty", skin_of_nodes) as skin, driven(tmp_path / "tty") as client:
-        first = phase_lock(client, skin)
-        wait_for(lambda: len(client.arrays) >= first + FRAMES)
-        off = off_lsb(client, skin, first)
-    assert np.abs(off).max() <= 1.001
 
 
 def test_silent_nodes_are_held_within_their_threshold(tmp_path: Path) -> None:

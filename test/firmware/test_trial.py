@@ -11,6 +11,7 @@ import pytest
 from check import PARAMS, on_rp2040, on_virtual_board, press
 from emulated import EmulatedSkin
 from skin import reference_amplifier, reference_nodes
+from tactile_cdma.base.errors import SpecError
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.firmware import need
@@ -64,3 +65,8 @@ def test_a_sensor_that_says_something_else_is_counted_as_wrong() -> None:
     with Shorted(reference_nodes(CONFIG, threshold=0), reference_amplifier(CONFIG)) as skin:
         trial = press(skin, skin, CONFIG, FRAMES)
     assert (trial.wrong, trial.silent) == (trial.frames, 0)
+
+
+def test_amplitude_of_an_emulated_skin_must_be_known() -> None:
+    with pytest.raises(SpecError, match="amplitude_mv is 0"):
+        reference_nodes(SkinConfig.of({"nodes": 16, "amplitude_mv": 0.0}))

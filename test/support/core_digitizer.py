@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+import weakref
 from ctypes import POINTER, byref, c_bool, c_size_t, c_uint8, c_uint16, c_uint32, c_uint64
 from dataclasses import dataclass
 from typing import Any
@@ -84,14 +85,12 @@ class CoreDigitizer:
         self.capacity = capacity
         self.output_size = core.shim_output_min(capacity) * 8 if output is None else output
         self._shim = core.shim_new(byref(self.board), self.output_size, capacity, now_us)
+        weakref.finalize(self, core.shim_free, self._shim)
         self.parser, self.writer = PacketParser(), PacketWriter()
         self.events: list[tuple[str, bytes]] = []
         """All calls so far, as events of digitizer/replay."""
         self.given = b""
         """Their results: pulses and bytes sent, in the order of the calls."""
-
-    def close(self) -> None:
-        self._core.shim_free(self._shim)
 
     @property
     def running(self) -> bool:

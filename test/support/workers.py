@@ -1,20 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What pytest-xdist makes of a worker that dies: the test that it was at has failed, no more."""
+"""What workers of pytest-xdist begin with, and what one that dies has failed: a test, no more."""
 
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadGroupScheduling, Scheduling
 from xdist.workermanage import WorkerController
 
+WAITING = "ros/"
+"""Tests in a folder of this name wait most of their time, for other processes and real time."""
 _died = pytest.StashKey[bool]()
 
 
 class Groups(LoadGroupScheduling):
     """As --dist loadgroup, which gives a test that ended its worker to the next one.
 
-    There it ends that one, too, until all are gone and pytest waits for ever.
+    There it ends that one, too, until all are gone and pytest waits for ever. Every other worker
+    begins with the tests that wait, so that what computes has the cores meanwhile.
     """
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        waits = bool(self.nodes.index(node) % 2)
+        for unit, tests in self.workqueue.items():
+            if (WAITING in next(iter(tests))) == waits:
+                self.workqueue.move_to_end(unit, last=False)
+                break
+        super()._assign_work_unit(node)
 
     def remove_node(self, node: WorkerController) -> str | None:
         units = self.assigned_work.pop(node)

@@ -211,7 +211,11 @@ def test_a_fault_in_a_consumer_is_reported_and_the_skin_comes_back() -> None:
             raise ZeroDivisionError("of the test")
         watch.frames.append(frame)
 
-    with Driver(CONFIG, "sim://", 2_000_000, consume, watch.note) as driver:
+    def note(problem: str | None) -> None:
+        watch.note(problem)
+        raise ZeroDivisionError("of whoever is told")
+
+    with Driver(CONFIG, "sim://", 2_000_000, consume, note) as driver:
         wait_for(lambda: len(watch.frames) > 20)
         assert driver.connections == 2
     assert any("ZeroDivisionError: of the test" in problem for problem in watch.problems if problem)

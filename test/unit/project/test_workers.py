@@ -63,3 +63,23 @@ def test_a_worker_that_dies_after_its_last_test_is_told(tmp_path: Path) -> None:
     ended = run(tmp_path, LAST, "-n", "1")
     assert "1 passed" in ended.stdout
     assert ended.returncode == pytest.ExitCode.TESTS_FAILED
+
+
+WAITING = """
+import time
+import pytest
+
+@pytest.mark.parametrize("i", range(6))
+def test_waits(i):
+    time.sleep(0.2)
+"""
+
+
+@pytest.mark.slow
+def test_what_waits_and_what_computes_are_run_side_by_side(tmp_path: Path) -> None:
+    (tmp_path / "ros").mkdir()
+    (tmp_path / "ros" / "test_waits.py").write_text(WAITING)
+    ended = run(tmp_path, WAITING.replace("waits", "computes"), "-n", "2", "-vv")
+    order = [line.partition("PASSED")[2] for line in ended.stdout.splitlines()]
+    kinds = ["ros/" in test for test in order if "test_" in test]
+    assert len(kinds) == 12 and 2 <= sum(kinds[:6]) <= 4, ended.stdout
