@@ -288,7 +288,7 @@ def test_stuck_nodes_are_looked_for_ten_times_a_second_of_the_skins_time() -> No
     driver = watch.driver("sim://?seed=1&speed=0")
     driver.stuck = looks
     with driver:
-        wait_for(lambda: len(looks.times_s) >= 40)
+        wait_for(lambda: len(looks.times_s) >= 20)
     apart_s = np.diff(looks.times_s)
     assert apart_s.min() >= LOOK_S - 1e-9
     assert np.median(apart_s) < LOOK_S + 1.5 * CONFIG.spec.frame_period_s
