@@ -332,9 +332,10 @@ def driver(node: Any, patch: int, layout: Layout) -> Any:
     arrays = node.create_publisher(TactileArray, f"{name}/tactile", qos_profile_sensor_data)
     contacts = node.create_publisher(TactileContacts, f"{name}/contacts", RELIABLE)
     places = [Point32(x=x, y=y, z=z) for x, y, z in layout.positions_m.tolist()]
-    infos.publish(
-        TactileSkinInfo(info_id=1, positions=places, normals=[Point32(z=1.0)] * len(places))
-    )
+    info = TactileSkinInfo(info_id=1, positions=places, normals=[Point32(z=1.0)] * len(places))
+    info.height, info.width = 1, len(places)
+    info.area, info.node = [1e-4] * info.width, list(range(1, info.width + 1))
+    infos.publish(info)
     taxels = array("I", range(TAXELS_OF_CONTACT))
     touch = TactileContact(patch=name, force=Vector3(z=-1.0), normal=Vector3(z=1.0), taxels=taxels)
     touches = TactileContacts(touched=True, contacts=[touch] * CONTACTS)
@@ -342,6 +343,7 @@ def driver(node: Any, patch: int, layout: Layout) -> Any:
     pressure_pa = array("f", np.linspace(0, 1e5, len(layout)).tolist())
     status = array("B", bytes(len(layout)))
     frame = TactileArray(info_id=1, pressure=pressure_pa, status=status)
+    frame.height, frame.width = 1, len(layout)
     for message in (touches, frame):
         message.header.frame_id = f"p{patch}"
 

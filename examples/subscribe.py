@@ -38,7 +38,7 @@ class Subscriber(Node):
         pressure_pa, status = np.array(frame.pressure), np.array(frame.status)
         masked = status & TactileArray.STATUS_MASKED != 0  # out of service by the layout
         unread = int((np.isnan(pressure_pa) & ~masked).sum())
-        if unread == pressure_pa.size:
+        if np.isnan(pressure_pa).all():
             print("no taxel has a reading", flush=True)
             return
         peak = int(np.nanargmax(pressure_pa))

@@ -162,19 +162,23 @@ VECTORS static void keep_words(const struct readout_skin *skin, const struct rea
 }
 
 /* Looks up voltages; meant_v: at rest, for a code at the converter's end that may hide a contact. */
-static void look_up(const struct readout_skin *skin, int32_t highest, float *meant_v,
-                    struct block *block)
+VECTORS static void look_up(const struct readout_skin *skin, int32_t highest, float *restrict meant_v,
+                            struct block *block)
 {
-    const size_t size = block->size;
+    const size_t at = block->at, size = block->size;
+    const int32_t *restrict codes = skin->kept_codes + at;
+    const float *restrict table_v = skin->table_v, *restrict rest_v = skin->rest_v + at;
+    const float *restrict sign = skin->sign + at, *restrict margin_v = skin->margin_v + at;
+    float *restrict volts = block->volts;
+    uint8_t *restrict hiding = block->hiding;
 
+    for (size_t i = 0; i < size; i++)
+        volts[i] = table_v[codes[i]];
     for (size_t i = 0; i < size; i++) {
-        int32_t code = skin->kept_codes[block->at + i];
-        float volts = skin->table_v[code], rest_v = skin->rest_v[block->at + i];
-        float sign = skin->sign[block->at + i], pulled_v = sign * (rest_v - volts);
-        bool at_end = code == (sign > 0 ? highest : 0);
-        block->volts[i] = volts;
-        block->hiding[i] = at_end && pulled_v > skin->margin_v[block->at + i];
-        meant_v[block->at + i] = at_end && pulled_v > 0 ? rest_v : volts;
+        float pulled_v = sign[i] * (rest_v[i] - volts[i]);
+        int at_end = codes[i] == (sign[i] > 0 ? highest : 0), pulled = pulled_v > 0;
+        hiding[i] = (uint8_t)(at_end & (pulled_v > margin_v[i]));
+        meant_v[at + i] = at_end & pulled ? rest_v[i] : volts[i];
     }
 }
 

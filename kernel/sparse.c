@@ -151,7 +151,10 @@ static bool silence_rises(struct sparse *sparse, double noise)
 
 void sparse_learn(const struct sparse *sparse, double found, double *noise)
 {
-    *noise = *noise > 0 ? *noise + sparse->rules.weight * (found - *noise) : found;
+    if (!(*noise > 0))
+        *noise = found;
+    else if (found <= *noise * (1 + sparse->rules.chance))
+        *noise += sparse->rules.weight * (found - *noise);
 }
 
 /* Levels of those who spoke. */
@@ -177,7 +180,9 @@ bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float
     const struct sparse_book *book = &detector->book;
     double found = 0;
 
-    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * sparse->swing2) || !detector_find(detector, chips, 0))
+    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * sparse->swing2 &&
+          rules->chance_of_bit * *noise <= sparse->swing2) ||
+        !detector_find(detector, chips, 0))
         return false;
     for (size_t bit = 0; bit < book->bits; bit++)
         found += noise_of(detector, detector->power[bit]);

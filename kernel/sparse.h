@@ -35,7 +35,7 @@ const struct sparse_book *sparse_book(const struct sparse *sparse);
 bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
                  struct sparse_told *told);
 
-/* Learns the noise from that of one frame, V²; 0: unknown. */
+/* Learns the noise from that of one frame, V², as `learnt` does; 0: unknown. */
 void sparse_learn(const struct sparse *sparse, double found, double *noise);
 
 #endif

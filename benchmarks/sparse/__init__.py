@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sparse codes: `__main__` has what is certain and what it costs, `hug` everybody at once."""
+"""Sparse codes: `frames` has what is certain, `hug` everybody at once, `__main__` what it costs."""

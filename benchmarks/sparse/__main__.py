@@ -2,7 +2,7 @@
 
 """Sparse codes: which frames are certain, and whether anything certain is false.
 
-    make bench-sparse      QUICK=1: fewer frames and books
+    make bench-sparse      QUICK=1: fewer frames and books; all of it takes ten minutes
 
 Nodes speak at random, with random words, a tolerance of their amplitudes and noise; in other
 conditions words are equal, those who speak are neighbours (a hand), some are weak (0.6 A), a tone
@@ -28,8 +28,6 @@ taxel has its new value, by turns; `release_ms`: from their release until all ar
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -39,182 +37,43 @@ from threadpoolctl import threadpool_limits
 from benchmarks import ros
 from benchmarks.report import QUICK, Report, be_alone, medians_s
 from benchmarks.skip import record
+from benchmarks.sparse.frames import (
+    BOOKS,
+    CONDITIONS,
+    LOADS,
+    MANY,
+    SOUND,
+    WORDS,
+    Skin,
+    Tally,
+    run_all,
+)
 from benchmarks.sparse.hug import Hug, hug
-from tactile_cdma.base.arrays import Bools, Floats, Floats32
 from tactile_cdma.code.detect import Detector
-from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels
-from tactile_cdma.code.transform import chips_of
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine
-from tactile_cdma.framing.sparse_timing import (
-    LEARNT,
-    SparseRecogniser,
-    capacity,
-    certificate,
-)
-from tactile_cdma.words.decode import Words, decode, silent
-
-BOOKS = [(64, 32, 10), (256, 64, 10), (1000, 128, 10), (4000, 912, 10)]
-"""Nodes, chips per bit, bits."""
-if not QUICK:
-    BOOKS += [(40, 16, 10), (256, 48, 10), (256, 64, 8), (256, 64, 16), (2000, 256, 12)]
-    BOOKS += [(16_000, 912, 10), (4000, 2048, 10)]
-LOADS = (0.02, 0.25, 0.45) if QUICK else (0.0, 0.02, 0.1, 0.25, 0.35, 0.45, 0.55, 0.7, 1.0)
-"""Nodes that speak in a frame, of the chips per bit; at least one but for 0."""
-RHOS = (15, 100) if QUICK else (5, 15, 50, 100, 1000)
-FRAMES = {912: 12, 2048: 6} if QUICK else {912: 40, 2048: 15}
-"""By chips per bit, of every condition; of shorter codes OTHERS."""
-OTHERS = 60 if QUICK else 200
-WORDS = 10**5 if QUICK else 10**7
-"""Words of which none may be wrong."""
-CONDITIONS = (
-    *("random", "equal words", "neighbours", "weak nodes", "tone", "late node", "late frame"),
-    *("lost sample", "doubled sample", "clipping", "other seed", "everybody"),
-)
-SOUND = ("random", "equal words", "neighbours")
-TOLERANCE = 0.034
-
-
-@dataclass
-class Tally:
-    """frames; of them certain; words and silences claimed without doubt, and those not sent.
-
-    A frame is certain if it was not flagged as a whole, and all its words are.
-    """
-
-    frames: int = 0
-    certain: int = 0
-    claims: int = 0
-    false: int = 0
-
-    def add(self, words: Words, active: Bools, codes: np.ndarray) -> None:
-        sure = ~words.doubtful
-        wrong = (words.active != active) | (active & (words.codes != codes))
-        self.frames += 1
-        self.certain += int(sure[active].all() and sure.any())
-        self.claims += int(sure.sum())
-        self.false += int((sure & wrong).sum())
-
-    @property
-    def share(self) -> float:
-        return self.certain / max(1, self.frames)
-
-
-class Skin:
-    """Makes frames of a book, and has them read."""
-
-    def __init__(self, nodes: int, order: int, bits: int, rho: float) -> None:
-        fields = {"amplitude_v": 1.0, "chip_s": 1e-6, "frame_period_s": 1.0, "codes": "sparse"}
-        self.spec = FrameSpec(nodes, bits, order, **fields)  # type: ignore[arg-type]
-        self.other = FrameSpec(nodes, bits, order, sign_seed=9, **fields)  # type: ignore[arg-type]
-        self.rho, self.rng = rho, np.random.default_rng([nodes, order, bits, int(rho)])
-        self.recogniser = SparseRecogniser(MarkedLine(self.spec, 1 / self.spec.chip_s))
-        for _ in range(2 * LEARNT):
-            self.frame("random", min(2, capacity(self.spec)), Tally())
-
-    def chips(self, codes: np.ndarray, level: Floats32, spec: FrameSpec) -> Floats32:
-        """(k·N,) V, of words (n,) with these amplitudes, 0 for those who are silent."""
-        speak = np.flatnonzero(level)
-        weights = 1 << np.arange(spec.bits - 1, -1, -1)
-        bits = np.where(codes[speak] & weights[:, None], 1, -1)
-        rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
-        rows[:, 1 + speak] = bits * level[speak] * spec.signs[speak]
-        return chips_of(rows, spec).ravel()
-
-    def frame(self, condition: str, speakers: int, tally: Tally) -> Words:
-        """One frame under a condition; tallies what is made of it."""
-        spec, rng = self.spec, self.rng
-        chosen = rng.permutation(spec.nodes)[:speakers]
-        if condition == "neighbours":
-            chosen = np.arange(speakers) + rng.integers(spec.nodes - speakers + 1)
-        if condition == "everybody":
-            chosen = np.arange(spec.nodes)
-        active = np.zeros(spec.nodes, np.bool_)
-        active[chosen] = True
-        codes = rng.integers(1 << spec.bits, size=spec.nodes)
-        if condition == "equal words":
-            codes[:] = codes[0]
-        level = (active * (1 + rng.uniform(-TOLERANCE, TOLERANCE, spec.nodes))).astype(np.float32)
-        if condition == "weak nodes":
-            level[chosen[: 1 + speakers // 4]] *= 0.6
-        if condition == "late node":
-            late = np.where(np.arange(spec.nodes) == chosen[0], level, 0)
-            line = self.chips(codes, level - late, spec)
-            line = line + np.roll(self.chips(codes, late, spec), self._some_chips())
-        elif condition == "other seed":
-            odd = np.where(np.arange(spec.nodes) == chosen[0], level, 0)
-            line = self.chips(codes, level - odd, spec) + self.chips(codes, odd, self.other)
-        else:
-            line = self.chips(codes, level, spec)
-        noise = rng.normal(0.3, np.sqrt(spec.order) / self.rho, line.size)
-        words = self._read(self._disturbed(line, condition) + noise)
-        tally.add(words, active, codes)
-        return words
-
-    def _some_chips(self) -> int:
-        return int(self.rng.integers(1, 9) * self.rng.choice([-1, 1]))
-
-    def _disturbed(self, line: Floats32, condition: str) -> Floats32:
-        if condition == "tone":
-            turn = 2 * np.pi * self.rng.uniform(0, 20) * np.arange(line.size) / self.spec.order
-            return (line + self.rng.uniform(0, 1) * np.sin(turn + self.rng.uniform(0, 6))).astype(
-                np.float32
-            )
-        at = int(self.rng.integers(line.size))
-        if condition == "late frame":
-            return np.roll(line, self._some_chips())
-        if condition == "lost sample":
-            return np.append(np.delete(line, at), np.float32(0))
-        if condition == "doubled sample":
-            return np.insert(line, at, line[at])[:-1]
-        if condition == "clipping":
-            most = np.float32(self.rng.uniform(0.5, 3) * np.std(line))
-            return np.clip(line, -most, most)
-        return line
-
-    def _read(self, line: Floats) -> Words:
-        verdict = self.recogniser.recognise(MarkedFrame(0, line, True))
-        heard = verdict.frame
-        if heard is None:
-            return silent(self.spec.nodes, 0.0).doubted(np.ones(self.spec.nodes, np.bool_))
-        levels: NodeLevels | None = heard.levels
-        words = decode(levels, self.spec) if levels else silent(self.spec.nodes, 0.0)
-        return words if heard.doubtful is None else words.doubted(heard.doubtful)
-
-
-def conditions(order: int) -> Iterator[tuple[str, float]]:
-    """Conditions, and loads in which they are tried."""
-    for condition in CONDITIONS:
-        loads: tuple[float, ...] = (0.0, 0.1, 0.4) if condition not in SOUND else LOADS
-        for load in loads if condition != "everybody" else (1.0,):
-            yield condition, load
+from tactile_cdma.framing.sparse_timing import capacity, certificate
 
 
 def main() -> None:
     report = Report("sparse", "Sparse codes: what is certain, and what of it is false")
-    everything, sound = Tally(), Tally()
-    by_load: dict[tuple[int, int, int], dict[float, Tally]] = {}
+    everything, sound, words = Tally(), Tally(), Tally()
+    by_load: dict[tuple[int, int, int], dict[float, Tally]] = {
+        book: {load: Tally() for load in LOADS} for book in BOOKS
+    }
     by_condition: dict[str, Tally] = {condition: Tally() for condition in CONDITIONS}
+    for job, tallies in run_all():
+        for (condition, load), tally in tallies.items():
+            if condition == MANY:
+                words += tally
+                continue
+            everything += tally
+            by_condition[condition] += tally
+            if condition == "random" and job.rho >= 15:
+                by_load[job.book][load] += tally
+            if condition in SOUND and job.rho >= 15 and job.book[1] >= 64 and load <= 0.45:
+                sound += tally
     with threadpool_limits(1):
-        for book in BOOKS:
-            for rho in RHOS:
-                skin = Skin(*book, rho)
-                for condition, load in conditions(book[1]):
-                    measured = Tally()
-                    speakers = min(max(1, round(load * book[1])) if load else 0, book[0])
-                    if condition not in SOUND:
-                        speakers = max(1, speakers)
-                    for _ in range(FRAMES.get(book[1], OTHERS)):
-                        skin.frame(condition, speakers, measured)
-                    into = [everything, by_condition[condition]]
-                    if condition == "random" and rho >= 15:
-                        into.append(by_load.setdefault(book, {}).setdefault(load, Tally()))
-                    if condition in SOUND and rho >= 15 and book[1] >= 64 and load <= 0.45:
-                        into.append(sound)
-                    for tally in into:
-                        add(tally, measured)
         report.table(
             ["nodes", "chips", "bits", "capacity", *(f"certain at {load:g} N" for load in LOADS)],
             [
@@ -226,7 +85,6 @@ def main() -> None:
             ["condition", "frames", "certain", "claims", "false"],
             [[name, t.frames, t.share, t.claims, t.false] for name, t in by_condition.items()],
         )
-        words = many_words()
         took = times()
         busy, idle = decoder_ratios()
     cpu_ratio, driver, floor = live()
@@ -252,25 +110,6 @@ def main() -> None:
         p50_ms=driver.p50_ms,
         p50_ms_floor=floor.p50_ms,
     )
-
-
-def add(tally: Tally, other: Tally) -> None:
-    """Count what another tally has counted."""
-    tally.frames += other.frames
-    tally.certain += other.certain
-    tally.claims += other.claims
-    tally.false += other.false
-
-
-def many_words() -> Tally:
-    """Frames of 4,000 nodes of which 8 % speak."""
-    found, speakers = Tally(), 320
-    for rho in RHOS:
-        if rho >= 15:
-            skin = Skin(4000, 912, 10, rho)
-            for _ in range(-(-WORDS // speakers // sum(rho >= 15 for rho in RHOS))):
-                skin.frame("random", speakers, found)
-    return found
 
 
 def times() -> dict[int, float]:

@@ -13,3 +13,8 @@ def plain(text: str) -> str:
         return shown
     escaped = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
     return "".join(escaped)[:MOST_SHOWN]
+
+
+def plain_lines(text: str) -> str:
+    """The same of every line of a text that has several, such as the trace of an exception."""
+    return "\n".join(map(plain, text.splitlines()))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ..base.errors import PortError, RecordingEndError
+from ..base.plain_text import plain_lines
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig, fills_period
 from ..readings.stuck import LOOK_S as STUCK_LOOK_S
@@ -44,6 +46,7 @@ WAITING = "waiting for the first frame"
 """The problem right after a port was opened."""
 NOT_YET = (None, CONNECTING, WAITING)
 """Problems that pass by themselves, if nothing is wrong."""
+_log = logging.getLogger(__name__)
 
 
 class Driver:
@@ -155,7 +158,9 @@ class Driver:
             except PortError as error:
                 self._report(str(error))
             except Exception:  # a defect must neither go unseen nor end the skin for good
-                self._report(f"internal error, starting again: {traceback.format_exc()}")
+                self._report(
+                    f"internal error, starting again: {plain_lines(traceback.format_exc())}"
+                )
             finally:
                 self.port = None
             if self.pipeline.counters.frames > frames:
@@ -268,4 +273,7 @@ class Driver:
     def _report(self, problem: str | None) -> None:
         if problem != self.problem and not self._stop.is_set():
             self.problem = problem
-            self._on_problem(problem)
+            try:
+                self._on_problem(problem)
+            except Exception:  # what is told of a fault must not be the end of the thread
+                _log.exception("whoever is to hear of problems failed")

@@ -48,8 +48,9 @@ numbers XOR to 0 they do in a bit once in 0.75^-N times, in 10¹⁶ at 128 chips
 HIDDEN = 0.36
 """Power of chips below which no node is hidden in them, in amplitudes squared. Chosen: at 0.6 A."""
 LEARNT, RELEARNT = 8, 64
-"""Frames of which the least noise is that of the line: the first ones, and as many in a row that
-are in doubt for their noise alone. Chosen: the kurtosis of so many tells it from a node."""
+"""Frames of which the least noise is that of the line: the first ones, or more of them if a node's
+word might hide in it, and as many in a row that are in doubt for their noise alone. Chosen: the
+kurtosis of so many tells it from a node."""
 WEIGHT = 0.25
 """Weight of the newest frame in the noise. Chosen: averages about seven frames."""
 MOST_LATE, LATE_SHARE = 8, 0.5
@@ -94,7 +95,8 @@ class SparseTiming(MarkedTiming):
             spoke = (self._own.speakers, self._own.crowded) if frame.levels else (0,)
             self.load = self.load.after(*spoke)
             if frame.levels is None:  # all of it was noise
-                self.line.noise = learnt(self.line.noise, frame.noise_rms_v**2)
+                chance = _by_chance(self.line.spec.chips)
+                self.line.noise = learnt(self.line.noise, frame.noise_rms_v**2, chance)
         return super()._noted(verdict)
 
 
@@ -119,9 +121,15 @@ def groups_for_all(spec: FrameSpec) -> int:
     return 0
 
 
-def learnt(noise: float, newest: float) -> float:
-    """Mean square of the line's noise, V², after a frame of so much; 0: unknown."""
-    return noise + WEIGHT * (newest - noise) if noise else newest
+def learnt(noise: float, newest: float, chance: float) -> float:
+    """Mean square of the line's noise, V², after a frame of so much; 0: unknown.
+
+    chance: share of it that is chance. What is more may be what words or a tone leave: if that was
+    learnt, the next frame might leave as much again, up to what a node leaves.
+    """
+    if not noise:
+        return newest
+    return noise + WEIGHT * (newest - noise) if newest <= noise * (1 + chance) else noise
 
 
 def certificate(spec: FrameSpec) -> Certificate:
@@ -156,7 +164,7 @@ class SparseRecogniser:
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
         self._rules = certificate(line.spec)
-        self._unlearnt = _Unlearnt(line.spec.chips, HIDDEN * self._swing2)
+        self._unlearnt = _Unlearnt(line.spec.chips, self._swing2)
         self.detector = Detector(line.spec, self._rules)
         line.noise_share = 1 - self._rules.chance
         self._products = _products(line.spec)
@@ -198,7 +206,7 @@ class SparseRecogniser:
                 found, explained = other, self._words_explain(other)
         late = () if explained else self._late(found)
         doubtful: Bools | None = None
-        if late or not explained:
+        if late or not explained or self._hides_words:
             doubtful = np.ones(spec.nodes, np.bool_)
         elif self._hides_nodes:
             doubtful = ~found.heard
@@ -239,10 +247,10 @@ class SparseRecogniser:
             return
         if explained:
             self._unlearnt.clear()
-            self._line.noise = learnt(self._line.noise, noise)
+            self._line.noise = learnt(self._line.noise, noise, self._rules.chance)
         else:
-            most = RELEARNT if self._line.noise else LEARNT
-            least = self._unlearnt.learn(noise, _kurtosis(found.chips), most)
+            frames = RELEARNT if self._line.noise else LEARNT
+            least = self._unlearnt.learn(noise, _kurtosis(found.chips), frames)
             self._line.noise = self._line.noise if least is None else least
 
     def _silence_rises(self, found: Detected, noise_v: float) -> bool:
@@ -290,6 +298,11 @@ class SparseRecogniser:
     def _hides_nodes(self) -> bool:
         """Whether the noise may hold the word of a node that does not show."""
         return _by_chance(self._spec.chips) * self._line.noise > HIDING * self._swing2
+
+    @property
+    def _hides_words(self) -> bool:
+        """Whether the noise of a bit may hide a word, so that what disturbs one is not seen."""
+        return _by_chance(self._spec.order) * self._line.noise > self._swing2
 
     def _noise_of(self, found: Detected) -> Floats:
         """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
@@ -348,9 +361,9 @@ class _Unlearnt:
     chips of few nodes, or a tone, are not.
     """
 
-    def __init__(self, chips: int, least_hidden: float) -> None:
-        """chips: of a frame. least_hidden: mean square of what a node leaves, V²."""
-        self._chips, self._least_hidden = chips, least_hidden
+    def __init__(self, chips: int, swing2: float) -> None:
+        """chips: of a frame. swing2: mean square of what a node leaves, V²."""
+        self._chips, self._swing2 = chips, swing2
         self._seen: list[tuple[float, float]] = []
 
     def clear(self) -> None:
@@ -358,12 +371,17 @@ class _Unlearnt:
         self._seen.clear()
 
     def learn(self, power: float, kurtosis: float, frames: int) -> float | None:
-        """The noise, V², if this is the last of so many that show it."""
+        """The noise, V², if this is the last of so many that show it, or of more if need be."""
         self._seen.append((power, kurtosis))
-        if len(self._seen) < frames:
-            return None
         powers, kurtoses = zip(*self._seen, strict=True)
-        by_chance = BY_CHANCE * math.sqrt(24 / (self._chips * len(self._seen)))
-        is_gaussian = sum(kurtoses) / len(kurtoses) > 3 - by_chance
+        count, least = len(powers), min(powers)
+        if count < frames:
+            return None
+        by_chance = BY_CHANCE * math.sqrt(24 / (self._chips * count))
+        # A node lowers the kurtosis of what is left by twice this.
+        of_node = (self._swing2 / max(least, self._swing2)) ** 2
+        if least > HIDDEN * self._swing2 and by_chance > of_node and count < RELEARNT:
+            return None
         self._seen.clear()
-        return min(powers) if is_gaussian or min(powers) < self._least_hidden else None
+        is_gaussian = sum(kurtoses) / count > 3 - by_chance
+        return least if is_gaussian or least < HIDDEN * self._swing2 else None

@@ -8,6 +8,8 @@ publishers take as well, and bags: plain CDR, little-endian (OMG DDS-XTypes 1.3,
 rclpy's.
 """
 
+import math
+from collections.abc import Sequence
 from functools import lru_cache
 from struct import Struct
 from typing import Any, NamedTuple
@@ -23,6 +25,9 @@ ENCAPSULATION = b"\0\1\0\0"
 """Begins a message: plain CDR, little-endian, no options. Places are counted from behind it."""
 PADDING = [bytes(count) for count in range(8)]
 """Zeros to the next multiple of an alignment, by their number."""
+MOST_PA, MOST_DEVICE_US = 1e12, 1 << 62
+"""Pressures and device times beyond are lies, on which arithmetic would choke; chosen far above any
+skin's."""
 _COUNT, _STAMP = Struct("<I"), Struct("<iI")
 _ARRAY, _FLOAT = Struct("<QQIfHHI"), Struct("<f")
 _LAST_NS = 2**31 * 1_000_000_000 - 1  # of a message's time; others may send later ones
@@ -178,14 +183,29 @@ def read_array(message: bytes) -> TaxelArray:
     """Take a TactileArray apart; raises MessageError if it is none, or contradicts itself."""
     reader = CdrReader(message)
     heading = reader.header()
-    sequence, _, info_id, _, height, width, count = reader.numbers(_ARRAY, 8)
-    pressure = reader.take(4 * count)
+    sequence, device_us, info_id, _, *size, count = reader.numbers(_ARRAY, 8)
+    pressure_pa = np.frombuffer(reader.take(4 * count), dtype="<f4")
     reader.take(4 * reader.count())
-    status = reader.take(reader.count())
-    if not count == len(status) == height * width:
+    status = np.frombuffer(reader.take(reader.count()), dtype=np.uint8)
+    check_array(sequence, device_us, size, pressure_pa, status)
+    return TaxelArray(heading, sequence, info_id, pressure_pa, status)
+
+
+def check_array(
+    sequence: int,
+    device_time_us: int,
+    size: Sequence[int],
+    pressure_pa: NDArray[np.float32],
+    status: NDArray[np.uint8],
+) -> None:
+    """Raises MessageError where fields of a TactileArray contradict each other.
+
+    size: height and width, taxels.
+    """
+    if not 0 < len(pressure_pa) == len(status) == math.prod(size):
         raise MessageError(
-            f"frame {sequence} has {count} pressures and {len(status)} states of {height} × "
-            f"{width} taxels"
+            f"frame {sequence} has {len(pressure_pa)} pressures and {len(status)} states of "
+            f"{' × '.join(map(str, size))} taxels"
         )
-    values = np.frombuffer(pressure, dtype="<f4"), np.frombuffer(status, dtype=np.uint8)
-    return TaxelArray(heading, sequence, info_id, *values)
+    if (np.abs(pressure_pa) > MOST_PA).any() or device_time_us > MOST_DEVICE_US:
+        raise MessageError(f"frame {sequence} has pressures or a time that nothing measures")

@@ -7,8 +7,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +28,7 @@ from tactile_cdma.srv import Tare
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import MessageError, ParameterError, PortError
 from ..readings.status import is_certain
-from .common.convert import readings_of, rows
+from .common.convert import places_of, readings_of
 from .common.qos import FRESH, LATCHED
 from .common.touches import STATE, Touches
 
@@ -134,6 +134,8 @@ class SkinClient:
         if not 0 < silent_after_s < math.inf:
             raise ParameterError(f"silent_after_s is {silent_after_s}; it must be above 0 s")
         self.info: TactileSkinInfo | None = None
+        self._places = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.float32)
+        self._fault = ""  # of the last message, if it was refused
         self._node, self._on_touch = node, on_touch
         self._silent_after_s = silent_after_s
         self._contacts: Touches | None = None
@@ -178,15 +180,16 @@ class SkinClient:
             pressure_pa, status = readings_of(array)
         except MessageError:
             return None
-        if len(pressure_pa) != len(info.positions):
+        positions_m, normals, areas_m2 = self._places
+        if len(pressure_pa) != len(areas_m2):
             return None
         return TaxelFrame(
             message=array,
             pressure_pa=pressure_pa,
             valid=np.isfinite(pressure_pa) & is_certain(status),
-            positions_m=rows(info.positions),
-            normals=rows(info.normals),
-            areas_m2=np.array(info.area, dtype=np.float32),
+            positions_m=positions_m,
+            normals=normals,
+            areas_m2=areas_m2,
         )
 
     def tare(self, force: bool = False, wait_s: float = 0.0) -> Tare.Response:
@@ -227,6 +230,8 @@ class SkinClient:
     def _silence(self, silent_s: float) -> str:
         if not self._node.count_publishers(self._topic):
             return f"silent: no driver publishes {self._topic}"
+        if self._fault:
+            return f"silent: what comes is of no driver of ours: {self._fault}"
         since = f" for {silent_s:.1f} s" if silent_s < math.inf else " yet"
         return f"silent: nothing on {self._topic}{since}; /diagnostics tell why"
 
@@ -235,13 +240,23 @@ class SkinClient:
             self._on_touch(self.touch)
 
     def _take_contacts(self, message: bytes) -> None:
-        with suppress(MessageError):  # of no driver of ours; it would end the program's executor
+        with self._told():
             self._contacts, self._heard_s = Touches.read(message), time.monotonic()
         if self._on_touch:
             self._on_touch(self.touch)
 
     def _take_info(self, message: TactileSkinInfo) -> None:
-        self.info = message
+        with self._told():
+            self._places, self.info = places_of(message), message
 
     def _take_array(self, message: TactileArray) -> None:
         self._array, self._array_s = message, time.monotonic()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Notes why a message is refused, which would end the program's executor."""
+        self._fault = ""
+        try:
+            yield
+        except MessageError as error:
+            self._fault = str(error)

@@ -65,11 +65,15 @@ class Patch:
         return Header(stamp=stamp, frame_id=self.frame_id)
 
     def describe(self, info_id: int, positions: list[Point32], normals: list[Point32]) -> None:
-        self.infos.publish(TactileSkinInfo(info_id=info_id, positions=positions, normals=normals))
+        info = TactileSkinInfo(info_id=info_id, positions=positions, normals=normals)
+        info.height, info.width = 1, len(positions)
+        info.area, info.node = [1e-4] * info.width, list(range(1, info.width + 1))
+        self.infos.publish(info)
 
     def press(self, pressure_pa: list[float], info_id: int = 1) -> None:
         values, status = array("f", pressure_pa), array("B", bytes(len(pressure_pa)))
         message = TactileArray(info_id=info_id, pressure=values, status=status)
+        message.height, message.width = 1, len(values)
         message.header = self.header()
         self.arrays.publish(message)
 
@@ -263,7 +267,7 @@ def test_points_have_no_taxels_without_a_number(world: World) -> None:
         lambda: world.points()["taxel"].tolist() == [1],
         lambda: world.a.press([math.nan, 5e3]),
     )
-    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([math.inf, -math.inf]))
+    wait(world, lambda: len(world.points()) == 0, lambda: world.a.press([math.nan, math.nan]))
 
 
 def test_a_layout_that_contradicts_itself_is_not_drawn_and_the_node_goes_on(world: World) -> None:

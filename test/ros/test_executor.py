@@ -15,7 +15,6 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from tactile_cdma.ros.common.executor import LeanExecutor
-from tactile_cdma.ros.common.failures import FAILURES
 from tactile_cdma.ros.common.following import Following
 from test.support.waiting import PATIENCE_S
 
@@ -181,24 +180,6 @@ def test_a_callback_of_two_arguments_gets_when_a_message_was_sent_and_came(world
     world.until(lambda: infos)
     [info] = infos
     assert begin_ns < info["source_timestamp"] < info["received_timestamp"] < time.time_ns()
-
-
-def fail(*_: object) -> None:
-    raise ArithmeticError("of \x1b[2J the test")
-
-
-def test_errors_in_callbacks_end_nothing_are_counted_and_logged_once(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
-    world.node.create_timer(0.01, fail)
-    world.node.create_subscription(Header, "said", fail, LATCHED)
-    world.publisher("one")
-    world.node.create_service(Trigger, "serve", fail)
-    failures = FAILURES.count
-    assert not answered(world, "serve").success, "its caller is told, and does not wait for ever"
-    world.until(lambda: FAILURES.count >= failures + 10)
-    said = [record.getMessage() for record in caplog.records]
-    assert len(said) == 1 and "ArithmeticError: of \\x1b[2J the test" in said[0]
 
 
 def test_another_thread_ends_an_endless_wait(world: World) -> None:

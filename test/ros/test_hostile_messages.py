@@ -10,6 +10,7 @@ from random import Random
 from typing import Any
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3
 from rclpy.parameter import Parameter
@@ -20,6 +21,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_cdma.base.errors import MessageError, TactileError
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts, TactileSkinInfo
 from tactile_cdma.ros.body.node import BodyNode
+from tactile_cdma.ros.client import SkinClient
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.viewers.body_view import BodyViewer, line
 from tactile_cdma.ros.viewers.view import Viewer, draw, in_use
@@ -143,6 +145,27 @@ def test_a_body_goes_on_and_never_claims_touched_and_untouched() -> None:
         if feed.contacts:
             assert not (feed.contacts.untouched and feed.contacts.touched)
     body.destroy_node()
+
+
+def test_a_client_tells_what_it_refuses_and_keeps_no_places_that_contradict_it() -> None:
+    """Its callbacks are called by the program's executor, which anything raised would end."""
+    node = rclpy.create_node("program")
+    skin = SkinClient(node, frames=True)
+    taken: list[tuple[Callable[[Any], None], Any]] = [
+        (lambda message: skin._take_contacts(serialize_message(message)), CONTACTS),
+        (skin._take_info, info()),
+        (skin._take_array, ARRAY),
+    ]
+    refused = 0
+    for is_raised in told_lies(taken, 300):
+        assert not is_raised
+        refused += bool(skin._fault)
+        assert skin.touch.problem.isprintable()
+        if frame := skin.frame:
+            sizes = map(len, (frame.pressure_pa, frame.positions_m, frame.normals, frame.areas_m2))
+            assert len(set(sizes)) == 1
+    assert refused > 50
+    node.destroy_node()
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import tempfile
 import threading
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -20,6 +21,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
 from tactile_cdma.driver.driver import CONNECTING
+from tactile_cdma.ros.common.failures import FAILURES
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.wire.port import Port
 from test.support.boards import Board, plugged
@@ -168,28 +170,56 @@ TestLifecycle.settings = settings(
 
 
 class Defective(SkinNode):
-    """Has a defect in the middle of activating, when it is told to."""
+    """Has defects: each of these methods raises so many times."""
 
-    defective = True
+    defects: dict[str, int] = {"_publish_info": 10**9}  # noqa: RUF012
 
-    def _publish_info(self) -> None:
-        if self.defective:
+    def __getattribute__(self, name: str) -> Any:
+        defects = object.__getattribute__(self, "defects")
+        if defects.get(name):
+            defects[name] -= 1
             raise ZeroDivisionError
-        super()._publish_info()
+        return super().__getattribute__(name)
 
 
 def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: Path) -> None:
     path = tmp_path / "skin"
-    others = open_ports()
+    others, before = open_ports(), FAILURES.count
     with plugged(Board, path), running(Defective, port=str(path)) as (node, client):
         wait_for(lambda: any("internal error" in status.message for status in client.diagnostics))
-        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
-        assert readers() == []
-        assert open_ports() == others + 1
-        node.defective = False
-        assert client.change(Transition.TRANSITION_CONFIGURE)
-        assert client.change(Transition.TRANSITION_ACTIVATE)
-        wait_for(lambda: client.arrays)
+        wait_for(lambda: readers() == [] and open_ports() == others + 1)
+        assert FAILURES.count > before
+        node.defects.clear()
+        wait_for(lambda: client.arrays)  # it is tried again
+
+
+@pytest.mark.parametrize(
+    "defects, transition, ends",
+    [
+        ({"_watch_of_port": 1}, "configure", UNCONFIGURED),
+        ({"_stop_driver": 1}, "deactivate", UNCONFIGURED),
+        ({"_release": 1}, "shutdown", UNCONFIGURED),
+        ({"_release": 2}, "shutdown", FINALIZED),
+    ],
+)
+def test_a_defect_in_a_transition_ends_no_node(
+    defects: dict[str, int], transition: str, ends: str
+) -> None:
+    Defective.defects = {}
+    with running(Defective, autostart=False, port="sim://") as (node, client):
+        state = UNCONFIGURED
+        if transition != "configure":
+            assert client.change(Transition.TRANSITION_CONFIGURE)
+            assert client.change(Transition.TRANSITION_ACTIVATE)
+            state = ACTIVE
+        before, node.defects = FAILURES.count, dict(defects)
+        assert not client.change(transition_id(state, transition))
+        assert client.state() == getattr(State, f"PRIMARY_STATE_{ends.upper()}")
+        assert FAILURES.count == before + (1 + (ends == FINALIZED))
+        if ends != FINALIZED:
+            assert client.change(Transition.TRANSITION_CONFIGURE)
+            assert client.change(Transition.TRANSITION_ACTIVATE)
+            wait_for(lambda: client.arrays)
 
 
 def test_a_manager_learns_why_a_node_cannot_start_and_then_starts_and_ends_it(

@@ -63,6 +63,11 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
     taxels = len(array.pressure)
     if not taxels:
         raise CaptureError(f"{topic}: its first frame has no taxels")
+    if array.height * array.width != taxels:
+        size = f"{array.height} × {array.width}"
+        raise CaptureError(
+            f"{topic}: {taxels} values of pressure in a first frame of {size} taxels"
+        )
     about: dict[str, Any] = {"file": file, "topic": topic}
     nowhere = np.full((taxels, 3), np.nan, dtype=np.float32)
     if info is None:

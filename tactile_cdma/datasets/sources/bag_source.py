@@ -5,6 +5,7 @@
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -71,9 +72,10 @@ class BagSource:
             if not sum(number for _, number in self.counts.values()):
                 raise CaptureError(f"{path}: the bag is empty")
             self.begin_ns, self.end_ns = self._span(bag)
-            self.streams: Mapping[str, SampleStream] = {
-                stream.key: stream for stream in self._find(bag, wanted)
-            }
+            with self._whole():
+                self.streams: Mapping[str, SampleStream] = {
+                    stream.key: stream for stream in self._find(bag, wanted)
+                }
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -93,7 +95,7 @@ class BagSource:
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
         stop_ns = None if end_ns is None else end_ns + 1
         self._off = {}
-        with BagFile(self.path) as bag:
+        with BagFile(self.path) as bag, self._whole():
             wanted = [one for one in bag.channels if one.topic in self._takes]
             for topic, seen_ns, message in self._messages(bag, wanted, begin_ns, stop_ns):
                 time_ns = fields.stamp_ns(message) or seen_ns
@@ -110,6 +112,19 @@ class BagSource:
             self._first(bag, topic, asked=True)
             found = self._messages(bag, bag.of(topic))
             return [(seen_ns, message) for _, seen_ns, message in found]
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Raises CaptureError where a message has not the fields that ours of its type have."""
+        try:
+            yield
+        except AttributeError as error:
+            if (kind := getattr(error.obj, "__msgtype__", None)) is None:
+                raise  # no message's
+            raise CaptureError(
+                f"{self.path}: {kind} has no field {error.name}: by the bag's own definition, of "
+                "another version"
+            ) from None
 
     def _span(self, bag: BagFile) -> tuple[int, int]:
         """When the first and the last message were recorded, by what most of them say."""

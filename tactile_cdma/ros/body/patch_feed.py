@@ -19,7 +19,7 @@ from ...places.poses import Pose
 from ...readings.status import is_certain
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
-from ..common.convert import nanoseconds, rows
+from ..common.convert import nanoseconds, places_of, readings_of
 from ..common.following import Following
 from ..common.qos import FRESH, LATCHED
 from ..common.touches import Touches
@@ -121,15 +121,12 @@ class PatchFeed:
 
     @property
     def coverage(self) -> Coverage | None:
-        """How much of the patch its latest message is of; None without any, or if it is strange."""
+        """How much of the patch its latest message is of; None without any."""
         if self.contacts:
             return Coverage(self.contacts.taxels_valid, self.contacts.taxels_in_service)
         if self.taxels:
             return Coverage.of(self.taxels.pressure_pa, self.taxels.status)
-        if self.array is None or len(self.array.pressure) != len(self.array.status):
-            return None
-        pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
-        return Coverage.of(pressure_pa, np.frombuffer(self.array.status, dtype=np.uint8))
+        return Coverage.of(*readings_of(self.array)) if self.array else None
 
     @property
     def has_driver(self) -> bool:
@@ -165,11 +162,8 @@ class PatchFeed:
 
     @property
     def taxels_m(self) -> Floats | None:
-        """(t, 3) places of taxels in the patch's frame, m; None if not known, or not finite."""
-        if self._cloud is None:
-            return None
-        taxels_m = self._cloud[1].positions_m
-        return taxels_m if len(taxels_m) and np.isfinite(taxels_m).all() else None
+        """(t, 3) places of taxels in the patch's frame, m; None if not known."""
+        return None if self._cloud is None else self._cloud[1].positions_m
 
     def points(self, max_pa: float, pose: Pose, gamma: float) -> NDArray[np.void] | None:
         """(m,) BODY_POINT of the latest array; None while the info that goes with it is missing.
@@ -180,12 +174,10 @@ class PatchFeed:
             return None
         info_id, cloud = self._cloud
         # A restarted driver counts from 1 again: the same id may mean another skin.
-        sizes = len(self.array.pressure), len(self.array.status)
-        if self.array.info_id != info_id or sizes != (len(cloud), len(cloud)):
+        pressure_pa, status = readings_of(self.array)
+        if self.array.info_id != info_id or len(pressure_pa) != len(cloud):
             return None
-        pressure_pa = np.frombuffer(self.array.pressure, dtype=np.float32)
-        certain = is_certain(np.frombuffer(self.array.status, dtype=np.uint8))
-        certain_pa = np.where(certain, pressure_pa, np.float32(np.nan))
+        certain_pa = np.where(is_certain(status), pressure_pa, np.float32(np.nan))
         return cloud.points(certain_pa, max_pa, pose, gamma)
 
     def _hear(self, stamp_ns: int, info: MessageInfo) -> None:
@@ -208,18 +200,15 @@ class PatchFeed:
         self._on_taxels(self, taxels)
 
     def _take_places(self, message: TactileSkinInfo) -> None:
-        places = Places(message)
-        self.places = places if places.is_whole else None  # else of no driver of ours
+        self.places = None  # those of before may be of another skin
+        self.places = Places(message)
 
     def _take_array(self, message: TactileArray, info: MessageInfo) -> None:
+        readings_of(message)  # refuses what contradicts itself
         self._hear(nanoseconds(message.header.stamp), info)
         self.array, self.is_new = message, True
 
     def _take_info(self, message: TactileSkinInfo) -> None:
-        if len(message.positions) != len(message.normals):
-            self._cloud = None  # of no driver of ours
-            return
-        positions_m = rows(message.positions).astype(np.float32)
-        normals = rows(message.normals).astype(np.float32)
-        cloud = Cloud(positions_m, normals, self._index)
-        self._cloud = message.info_id, cloud
+        self._cloud = None
+        positions_m, normals, _ = (place.astype(np.float32) for place in places_of(message))
+        self._cloud = message.info_id, Cloud(positions_m, normals, self._index)

@@ -18,7 +18,7 @@ from ...base.arrays import Floats32
 from ...messages.cdr import CdrWriter, Heading, TaxelArray
 from ...places.poses import Pose
 from ...readings.status import Status
-from ..common.convert import rows
+from ..common.convert import places_of
 
 _SEQUENCE = Struct("<Q")
 _NOWHERE = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
@@ -27,22 +27,16 @@ _NOWHERE = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
 class Places:
     """Where the taxels of a patch are, by its info; where they are in the body, by the last pose.
 
-    positions_m, normals: (t, 3) float32. areas_m2: (t,) float32.
+    positions_m, normals: (t, 3) float32. areas_m2: (t,) float32. MessageError: see places_of.
     """
 
     def __init__(self, info: TactileSkinInfo) -> None:
         self.info_id = info.info_id
-        self.areas_m2 = np.array(info.area, dtype=np.float32)
-        self._positions_m, self._normals = rows(info.positions), rows(info.normals)
+        self._positions_m, self._normals, self.areas_m2 = places_of(info)
         self._placed: tuple[Pose, Floats32, Floats32] | None = None
 
     def __len__(self) -> int:
         return len(self.areas_m2)
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether the info says all of every taxel."""
-        return len(self) == len(self._positions_m) == len(self._normals)
 
     def placed(self, pose: Pose | None) -> tuple[Floats32, Floats32]:
         """Positions and normals in the body's frame; NaN without a pose."""

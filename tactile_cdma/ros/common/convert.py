@@ -26,7 +26,7 @@ from ...base.arrays import Floats, Floats32
 from ...base.errors import MessageError
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
-from ...messages.cdr import CdrWriter, Heading
+from ...messages.cdr import CdrWriter, Heading, check_array
 from ...messages.fields import info_fields
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
@@ -146,9 +146,8 @@ def nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-MOST_PA, MOST_M, MOST_DEVICE_US = 1e12, 1e4, 1 << 62
-"""Pressures, coordinates and device times beyond are lies, on which arithmetic would choke; chosen
-far above any skin's."""
+MOST_M = 1e4
+"""Coordinates, m, and areas, m², beyond are lies; chosen far above any skin's."""
 
 
 def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
@@ -158,16 +157,26 @@ def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
     """
     pressure_pa = np.array(message.pressure, dtype=np.float32)
     status = np.array(message.status, dtype=np.uint8)
-    if not 0 < len(pressure_pa) == len(status) == message.height * message.width:
-        raise MessageError(
-            f"frame {message.sequence} has {len(pressure_pa)} pressures and {len(status)} states "
-            f"of {message.height} × {message.width} taxels"
-        )
-    if (np.abs(pressure_pa) > MOST_PA).any() or message.device_time_us > MOST_DEVICE_US:
-        raise MessageError(
-            f"frame {message.sequence} has pressures or a time that nothing measures"
-        )
+    size = message.height, message.width
+    check_array(message.sequence, message.device_time_us, size, pressure_pa, status)
     return pressure_pa, status
+
+
+def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
+    """Positions, m, and normals of a skin's taxels, (t, 3), and their areas, m², (t,).
+
+    Raises MessageError where its fields contradict each other.
+    """
+    places = rows(info.positions), rows(info.normals), np.array(info.area, dtype=np.float32)
+    counts = [*(len(place) for place in places), len(info.node)]
+    if counts != [info.height * info.width] * 4 or not counts[0]:
+        raise MessageError(
+            f"the info of {info.height} × {info.width} taxels has {counts} positions, normals, "
+            "areas and nodes"
+        )
+    if not (np.abs(np.column_stack(places)) < MOST_M).all() or not (places[2] > 0).all():
+        raise MessageError("the info has positions, normals or areas that no skin has")
+    return places
 
 
 def rows(points: Sequence[Point | Point32 | Vector3]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from typing import Any
 from rclpy._rclpy_pybind11 import InvalidHandle
 
 from ...base.errors import TactileError
-from ...base.plain_text import plain
+from ...base.plain_text import plain_lines
 
 FAILED = "failed callbacks"
 """Their count in /diagnostics."""
@@ -34,21 +34,24 @@ class Failures:
         try:
             call(entity)
         except Exception as error:
-            self.count += 1
-            self._log(entity, error)
+            self.note(_name(entity), error)
 
-    def _log(self, entity: Any, error: Exception) -> None:
-        """In a sentence if it was foreseen, else with its trace."""
+    def note(self, name: str, error: Exception) -> None:
+        """Count what a callback has raised; log it: in a sentence if foreseen, else with its trace.
+
+        name: of what has called back.
+        """
+        self.count += 1
         place = str(traceback.extract_tb(error.__traceback__)[-1])
         now_s = time.monotonic()
         if now_s < self._told_s.get(place, -math.inf) + COMPLAINT_S:
             return
         self._told_s[place] = now_s
         if isinstance(error, TactileError):
-            _log.warning("%s: %s", _name(entity), error)
+            _log.warning("%s: %s", name, error)
         else:
-            lines = "".join(traceback.format_exception(error)).splitlines()
-            _log.error("%s: internal error: %s", _name(entity), "\n".join(map(plain, lines)))
+            trace = plain_lines("".join(traceback.format_exception(error)))
+            _log.error("%s: internal error: %s", name, trace)
 
 
 def _name(entity: Any) -> str:

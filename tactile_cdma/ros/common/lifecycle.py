@@ -2,7 +2,6 @@
 
 """A lifecycle node that mends what rclpy's leaves open."""
 
-import traceback
 from collections.abc import Callable
 from functools import wraps
 from typing import Any
@@ -12,21 +11,21 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from ...base.errors import ParameterError
+from ...base.plain_text import plain
+from .failures import FAILURES
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
 def reported(transition: Transition) -> Transition:
-    """Decorate a transition's callback to log its exceptions, which rclpy swallows."""
+    """Decorate a transition's callback to note its exceptions, which rclpy swallows."""
 
     @wraps(transition)
     def callback(node: Any, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(node, state)
-        except Exception:
-            node.get_logger().error(
-                f"internal error in {transition.__name__}: {traceback.format_exc()}"
-            )
+        except Exception as error:
+            FAILURES.note(transition.__name__, error)
             return TransitionCallbackReturn.ERROR
 
     return callback
@@ -58,7 +57,7 @@ class ManagedNode(LifecycleNode):
         try:
             return self._change_state(request, response)
         except RCLError:
-            name = request.transition.label or request.transition.id
+            name = plain(request.transition.label) or request.transition.id
             state = self._state_machine.current_state[1]
             self.get_logger().error(f"transition {name} is not possible: the node is {state}")
             response.success = False

@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
 from ...base.errors import ParameterError, RestError, TactileError
+from ...base.plain_text import plain
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
 from ...config.skin_config import CURVE_PARAMETERS, SkinConfig
@@ -155,7 +156,7 @@ class SkinNode(ManagedNode):
             transform_of(self._live)  # refuses what tf does not take
             path, no_path = self._rest_path(url)
             if not self._last_failure:  # else it is tried again
-                self.get_logger().info(f"opening {url}")
+                self.get_logger().info(f"opening {plain(url)}")
             if not is_remote(url):  # else the driver does it, which holds up nothing
                 self._port = Port(url, int(self._live["baud"]), config.layout)
             self._objects.configure(self._port)
@@ -183,7 +184,7 @@ class SkinNode(ManagedNode):
         )
         begun = "opened" if self._port else "connecting to"
         self.get_logger().info(
-            f"{begun} {url} for {spec.nodes} nodes: order {spec.order}, "
+            f"{begun} {plain(url)} for {spec.nodes} nodes: order {spec.order}, "
             f"{spec.bits} bits, a frame every {spec.frame_period_s * 1e3:g} ms"
         )
         self._heard = None
@@ -214,6 +215,7 @@ class SkinNode(ManagedNode):
         self._release()
         return super().on_shutdown(state)
 
+    @reported
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall back to unconfigured."""
         self._release()
@@ -229,7 +231,9 @@ class SkinNode(ManagedNode):
         """Configure and activate, unless somebody has taken the lifecycle into their own hands."""
         if self._rest is None and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
-        if self._rest is not None:
+        if self._rest is None:
+            self._start_timer.reset()  # which a transition that failed amid its work has cancelled
+        else:
             self._start_timer.cancel()
 
     def _rest_path(self, url: str) -> tuple[Path | None, str]:
@@ -290,7 +294,7 @@ class SkinNode(ManagedNode):
         if self._rest is not None:
             self._rest.hear(self._watch.source.measured_by != Origin.BOARD)
         for warning in warnings or ():
-            self.get_logger().warning(warning)
+            self.get_logger().warning(plain(warning))
         if is_first or warnings is not None:
             self._publish_info()
 

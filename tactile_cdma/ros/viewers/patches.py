@@ -7,12 +7,11 @@ import numpy as np
 from tactile_cdma.msg import TactileSkinInfo
 
 from ...base.arrays import Floats32
-from ...base.errors import MessageError
 from ...config.body_file import NODE_NAME as NODE_NAME  # viewers take it from here
 from ...places.layout import Layout
 from ...places.layout_shapes import seen_from_outside
 from ...places.proximity import usual_distance_m
-from ..common.convert import MOST_M, rows
+from ..common.convert import places_of
 
 ARRAY_TOPIC = "tactile"
 OLD_S = 1.0
@@ -31,18 +30,7 @@ def layout_of(info: TactileSkinInfo) -> Layout:
     It has no positions on the unrolled skin: an irregular skin is drawn as seen from outside.
     Raises MessageError where its fields contradict each other.
     """
-    positions_m = rows(info.positions).astype(np.float32)
-    normals = rows(info.normals).astype(np.float32)
-    areas_m2 = np.array(info.area, dtype=np.float32)
-    counts = [len(field) for field in (info.positions, info.normals, info.area, info.node)]
-    if counts != [info.height * info.width] * 4 or not counts[0]:
-        raise MessageError(
-            f"the info of {info.height} × {info.width} taxels has {counts} positions, normals, "
-            "areas and nodes"
-        )
-    shape = np.column_stack([positions_m, normals, areas_m2])
-    if not (np.abs(shape) < MOST_M).all() or not (areas_m2 > 0).all():
-        raise MessageError("the info has positions, normals or areas that no skin has")
+    positions_m, normals, areas_m2 = (place.astype(np.float32) for place in places_of(info))
     irregular = info.height == 1 and info.width > 1
     pitch_m = usual_distance_m(positions_m, normals) if irregular else None
     size = info.height, info.width

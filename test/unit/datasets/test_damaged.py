@@ -4,10 +4,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
-from test.support.bags import BagMaker
+from tactile_cdma.base.errors import CaptureError
+from tactile_cdma.datasets.sources.opening import Wanted, open_source
+from test.support.bags import ARRAY, INFO, BagMaker
 from test.support.command_line import Refused
 
 pytestmark = pytest.mark.xdist_group("datasets")
@@ -57,3 +61,39 @@ def test_a_damaged_bag(
         assert f"{path}: no bag, or damaged or cut short: " in said
         assert ("`mcap recover`" in said) == (kind == MCAP)
     assert not (tmp_path / "out.npz").exists()
+
+
+class Foreign(BagMaker):
+    """Of another version, in which the messages of a kind lack a field."""
+
+    def __init__(self, kind: str, field: str) -> None:
+        super().__init__()
+        kinds = dict(self.types.fielddefs)
+        kinds[kind] = kinds[kind][0], [its for its in kinds[kind][1] if its[0] != field]
+        self.types = get_typestore(Stores.EMPTY)
+        self.types.register(kinds)
+
+    def make(self, kind: str, /, **fields: Any) -> Any:
+        its = [name for name, _ in self.types.fielddefs[kind][1]]
+        return super().make(kind, **{name: fields[name] for name in its})
+
+
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [
+        (ARRAY, "status"),
+        (ARRAY, "height"),
+        (INFO, "area"),
+        ("tactile_cdma/msg/TactileContacts", "untouched"),
+        ("std_msgs/msg/Header", "stamp"),
+        ("sensor_msgs/msg/JointState", "position"),
+    ],
+)
+def test_a_bag_of_another_version(kind: str, field: str, tmp_path: Path) -> None:
+    maker = Foreign(kind, field)
+    maker.skin("/skin", 0.2)
+    maker.contacts("/skin", 0.2, 0.2)
+    maker.joints("/joints", 0.2)
+    path = maker.write(tmp_path / "bag")
+    with pytest.raises(CaptureError, match=f"{kind} has no field "):
+        list(open_source(path, Wanted(derived=True, state=["/joints"])).samples(None, None))

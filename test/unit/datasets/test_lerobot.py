@@ -58,6 +58,14 @@ def exported(bag: Path, folder: Path, *options: str) -> Any:
     return parquet.read_table(folder / "data/chunk-000/file-000.parquet")
 
 
+@pytest.fixture(scope="module")
+def dataset(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Everything that is in the bag, and the rows of it."""
+    folder = tmp_path_factory.mktemp("dataset") / "out"
+    joints = ("--state", "/joint_states", "--action", "/joint_states")
+    return folder, exported(bag, folder, *joints, "--nan", "zero")
+
+
 def array(table: Any, name: str) -> NDArray[Any]:
     values = np.array(table.column(name).to_pylist())
     if not name.endswith(".valid"):
@@ -84,8 +92,8 @@ def worst_error_s(found: NDArray[Any], t_s: NDArray[np.float64], valid: NDArray[
     return float(np.abs(found - pressure_pa(t_s))[valid].max() / steepest_pa_s)
 
 
-def test_every_sample_is_at_its_time_to_less_than_a_millisecond(bag: Path, tmp_path: Path) -> None:
-    table = exported(bag, tmp_path / "out")
+def test_every_sample_is_at_its_time_to_less_than_a_millisecond(dataset: tuple[Path, Any]) -> None:
+    _, table = dataset
     ticks_s = seconds(table)
     assert np.diff(ticks_s) == pytest.approx(1 / FPS, abs=1e-6)
     for name in (SKIN, PALM):
@@ -166,9 +174,8 @@ def test_a_taxel_that_never_speaks_is_named(
         assert not Path(output[1]).exists()
 
 
-def test_images_joints_and_actions_ride_along(bag: Path, tmp_path: Path) -> None:
-    options = ("--state", "/joint_states", "--action", "/joint_states")
-    table = exported(bag, tmp_path / "out", *options)
+def test_images_joints_and_actions_ride_along(dataset: tuple[Path, Any]) -> None:
+    folder, table = dataset
     t_s = seconds(table)
     for name, rate_hz in (("front", 30), ("wrist", 15)):
         images = table.column(f"observation.images.{name}").to_pylist()
@@ -181,22 +188,22 @@ def test_images_joints_and_actions_ride_along(bag: Path, tmp_path: Path) -> None
     assert (array(table, "action") == joints).all()
     newest_s = np.minimum(np.floor(t_s * 100 + 1e-6) / 100, SECONDS - 0.01)
     assert joints == pytest.approx(np.stack([newest_s, -newest_s], axis=1), abs=1e-6)
-    features = meta(tmp_path / "out", "info.json")["features"]
+    features = meta(folder, "info.json")["features"]
     assert features["observation.state"]["names"] == ["finger", "wrist"]
     assert features["observation.images.front"] == {
         "dtype": "image",
         "shape": [6, 8, 3],
         "names": ["height", "width", "channels"],
     }
-    colours = meta(tmp_path / "out", "stats.json")["observation.images.front"]
+    colours = meta(folder, "stats.json")["observation.images.front"]
     assert np.shape(colours["mean"]) == (3, 1, 1)
     assert np.ravel(colours["mean"])[1:] == pytest.approx([200 / 255, 0])
 
 
 def test_contacts_and_wrench_are_zero_and_masked_where_they_are_unknown(
-    bag: Path, tmp_path: Path
+    dataset: tuple[Path, Any],
 ) -> None:
-    table = exported(bag, tmp_path / "out")
+    _, table = dataset
     t_s = seconds(table)
     measured_s = (np.floor(t_s / PERIOD_S - 0.5 + 1e-6) + 0.5) * PERIOD_S
     measured_s = np.minimum(measured_s, (round(2.0 / PERIOD_S) - 0.5) * PERIOD_S)
@@ -405,9 +412,11 @@ def test_lerobot_itself_loads_it(bag: Path, tmp_path: Path) -> None:
     assert batch["action"].shape == (len(table), 3, 2)
 
 
-def test_statistics_are_of_valid_readings_and_one_for_all_taxels(bag: Path, tmp_path: Path) -> None:
-    table = exported(bag, tmp_path / "out", "--nan", "zero")
-    found = meta(tmp_path / "out", "stats.json")
+def test_statistics_are_of_valid_readings_and_one_for_all_taxels(
+    dataset: tuple[Path, Any],
+) -> None:
+    folder, table = dataset
+    found = meta(folder, "stats.json")
     pressures = array(table, PALM)[array(table, f"{PALM}.valid")].astype(float)
     for name, value in (
         ("min", pressures.min()),
@@ -496,7 +505,7 @@ def test_work_that_ends_early_leaves_nothing(
             raise interrupt
         add(self, cells)
 
-    exported(bag, tmp_path / "old")
+    exported(bag, tmp_path / "old", "--episode=1:1.2")
     before = (tmp_path / "old/meta/info.json").read_bytes()
     monkeypatch.setattr(DatasetWriter, "add", ends)
     words = ["export", str(bag), "--fps", "30", "--lerobot"]

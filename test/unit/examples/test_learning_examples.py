@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -53,6 +53,13 @@ def run(name: str, *words: str) -> dict[str, float]:
     return {name: float(value) for name, value in re.findall(r"(\w+)=([\d.]+)", last)}
 
 
+def started(monkeypatch: pytest.MonkeyPatch, *words: object) -> ModuleType:
+    """The example that logs, in this process, with these words on its command line."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setattr(sys, "argv", ["live_parquet.py", *map(str, words)])
+    return loaded(EXAMPLES / "live_parquet.py")
+
+
 @needs_pyarrow
 def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     import pyarrow.parquet
@@ -70,26 +77,33 @@ def test_every_frame_is_logged_while_the_picture_lives(tmp_path: Path) -> None:
     )  # first stamps waited
     assert max(max(row) for row in table["pressure_pa"][50:]) > 1e3
     assert picture.read_bytes().startswith(b"\x89PNG")
-    before = output.read_bytes()
-    with pytest.raises(AssertionError, match="exists already; --force overwrites it"):
-        run("live_parquet.py", port, str(output), "--seconds", "1")
-    assert output.read_bytes() == before
 
 
 @needs_pyarrow
-def test_a_recording_is_logged_to_its_end(recording: Path, tmp_path: Path) -> None:
+def test_a_recording_is_logged_to_its_end(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     import pyarrow.parquet
 
-    output, picture = tmp_path / "touch.parquet", tmp_path / "touch.png"
-    port = f"replay://{recording}?speed=0"
-    figures = run("live_parquet.py", port, str(output), "--picture", str(picture))
+    output = tmp_path / "touch.parquet"
+    example = started(monkeypatch, f"replay://{recording}?speed=0", output)
+    example.main()
+    [said] = re.findall(r"frames=(\d+) dropped=0", capsys.readouterr().out)
     sequence = pyarrow.parquet.read_table(output).column("sequence").to_pylist()
     frames = sum(
         len(decoder.feed(data, t_host))
         for decoder in [Decoder(nodes=16)]
         for data, t_host in read_recording(recording)
     )
-    assert len(sequence) == figures["frames"] == frames > 200
+    assert len(sequence) == int(said) == frames > 200
+    before = output.read_bytes()
+    with pytest.raises(SystemExit):
+        example.main()
+    assert "exists already; --force overwrites it" in capsys.readouterr().err
+    assert output.read_bytes() == before
 
 
 @needs_pyarrow
@@ -98,8 +112,7 @@ def test_what_was_logged_before_a_port_was_lost_is_kept(
 ) -> None:
     import pyarrow.parquet
 
-    monkeypatch.setenv("MPLBACKEND", "Agg")
-    example = loaded(EXAMPLES / "live_parquet.py")
+    example = started(monkeypatch)
     output, link = tmp_path / "touch.parquet", tmp_path / "skin"
     plugged, unplug, newest = threading.Event(), threading.Event(), Newest(50)
     newest.reached = unplug.set

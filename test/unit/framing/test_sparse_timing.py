@@ -240,6 +240,27 @@ def test_silence_is_not_claimed_where_noise_may_hide_a_node() -> None:
     assert not (certain(read) & ~read.active).any()
 
 
+def test_nothing_is_claimed_where_the_noise_of_a_bit_may_hide_a_word() -> None:
+    """A lost sample makes noise of a bit, and nothing is left to tell it by."""
+    rig = Rig(replace(SPEC, nodes=256, order=64), rho=5.0)
+    for _ in range(10):
+        line = rig.sent(rig.some(1))
+        assert not certain(rig.read(line)).any()
+        assert not certain(rig.read(np.append(np.delete(line, 590), 0.0))).any()
+
+
+def test_noise_that_creeps_up_hides_no_node_that_speaks_afterwards() -> None:
+    """A tone grows: it leaves more, time by time, but no more than words and chance may."""
+    rig = Rig(replace(SPEC, nodes=4000, order=912), rho=15.0)
+    strange = node_chips(9, 4000, 912, SPEC.bits, seed=4).ravel()
+    nodes = range(101, 401)
+    for power in np.repeat([0.4, 0.8, 1.2], 12):
+        tone = np.sqrt(2 * power) * np.sin(0.7 * np.arange(strange.size))
+        rig.read(rig.sent(rig.words(nodes)) + tone)
+    assert not certain(rig.read(rig.sent(rig.words(nodes)) + strange)).any()
+    assert not certain(rig.read(rig.sent(rig.words(range(101, 104))) + strange)).any()
+
+
 def test_silence_is_not_claimed_where_no_row_shows_a_node_that_noise_hides() -> None:
     """Half of a node, which flips its chips otherwise, beside the noise of 9,120 chips."""
     spec = replace(SPEC, nodes=1000, order=912)

@@ -61,7 +61,7 @@ def test_refined_timing(line: dict, off: float, longer: float, bounded: bool) ->
     assert found.chip == pytest.approx(expected.chip, abs=1e-5)
 
 
-@examples(300)
+@examples(150)
 @given(
     LINES, st.floats(0, 1), st.floats(0, 1), st.sampled_from([1e-12, 1e-5, 1e-2]), st.floats(-1, 1)
 )

@@ -15,7 +15,7 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.places.adjacency import cells, polygon_areas_m2
 from tactile_cdma.places.layout import MAX_CELLS, Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere
-from tactile_cdma.places.proximity import beside, usual_distance_m
+from tactile_cdma.places.proximity import usual_distance_m
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
 from test.support.examples import examples
 
@@ -242,11 +242,6 @@ def test_the_usual_distance_is_the_median_of_the_nearest(seed: int, count: int) 
     nearest = np.sort(distance.min(axis=1))
     upwards = np.tile([0.0, 0.0, 1.0], (count, 1))
     assert usual_distance_m(places, upwards) == pytest.approx(nearest[(count - 1) // 2])
-
-
-def test_piled_up_positions_are_refused_instead_of_compared() -> None:
-    with pytest.raises(SpecError, match="on top of each other"):
-        beside(np.zeros((3000, 3)), np.tile([0.0, 0.0, 1.0], (3000, 1)), 1e-3)
 
 
 def test_a_list_that_is_a_grid_is_drawn_as_that_grid() -> None:

@@ -36,14 +36,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulated.recording(path, SimOptions(scene="moving", seed=3), 2.0)
 
 
-def decoded(path: Path, chunk: int | None = None) -> list[Frame]:
+def decoded(path: Path) -> list[Frame]:
     decoder = Decoder(nodes=16)
     data = b"".join(piece for piece, _ in read_recording(path))
-    step = chunk or len(data)
-    frames: list[Frame] = []
-    for start in range(0, len(data), step):
-        frames += decoder.feed(data[start : start + step], 0.0)
-    return frames + decoder.flush()
+    return decoder.feed(data, 0.0) + decoder.flush()
 
 
 def assert_same(some: list[Frame], others: list[Frame]) -> None:
@@ -123,20 +119,12 @@ def test_who_measures_is_unknown_until_it_is_heard(recording: Path) -> None:
         assert skin.source.measured_by is Origin.UNKNOWN, "closed, so anybody may be there now"
 
 
-def test_any_split_of_the_bytes_gives_the_same_frames(recording: Path) -> None:
-    frames = decoded(recording)
-    assert len(frames) > 60
-    assert_same(decoded(recording, 1000), frames)
-    assert_same(decoded(recording, 211), frames)
-
-
-@pytest.mark.slow
 def test_a_replay_gives_every_frame_to_a_slow_program_and_ends(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tactile_cdma.skin.BUFFER_S", 0.1)
     expected = decoded(recording)
-    with Skin(f"replay://{recording}?speed=0") as skin:
+    with Skin(f"REPLAY://{recording}?speed=0") as skin:  # however it is spelt
         frames = []
         for frame in skin:
             frames.append(frame)
@@ -145,7 +133,7 @@ def test_a_replay_gives_every_frame_to_a_slow_program_and_ends(
         assert skin.dropped == 0
     # the last frame waits for what follows it: the driver's stream ends, it is not flushed
     assert_same(frames, expected[: len(frames)])
-    assert len(frames) >= len(expected) - 1
+    assert len(frames) >= len(expected) - 1 > 60
 
 
 def test_a_program_cannot_change_what_the_decoder_or_the_next_frame_has() -> None:
@@ -180,17 +168,6 @@ def test_a_decoder_that_cannot_decode_says_so() -> None:
         decoder.feed(b"", t_host=math.nan)
     with pytest.raises(TypeError):
         decoder.feed("text", t_host=1.0)  # type: ignore[arg-type]
-
-
-def test_replays_lose_nothing_however_their_url_is_spelt(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tactile_cdma.skin.BUFFER_S", 0.05)
-    with Skin(f"REPLAY://{recording}?speed=0") as skin:
-        skin.read()
-        time.sleep(0.3)
-        count = len(list(skin))
-        assert (skin.dropped, count > 60) == (0, True)
 
 
 def test_a_slow_program_loses_the_oldest_frames_and_is_told(

@@ -18,6 +18,13 @@ from test.support.independent_line import Line, Skin, Talk, render
 
 FEW = Talk(speakers=(0, 2, 3, 5), share=0.6, stay=8)
 OLD = Skin(order=16, first_row=0, sign_seed=None, polarity=-1, period_chips=208)
+FALSE_ONCE = {
+    0: (68, 74, 221, 344, 416, 541, 624, 806, 1124),
+    1: (497, 827, 896),
+    2: (34, 48, 126),
+    3: (129, 199),
+}
+"""Of random mixtures, by their seeds and their names in `make bench-doubt`."""
 LONG = Skin(nodes=39, order=40, period_chips=520)
 
 
@@ -81,26 +88,9 @@ def test_on_a_sparse_line_something_but_nobody_is_heard(disturbed: dict[str, flo
 
 
 @pytest.mark.parametrize(
-    ("number", "seed"),
-    [
-        *(
-            (34, 2),
-            (48, 2),
-            (68, 0),
-            (74, 0),
-            (126, 2),
-            (129, 3),
-            (199, 3),
-            (221, 0),
-            (344, 0),
-            (541, 0),
-            (806, 0),
-        ),
-        *((827, 1), (896, 1), (416, 0), (497, 1), (624, 0), (1124, 0)),
-    ],
+    ("number", "seed"), [(number, seed) for seed in FALSE_ONCE for number in FALSE_ONCE[seed]]
 )
 def test_what_was_claimed_falsely_once_is_flagged(number: int, seed: int) -> None:
-    """Of random mixtures, by their names in `make bench-doubt`."""
     counts, complaints = mixture_of(number).run(250, seed)
     assert not counts.false, complaints
     assert counts.words > 20
