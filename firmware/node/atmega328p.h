@@ -84,6 +84,11 @@ static BOARD_INLINE bool board_match_is_last(void)
     return true;
 }
 
+static BOARD_INLINE bool board_match_goes_on(void)
+{
+    return true;
+}
+
 static BOARD_INLINE bool board_match_level(void)
 {
     return TCCR1A & _BV(COM1A0);

@@ -43,9 +43,11 @@
  * instructions. (The pin's synchroniser takes 2 or 3 more, as an ATmega328P's does.) */
 #define BOARD_SYNC_LATENCY 6u
 
-/* Longest time to a match, ticks, below Timer1's 256. Longer times are divided into steps of at least
- * half of this, so that no match is past before it is set. */
-#define BOARD_MATCH_REACH 240u
+/* Ticks that pass at least between a match, or a start, and the setting of the next: half of the shortest way there. */
+#define BOARD_MATCH_ENTRY 8u
+/* Longest time to a match, ticks: Timer1 comes to a count a second time after 256. Longer times are divided into
+ * steps of at least half of this; both interrupts of the shortest such time, 530 cycles, end in it. */
+#define BOARD_MATCH_REACH (256u + BOARD_MATCH_ENTRY)
 
 #define BOARD_COUNTING _BV(CS11) /* of TCCR1: a tick is 2 cycles */
 
@@ -76,36 +78,31 @@ static BOARD_INLINE void board_level(bool high)
     TCCR1 = high ? BOARD_COUNTING | _BV(COM1A1) | _BV(COM1A0) : BOARD_COUNTING | _BV(COM1A1);
 }
 
-static BOARD_INLINE bool board_match_step(void)
+static BOARD_INLINE bool board_match_goes_on(void)
 {
-    uint16_t left = board_match_at - board_match_here;
-    uint8_t step = (uint8_t)left;
+    uint16_t step = board_match_at - board_match_here;
 
-    if (left > BOARD_MATCH_REACH) {
-        step = left < 2 * BOARD_MATCH_REACH ? (uint8_t)(left / 2) : BOARD_MATCH_REACH;
-    } else {
+    if (step > BOARD_MATCH_REACH)
+        step = step < 2 * BOARD_MATCH_REACH ? step / 2 : BOARD_MATCH_REACH;
+    else
         board_level(board_match_high);
-    }
-    uint8_t from = (uint8_t)board_match_here;
+    uint8_t entered = (uint8_t)(board_match_here + BOARD_MATCH_ENTRY);
     board_match_here += step;
     OCR1A = (uint8_t)(board_match_here - 1u);
     /* the count read is up to a tick old, and OCR1A takes up to a tick to reach Timer1 */
-    return (uint8_t)(TCNT1 - from) < (uint8_t)(step - 3u);
+    return (uint8_t)(TCNT1 - entered) < (uint8_t)(step - BOARD_MATCH_ENTRY - 3u);
 }
 
 static BOARD_INLINE bool board_match(bool high, uint16_t at)
 {
     board_match_high = high;
     board_match_at = at;
-    return board_match_step();
+    return board_match_goes_on();
 }
 
 static BOARD_INLINE bool board_match_is_last(void)
 {
-    if (board_match_here == board_match_at)
-        return true;
-    board_match_step();
-    return false;
+    return board_match_here == board_match_at;
 }
 
 static BOARD_INLINE bool board_match_level(void)

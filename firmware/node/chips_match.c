@@ -90,12 +90,14 @@ static BOARD_INLINE void chip_began(void)
 
 ISR(BOARD_MATCH_vect)
 {
-    if (!board_match_is_last())
-        return;
-    if (state == TALKING)
+    if (!board_match_is_last()) {
+        if (!board_match_goes_on())
+            fall_silent();
+    } else if (state == TALKING) {
         chip_began();
-    else
+    } else {
         last_chip();
+    }
 }
 
 void chips_init(const struct tp_node_record *record, const uint8_t *row)

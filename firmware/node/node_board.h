@@ -53,6 +53,8 @@ uint8_t board_flash_byte(uint16_t address);
 static BOARD_INLINE bool board_match(bool high, uint16_t at);
 /* In the match's interrupt: whether this is the match asked for, not an intermediate one. */
 static BOARD_INLINE bool board_match_is_last(void);
+/* In that of an intermediate one: sets the timer for the next. False if it is too late for that. */
+static BOARD_INLINE bool board_match_goes_on(void);
 /* The level that the next match sets. */
 static BOARD_INLINE bool board_match_level(void);
 /* Sets the match to just before `at`: at `at` its flag is set, and nearly a full turn of the timer is

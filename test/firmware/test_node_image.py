@@ -111,6 +111,7 @@ SHAPES = {
     "sparse, odd": FrameSpec(nodes=999, order=21, bits=8, parity=True, chip_s=35e-6, **SPARSE),
     "odd chips": FrameSpec(nodes=4, order=16, chip_s=51.237e-6),
     "chips near the timer's wrap": FrameSpec(nodes=3, order=4, chip_s=64e-6, frame_period_s=5e-3),
+    "chips in two steps": FrameSpec(nodes=3, order=4, chip_s=67e-6, frame_period_s=5e-3),
     "slow chips": FrameSpec(nodes=2, order=4, bits=8, chip_s=1e-3, frame_period_s=40e-3),
     "least gap": FrameSpec(nodes=4, order=16, frame_period_s=9e-3),
     "long period": FrameSpec(nodes=3, order=4, frame_period_s=0.25),
@@ -137,7 +138,10 @@ def test_words_of_every_shape(build: Path, mcu: str, shape: str) -> None:
                 skin.skin.press(volts(code, spec.bits))
                 start = skin.frame(number)
                 for node, which in enumerate((1, spec.nodes)):
-                    assert_says(skin, start, code, which, node)
+                    # An ATtiny85 is not yet asleep at the first pulses.
+                    first = mcu == "attiny85" and number < CLOCK_KNOWN + 2
+                    most_ns = BUSY_NS if first else EDGE_NS
+                    assert_says(skin, start, code, which, node, most_ns=most_ns)
 
 
 @pytest.mark.parametrize("mcu", SLOW)

@@ -15,6 +15,7 @@ from test.support.programs import run_program
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CORE = FIRMWARE / "core"
 SIMAVR = Path("/usr/include/simavr/sim_avr.h")
+C_LIBRARIES = {"arm-none-eabi-gcc": Path("/usr/include/newlib/stdint.h")}  # packages of their own
 STRICT = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-I", str(CORE))
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 SANITIZED = "TACTILE_SANITIZE"
@@ -24,9 +25,9 @@ Specimen: TypeAlias = Callable[..., Node]
 
 
 def need(tool: str) -> str:
-    """Path of a program; skips the test where it is not installed."""
+    """Path of a program; skips the test where it, or a compiler's C library, is not installed."""
     path = shutil.which(tool)
-    if path is None:
+    if path is None or not C_LIBRARIES.get(tool, FIRMWARE).exists():
         pytest.skip(f"no {tool} on this machine; `make firmware-tools` tells how to get it")
     return path
 

@@ -43,6 +43,8 @@ bool nodes_failed(void)
 
 enum tp_result nodes_obey(uint8_t type, const uint8_t *payload, size_t size)
 {
-    (void)type, (void)payload, (void)size;
+    (void)type;
+    (void)payload;
+    (void)size;
     return TP_RESULT_UNKNOWN_COMMAND;
 }
