@@ -55,6 +55,8 @@ if __name__ == "__main__":
     rclpy.init()
     try:
         rclpy.spin(Grip())
+    except KeyboardInterrupt:
+        pass
     except BaseException:
         if rclpy.ok():  # else a signal has ended it, of which a wait hears in many ways
             raise
