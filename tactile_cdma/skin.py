@@ -278,8 +278,9 @@ class Skin:
                     yield frame
                     begun_s = time.monotonic()
                     continue
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(news.wait(), LOOK_S)
+                with suppress(TimeoutError):  # Python 3.11's wait_for may swallow a cancellation
+                    async with asyncio.timeout(LOOK_S):
+                        await news.wait()
 
     def read(self) -> Frame:
         """The next frame in order, waited for.
