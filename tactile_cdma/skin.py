@@ -416,6 +416,8 @@ class _Framing:
     """Makes the frames that programs get."""
 
     def __init__(self, config: SkinConfig, contacts: bool) -> None:
+        if not isinstance(contacts, bool):
+            raise ParameterError(f"contacts is {contacts!r}; it must be True or False")
         self._layout = config.layout
         self._tracker = ContactTracker(config.layout, config.contact) if contacts else None
 

@@ -9,6 +9,7 @@ import os
 import sys
 import threading
 import time
+from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -232,6 +233,9 @@ def test_wrong_parameters_are_refused_by_name_and_limit() -> None:
     for timeout_s in (0, -1.0, math.nan, "5"):
         with pytest.raises(ParameterError, match="timeout_s is "):
             Skin("sim://", timeout_s=timeout_s)  # type: ignore[arg-type]
+    for skin in (partial(Skin, "sim://"), Decoder):
+        with pytest.raises(ParameterError, match="contacts is 'no'"):
+            skin(contacts="no")  # type: ignore[operator]
 
 
 def test_paths_and_numpy_s_numbers_are_parameters_too() -> None:
