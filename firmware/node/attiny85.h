@@ -43,11 +43,9 @@
  * instructions. (The pin's synchroniser takes 2 or 3 more, as an ATmega328P's does.) */
 #define BOARD_SYNC_LATENCY 6u
 
-/* Ticks that pass at least between a match, or a start, and the setting of the next: half of the shortest way there. */
-#define BOARD_MATCH_ENTRY 8u
-/* Longest time to a match, ticks: Timer1 comes to a count a second time after 256. Longer times are divided into
- * steps of at least half of this; both interrupts of the shortest such time, 530 cycles, end in it. */
-#define BOARD_MATCH_REACH (256u + BOARD_MATCH_ENTRY)
+/* Longest time to a match, ticks. Longer times are divided into steps of at least half of this, which is as long as
+ * the shortest chip: both interrupts of a chip end in the shortest time that is divided, or in two of those chips. */
+#define BOARD_MATCH_REACH (BOARD_CHIP_NS / 500u * BOARD_TICKS_PER_US)
 
 #define BOARD_COUNTING _BV(CS11) /* of TCCR1: a tick is 2 cycles */
 
@@ -86,11 +84,14 @@ static BOARD_INLINE bool board_match_goes_on(void)
         step = step < 2 * BOARD_MATCH_REACH ? step / 2 : BOARD_MATCH_REACH;
     else
         board_level(board_match_high);
-    uint8_t entered = (uint8_t)(board_match_here + BOARD_MATCH_ENTRY);
+    /* Timer1 comes to the counts of its next turn twice: the first time has to be over */
+    uint8_t from = (uint8_t)board_match_here, early = (uint8_t)(step > 256u ? step : 0);
+    while ((uint8_t)(TCNT1 - from) <= early)
+        ;
     board_match_here += step;
     OCR1A = (uint8_t)(board_match_here - 1u);
     /* the count read is up to a tick old, and OCR1A takes up to a tick to reach Timer1 */
-    return (uint8_t)(TCNT1 - entered) < (uint8_t)(step - BOARD_MATCH_ENTRY - 3u);
+    return (uint8_t)(TCNT1 - from - early) < (uint8_t)(step - early - 3u);
 }
 
 static BOARD_INLINE bool board_match(bool high, uint16_t at)
