@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
-from ...base.arrays import Floats
+from ...base.arrays import Floats, Floats32
 from ...messages.cdr import TaxelArray, read_array
 from ...places.poses import Pose
 from ...readings.status import is_certain
@@ -54,6 +54,7 @@ class PatchFeed:
         self.taxels: TaxelArray | None = None
         self.places: Places | None = None
         self.array: TactileArray | None = None
+        self._readings: tuple[Floats32, NDArray[np.uint8]] | None = None  # of array
         self.is_new = False
         self._heard_s, self._stamp_ns = -math.inf, 0
         self._late_s = self._underway_s = math.inf
@@ -126,7 +127,7 @@ class PatchFeed:
             return Coverage(self.contacts.taxels_valid, self.contacts.taxels_in_service)
         if self.taxels:
             return Coverage.of(self.taxels.pressure_pa, self.taxels.status)
-        return Coverage.of(*readings_of(self.array)) if self.array else None
+        return Coverage.of(*self._readings) if self._readings else None
 
     @property
     def has_driver(self) -> bool:
@@ -153,7 +154,7 @@ class PatchFeed:
         if not contacts:
             self.contacts = None
         if not points:
-            self.array = self._cloud = None
+            self.array = self._readings = self._cloud = None
             self.is_new = False
 
     def poll_points(self) -> None:
@@ -170,11 +171,11 @@ class PatchFeed:
 
         max_pa, pose, gamma: see Cloud.points.
         """
-        if self.array is None or self._cloud is None:
+        if self.array is None or self._readings is None or self._cloud is None:
             return None
         info_id, cloud = self._cloud
         # A restarted driver counts from 1 again: the same id may mean another skin.
-        pressure_pa, status = readings_of(self.array)
+        pressure_pa, status = self._readings
         if self.array.info_id != info_id or len(pressure_pa) != len(cloud):
             return None
         certain_pa = np.where(is_certain(status), pressure_pa, np.float32(np.nan))
@@ -204,7 +205,7 @@ class PatchFeed:
         self.places = Places(message)
 
     def _take_array(self, message: TactileArray, info: MessageInfo) -> None:
-        readings_of(message)  # refuses what contradicts itself
+        self._readings = readings_of(message)
         self._hear(nanoseconds(message.header.stamp), info)
         self.array, self.is_new = message, True
 
