@@ -466,7 +466,7 @@ static enum stream_event sum_up(struct stream *stream)
         frame_summed_up(&stream->rules.frame, &stream->rest, mean, variance, &subject->found);
     if (look == FRAME_SILENT) {
         if (stream->code.sparse)
-            sparse_learn(stream->code.sparse, variance, &subject->found.rest);
+            subject->found.rest = sparse_learn(stream->code.sparse, subject->found.rest, variance);
         decided(stream, look, true);
         pass_by(stream);
         return STREAM_SILENT;

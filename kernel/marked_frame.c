@@ -270,7 +270,7 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
         if (rules->integrated && !code->sparse && chip_stands_out(rules, volts, found->level))
             return FRAME_UNEXPLAINED;
         if (code->sparse)
-            sparse_learn(code->sparse, power, &found->rest);
+            found->rest = sparse_learn(code->sparse, found->rest, power);
         found->clipped = share_clipped(rules, volts, rules->size);
         return silent(rules, rest, power, found);
     }

@@ -107,7 +107,14 @@ FUNCTION(loudness, ARRAY("chips", 'f', "kN"), SIZE("lateness"), FLAG("late"), OU
     Py_RETURN_NONE;
 }
 
-static PyMethodDef sparse_methods[] = {ENTRY(detect), ENTRY(loudness), {0}};
+FUNCTION(learn, NUMBER("noise"), NUMBER("found"))
+{
+    struct owned *owned = held_by(call->self);
+
+    return PyFloat_FromDouble(sparse_learn(owned->sparse, call->value[0].number, call->value[1].number));
+}
+
+static PyMethodDef sparse_methods[] = {ENTRY(detect), ENTRY(loudness), ENTRY(learn), {0}};
 
 static PyType_Slot sparse_slots[] = {
     {Py_tp_new, Sparse},

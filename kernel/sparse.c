@@ -12,6 +12,7 @@ struct sparse {
     struct detector *detector;
     struct sparse_rules rules;
     double swing2;    /* V² */
+    double least;     /* noise since it was shown to be more, V² */
     float *alike;     /* (k, 2^m) products of codes, at the XOR of these; NULL in long books */
     double *triangle; /* (most that are told apart)² */
 };
@@ -105,22 +106,35 @@ static bool are_told_apart(const struct sparse *sparse, double noise)
     return true;
 }
 
-/* Whether the words leave no more than noise, in any bit, and no others would leave nearly as little. */
+/* What so many words may leave beside noise, V². */
+static double more_than_noise(const struct sparse *sparse, size_t words)
+{
+    const struct sparse_rules *rules = &sparse->rules;
+
+    return (rules->more + rules->tolerance * rules->tolerance * (double)words) * sparse->swing2;
+}
+
+static bool hides_nodes(const struct sparse *sparse, double noise, double more)
+{
+    return 3 * sparse->rules.chance * noise + more > sparse->swing2;
+}
+
+/* Whether the words leave no more than noise that hides nobody, in any bit, and no others would leave nearly as little. */
 static bool words_explain(const struct sparse *sparse, double noise)
 {
     const struct sparse_rules *rules = &sparse->rules;
     const struct detector *detector = sparse->detector;
     const size_t bits = detector->book.bits, count = detector->next.count;
-    double swing2 = sparse->swing2, mean = 0, most = 0, power = 0;
-    double more = (rules->more + rules->tolerance * rules->tolerance * (double)count) * swing2;
+    double more = more_than_noise(sparse, count), mean = 0, most = 0, power = 0;
 
     for (size_t bit = 0; bit < bits; bit++) {
         mean += noise_of(detector, detector->power[bit]) / (double)bits;
         most = fmax(most, noise_of(detector, detector->power[bit]));
         power += detector->power[bit] / (double)bits;
     }
-    return count <= rules->capacity && power < rules->most_noise && mean < noise * (1 + rules->chance) + more &&
-           most < noise * (1 + rules->chance_of_bit) + more && are_told_apart(sparse, noise);
+    return count <= rules->capacity && power < rules->most_noise && !hides_nodes(sparse, noise, more) &&
+           mean < noise * (1 + rules->chance) + more && most < noise * (1 + rules->chance_of_bit) + more &&
+           are_told_apart(sparse, noise);
 }
 
 /* Whether the row of anyone who did not speak holds more than noise (V², of a level); see rises in amplitude.py. */
@@ -149,12 +163,16 @@ static bool silence_rises(struct sparse *sparse, double noise)
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
-void sparse_learn(const struct sparse *sparse, double found, double *noise)
+double sparse_learn(struct sparse *sparse, double noise, double found)
 {
-    if (!(*noise > 0))
-        *noise = found;
-    else if (found <= *noise * (1 + sparse->rules.chance))
-        *noise += sparse->rules.weight * (found - *noise);
+    double rise = 1 + sparse->rules.chance;
+
+    if (!(noise > 0))
+        return found;
+    sparse->least = noise > rise * sparse->least ? noise : fmin(noise, sparse->least);
+    if (found > rise * sparse->least)
+        return noise;
+    return fmin(noise + sparse->rules.weight * (found - noise), rise * sparse->least);
 }
 
 /* Levels of those who spoke. */
@@ -180,8 +198,7 @@ bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float
     const struct sparse_book *book = &detector->book;
     double found = 0;
 
-    if (!(*noise > 0 && rules->chance * *noise <= rules->hiding * sparse->swing2 &&
-          rules->chance_of_bit * *noise <= sparse->swing2) ||
+    if (!(*noise > 0 && *noise <= rules->hiding) || hides_nodes(sparse, *noise, more_than_noise(sparse, 0)) ||
         !detector_find(detector, chips, 0))
         return false;
     for (size_t bit = 0; bit < book->bits; bit++)
@@ -191,6 +208,6 @@ bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float
         return false;
     tell_spoken(detector, levels, spoke);
     *told = (struct sparse_told){detector->level, sqrt(found / (double)book->order), detector->next.count};
-    sparse_learn(sparse, found, noise);
+    *noise = sparse_learn(sparse, *noise, found);
     return true;
 }

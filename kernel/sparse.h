@@ -8,8 +8,8 @@
 #include "detect.h"
 
 /* Of the certificate, from capacity on, as in sparse_timing.py. chance, chance_of_bit: shares by which the noise of a
- * frame and of a bit may be off; most_noise: mean square of what is left, V²; silent_square, V², silent_power: see
- * rises in amplitude.py. */
+ * frame and of a bit may be off; most_noise, hiding: mean squares of what is left, V²; silent_square, V², silent_power:
+ * see rises in amplitude.py. */
 struct sparse_rules {
     struct detect_rules detect;
     size_t capacity;
@@ -35,7 +35,7 @@ const struct sparse_book *sparse_book(const struct sparse *sparse);
 bool sparse_read(struct sparse *sparse, const float *chips, double *noise, float *levels, int32_t *spoke,
                  struct sparse_told *told);
 
-/* Learns the noise from that of one frame, V², as `learnt` does; 0: unknown. */
-void sparse_learn(const struct sparse *sparse, double found, double *noise);
+/* The noise, V², after a frame of so much, as SparseRecogniser.learn does; 0: unknown. */
+double sparse_learn(struct sparse *sparse, double noise, double found);
 
 #endif

@@ -17,6 +17,8 @@ quarter is none. Chosen."""
 LEAST_SHARE = 0.1
 """Share of a node's amplitude below which nothing is asked of what is on its row. Chosen: what
 sound lines leave there (edges, hum of a third of an amplitude, droop) stays below."""
+LOW_MARGIN = 0.4
+"""A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
 MOVED_SHARE = 0.3
 """Deviation of the bits' means, of a node's amplitude, with which a line moves so much that a frame
 may be somewhere else, and its words in all rows' noise. Chosen: hum of 0.42 amplitudes."""

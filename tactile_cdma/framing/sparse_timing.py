@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.sums import in_order
-from ..code.amplitude import LEAST_SHARE, most_noise_power, rises
+from ..code.amplitude import LEAST_SHARE, LOW_MARGIN, most_noise_power, rises
 from ..code.detect import Certificate, Detected, Detector, turn_pairs
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
@@ -40,17 +40,15 @@ squared; and deviations of that noise that are chance. Chosen: a node leaves 1, 
 MOST_TURNED = 128
 """Words of which pairs of bits are turned to leave less. Chosen: takes 5 ms; of more words none of
 10,000 frames needed it."""
-HIDING = 0.3
-"""Chance deviation of the noise, in the same unit, from which on a node may hide in it. Chosen."""
 ALIKE_BELOW = 128
 """Chips per bit below which codes of those who speak may add up to nothing. Derived: of four whose
 numbers XOR to 0 they do in a bit once in 0.75^-N times, in 10¹⁶ at 128 chips."""
 HIDDEN = 0.36
 """Power of chips below which no node is hidden in them, in amplitudes squared. Chosen: at 0.6 A."""
 LEARNT, RELEARNT = 8, 64
-"""Frames of which the least noise is that of the line: the first ones, or more of them if a node's
-word might hide in it, and as many in a row that are in doubt for their noise alone. Chosen: the
-kurtosis of so many tells it from a node."""
+"""Frames of which the least noise is that of the line: the first ones, and as many in doubt for
+their noise alone; more of them if a node might hide in it. Chosen: the kurtosis of so many tells it
+from a node."""
 WEIGHT = 0.25
 """Weight of the newest frame in the noise. Chosen: averages about seven frames."""
 MOST_LATE, LATE_SHARE = 8, 0.5
@@ -95,8 +93,7 @@ class SparseTiming(MarkedTiming):
             spoke = (self._own.speakers, self._own.crowded) if frame.levels else (0,)
             self.load = self.load.after(*spoke)
             if frame.levels is None:  # all of it was noise
-                chance = _by_chance(self.line.spec.chips)
-                self.line.noise = learnt(self.line.noise, frame.noise_rms_v**2, chance)
+                self._own.learn(frame.noise_rms_v**2)
         return super()._noted(verdict)
 
 
@@ -121,28 +118,19 @@ def groups_for_all(spec: FrameSpec) -> int:
     return 0
 
 
-def learnt(noise: float, newest: float, chance: float) -> float:
-    """Mean square of the line's noise, V², after a frame of so much; 0: unknown.
-
-    chance: share of it that is chance. What is more may be what words or a tone leave: if that was
-    learnt, the next frame might leave as much again, up to what a node leaves.
-    """
-    if not noise:
-        return newest
-    return noise + WEIGHT * (newest - noise) if newest <= noise * (1 + chance) else noise
-
-
 def certificate(spec: FrameSpec) -> Certificate:
     """What frames of a specification have to satisfy; see the constants above."""
     swing2, power = (spec.node_swing_v or 0.0) ** 2, most_noise_power(spec.line_bits)
+    # Who flips a bit leaves two amplitudes squared there, or his level comes near the margin.
+    of_bit, of_level = _by_chance(spec.order), (BY_CHANCE / LOW_MARGIN) ** 2 / spec.order
     return Certificate(
         capacity=capacity(spec),
         most_noise=blinding_noise_v(spec) ** 2,
         more=MORE,
         tolerance=TOLERANCE,
         chance=_by_chance(spec.chips),
-        chance_of_bit=_by_chance(spec.order),
-        hiding=HIDING,
+        chance_of_bit=of_bit,
+        hiding=swing2 / min(of_bit, of_level),
         weight=WEIGHT,
         silent_square=spec.line_bits * LEAST_SHARE**2 * swing2,
         silent_power=spec.line_bits * power,
@@ -161,10 +149,11 @@ class SparseRecogniser:
 
     def __init__(self, line: MarkedLine) -> None:
         self.speakers, self.crowded = 0, False
+        self._least = 0.0  # of the noise since it was shown to be more, V²
         self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
         self._rules = certificate(line.spec)
-        self._unlearnt = _Unlearnt(line.spec.chips, self._swing2)
+        self._unlearnt = _Unlearnt(line.spec)
         self.detector = Detector(line.spec, self._rules)
         line.noise_share = 1 - self._rules.chance
         self._products = _products(line.spec)
@@ -206,9 +195,9 @@ class SparseRecogniser:
                 found, explained = other, self._words_explain(other)
         late = () if explained else self._late(found)
         doubtful: Bools | None = None
-        if late or not explained or self._hides_words:
+        if late or not explained or self._line.noise > self._rules.hiding:
             doubtful = np.ones(spec.nodes, np.bool_)
-        elif self._hides_nodes:
+        elif _hides_nodes(spec, self._line.noise, int(np.count_nonzero(found.heard))):
             doubtful = ~found.heard
         noise = in_order(self._noise_of(found).tolist()) / spec.line_bits  # as the kernel
         rows: Floats32 | None = found.rows
@@ -221,7 +210,12 @@ class SparseRecogniser:
         else:
             power = float(chips.var(dtype=np.float64)) - self._line.noise
             self.speakers = max(0, round(power / self._swing2))
-        self._learn(found, noise, explained, late, frame.opened)
+        if explained:
+            self.learn(noise)
+        elif self._is_understood(found) and not late:
+            frames = RELEARNT if self._line.noise else LEARNT
+            shown = self._unlearnt.learn(noise, _kurtosis(found.chips), frames)
+            self._line.noise = self._line.noise if shown is None else shown
         self._line.level_v = found.level_v
         if doubtful is None and not self._silence_rises(found, noise_v):
             # There is nothing to ask about the silence.
@@ -237,21 +231,22 @@ class SparseRecogniser:
         )
         return self._line.heard(frame, self._line.nominal, levels, doubtful)
 
-    def _learn(
-        self, found: Detected, noise: float, explained: bool, late: tuple[int, ...], opened: int
-    ) -> None:
-        """Learn the noise of a frame; opened: see MarkedFrame."""
-        if opened > 1:
-            self._unlearnt.clear()
-        if not self._is_understood(found) or late:
-            return
-        if explained:
-            self._unlearnt.clear()
-            self._line.noise = learnt(self._line.noise, noise, self._rules.chance)
+    def learn(self, newest: float) -> None:
+        """Learn the noise of a frame that left no more than words and noise do, V².
+
+        It follows such frames, but no further than chance does: what is more may be what words or a
+        tone leave. If that was learnt, the next frame might leave as much again, up to a node.
+        """
+        noise, rise = self._line.noise, 1 + self._rules.chance
+        if self.detector.kernel is not None:
+            self._line.noise = self.detector.kernel.learn(noise, newest)
+        elif not noise:
+            self._line.noise = newest
         else:
-            frames = RELEARNT if self._line.noise else LEARNT
-            least = self._unlearnt.learn(noise, _kurtosis(found.chips), frames)
-            self._line.noise = self._line.noise if least is None else least
+            self._least = noise if noise > rise * self._least else min(noise, self._least)
+            if newest <= rise * self._least:
+                noise = min(noise + WEIGHT * (newest - noise), rise * self._least)
+                self._line.noise = noise
 
     def _silence_rises(self, found: Detected, noise_v: float) -> bool:
         """Whether the row of anyone who did not speak holds more than noise, V RMS of a level."""
@@ -294,16 +289,6 @@ class SparseRecogniser:
         least = MORE + _by_chance(self._spec.order) * self._line.noise / self._swing2
         return _told_apart(codes, self._products, least)
 
-    @property
-    def _hides_nodes(self) -> bool:
-        """Whether the noise may hold the word of a node that does not show."""
-        return _by_chance(self._spec.chips) * self._line.noise > HIDING * self._swing2
-
-    @property
-    def _hides_words(self) -> bool:
-        """Whether the noise of a bit may hide a word, so that what disturbs one is not seen."""
-        return _by_chance(self._spec.order) * self._line.noise > self._swing2
-
     def _noise_of(self, found: Detected) -> Floats:
         """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
         free = self._spec.chips - int(np.count_nonzero(found.heard)) - 1
@@ -343,6 +328,15 @@ def _told_apart(codes: Indices, products: Floats32, least: float) -> bool:
     return True
 
 
+def _hides_nodes(spec: FrameSpec, noise: float, words: int) -> bool:
+    """Whether the noise of chips, V², and what so many words leave may hold a node that is unheard.
+
+    What is known of the noise may be too much by chance; as much less, or more, is in the frame.
+    """
+    swing2 = (spec.node_swing_v or 0.0) ** 2
+    return 3 * _by_chance(spec.chips) * noise + (MORE + TOLERANCE**2 * words) * swing2 > swing2
+
+
 def _by_chance(chips: int) -> float:
     """Share by which the mean square of so many chips' noise may be off."""
     return BY_CHANCE * math.sqrt(2 / chips)
@@ -355,33 +349,38 @@ def _kurtosis(chips: Floats32) -> float:
 
 
 class _Unlearnt:
-    """Frames in a row that leave more than the noise that is known, but are understood.
+    """Frames that leave more than the noise that is known, but are understood.
 
     They are believed if what they leave is less than a node would, or as Gaussian as noise: the
-    chips of few nodes, or a tone, are not.
+    chips of few nodes, or a tone, are not. Frames that leave more than others do not count, nor
+    those of which few chips stick out (clipping): they would outweigh what a node shows.
     """
 
-    def __init__(self, chips: int, swing2: float) -> None:
-        """chips: of a frame. swing2: mean square of what a node leaves, V²."""
-        self._chips, self._swing2 = chips, swing2
-        self._seen: list[tuple[float, float]] = []
+    def __init__(self, spec: FrameSpec) -> None:
+        self._spec, self._swing2 = spec, (spec.node_swing_v or 0.0) ** 2
+        self._start()
 
-    def clear(self) -> None:
-        """A frame left no more."""
-        self._seen.clear()
+    def _start(self) -> None:
+        self._count, self._least, self._kurtoses = 0, math.inf, 0.0
 
     def learn(self, power: float, kurtosis: float, frames: int) -> float | None:
         """The noise, V², if this is the last of so many that show it, or of more if need be."""
-        self._seen.append((power, kurtosis))
-        powers, kurtoses = zip(*self._seen, strict=True)
-        count, least = len(powers), min(powers)
-        if count < frames:
+        hidden, by_chance = HIDDEN * self._swing2, BY_CHANCE * math.sqrt(24 / self._spec.chips)
+        alike = 1 + 2 * _by_chance(self._spec.chips)
+        if max(power, hidden) * alike < self._least:
+            self._start()
+        is_more = power > alike * max(self._least, hidden)
+        if is_more or (power > hidden and kurtosis > 3 + by_chance):
             return None
-        by_chance = BY_CHANCE * math.sqrt(24 / (self._chips * count))
+        self._count, self._kurtoses = self._count + 1, self._kurtoses + kurtosis
+        self._least = least = min(self._least, power)
+        if self._count < frames:
+            return None
+        by_chance /= math.sqrt(self._count)
         # A node lowers the kurtosis of what is left by twice this.
         of_node = (self._swing2 / max(least, self._swing2)) ** 2
-        if least > HIDDEN * self._swing2 and by_chance > of_node and count < RELEARNT:
+        if least > hidden and by_chance > of_node and not _hides_nodes(self._spec, least, 0):
             return None
-        self._seen.clear()
-        is_gaussian = sum(kurtoses) / count > 3 - by_chance
-        return least if is_gaussian or least < HIDDEN * self._swing2 else None
+        is_gaussian = self._kurtoses / self._count > 3 - by_chance
+        self._start()
+        return least if is_gaussian or least < hidden else None

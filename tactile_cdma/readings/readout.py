@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE, LEAST_SHARE, MOVED_SHARE, hiding_rho, most_noise_power
+from ..code.amplitude import (
+    FAINT_SHARE,
+    LEAST_SHARE,
+    LOW_MARGIN,
+    MOVED_SHARE,
+    hiding_rho,
+    most_noise_power,
+)
 from ..code.frame import FrameSpec
 from ..code.separate import frame_fields
 from ..words import lateness, limits, tones
@@ -122,7 +129,7 @@ def _word_limits(spec: FrameSpec, active_share: float) -> dict[str, float]:
         "few_share": lateness.few_share(spec),
         "parity": spec.parity,
         "low_rho": limits.LOW_RHO,
-        "low_margin": limits.LOW_MARGIN,
+        "low_margin": LOW_MARGIN,
         "shared": limits.SHARED_SHARE,
         "two": limits.DOUBLE_SHARE,
         "clear_rho": limits.CLEAR_RHO,

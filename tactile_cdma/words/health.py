@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE
+from ..code.amplitude import FAINT_SHARE, LOW_MARGIN
 from ..code.frame import FrameSpec
 from .decode import Words
-from .limits import DOUBLE_SHARE, LOW_MARGIN, LOW_RHO
+from .limits import DOUBLE_SHARE, LOW_RHO
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""

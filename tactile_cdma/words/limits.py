@@ -8,8 +8,6 @@ Chosen: spreads of sound nodes are a few percent."""
 LOW_RHO = 5.0
 """ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
 10."""
-LOW_MARGIN = 0.4
-"""A word is flagged where one bit has less than this share of the word's mean amplitude. Chosen."""
 DOUBLE_SHARE = 1.6
 """Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
 bits give 2, one 60 % too strong is out of tolerance anyway."""

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
-from ..code.amplitude import FAINT_SHARE, LEAST_NOISE, hiding_rho, rises
+from ..code.amplitude import FAINT_SHARE, LEAST_NOISE, LOW_MARGIN, hiding_rho, rises
 from .limits import (
     CLEAR_RHO,
     DOUBLE_SHARE,
-    LOW_MARGIN,
     LOW_RHO,
     LOWER_SHARE,
     SHARED_SHARE,
