@@ -106,6 +106,17 @@ static bool are_told_apart(const struct sparse *sparse, double noise)
     return true;
 }
 
+/* Whether there are words, and all are faint; see FAINTEST in sparse_timing.py. */
+static bool all_are_faint(const struct sparse *sparse)
+{
+    const struct detector *detector = sparse->detector;
+    float loudest = 0;
+
+    for (size_t i = 0; i < detector->next.count; i++)
+        loudest = fmaxf(loudest, detector->loud[detector->next.codes[i]]);
+    return loudest > 0 && loudest < (float)sparse->rules.faintest;
+}
+
 /* What so many words may leave beside noise, V². */
 static double more_than_noise(const struct sparse *sparse, size_t words)
 {
@@ -133,7 +144,7 @@ static bool words_explain(const struct sparse *sparse, double noise)
         power += detector->power[bit] / (double)bits;
     }
     return count <= rules->capacity && power < rules->most_noise && !hides_nodes(sparse, noise, more) &&
-           mean < noise * (1 + rules->chance) + more && most < noise * (1 + rules->chance_of_bit) + more &&
+           !all_are_faint(sparse) && mean < noise * (1 + rules->chance) + more && most < noise * (1 + rules->chance_of_bit) + more &&
            are_told_apart(sparse, noise);
 }
 

@@ -108,7 +108,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         .detect = {.swing = 1, .least = 0.35, .soft_noise = 0.1, .slope = 0.75, .log_odds = 8, .hard_share = 2.2,
                    .settled = 0.01, .near = 0.1, .negligible = 1e-4, .stalled = 0.97, .turns = 24},
         .capacity = nodes < order / 4 ? nodes : order / 4, .most_noise = 0.1 * (double)order, .more = 0.1,
-        .tolerance = 0.03, .chance = 4 * sqrt(2.0 / (double)(bits * order)), .chance_of_bit = 4 * sqrt(2.0 / (double)order),
+        .tolerance = 0.03, .faintest = 0.56, .chance = 4 * sqrt(2.0 / (double)(bits * order)), .chance_of_bit = 4 * sqrt(2.0 / (double)order),
         .hiding = 0.7 * sqrt((double)order / 8), .weight = 0.25, .silent_square = 0.01 * (double)bits, .silent_power = 2.5 * (double)bits,
         .alike = true};
     const double dampings[] = {0, 0.6, 0.8};

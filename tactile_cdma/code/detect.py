@@ -75,15 +75,16 @@ class Certificate(NamedTuple):
     """What the kernel certifies frames by; explained in framing/sparse_timing.py.
 
     capacity: most nodes that speak. most_noise, hiding: V², of chips. more: amplitudes squared.
-    tolerance: share of a word. chance, chance_of_bit: share of noise. weight: of the newest frame.
-    silent_square, V², silent_power: of a silent row's levels, and of those in that of noise. alike:
-    whether codes of those who speak may add up to nothing.
+    tolerance: share of a word. faintest: V. chance, chance_of_bit: share of noise. weight: of the
+    newest frame. silent_square, V², silent_power: of a silent row's levels, and of those in that of
+    noise. alike: whether codes of those who speak may add up to nothing.
     """
 
     capacity: int
     most_noise: float
     more: float
     tolerance: float
+    faintest: float
     chance: float
     chance_of_bit: float
     hiding: float

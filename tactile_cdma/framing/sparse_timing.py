@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.sums import in_order
-from ..code.amplitude import LEAST_SHARE, LOW_MARGIN, most_noise_power, rises
+from ..code.amplitude import LEAST_SHARE, LOW_MARGIN, SILENT_RHO, most_noise_power, rises
 from ..code.detect import Certificate, Detected, Detector, turn_pairs
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
@@ -34,6 +34,9 @@ some frames do not settle. Found with `make bench-sparse`."""
 TOLERANCE = 0.03
 """Share of a word that may be left over, RMS: chips have edges. Chosen: of 300 words a quarter of
 what a node leaves that is not understood."""
+FAINTEST = 0.56
+"""Share of an amplitude that a word of a frame has. Derived: of three words that clip at an
+amplitude, half is left, and as much of the product of their codes, which may be that of a node."""
 MORE, BY_CHANCE = 0.1, 4.0
 """Power by which what is left may exceed the noise of the frames before, in amplitudes of a node
 squared; and deviations of that noise that are chance. Chosen: a node leaves 1, a wrong bit 0.4."""
@@ -121,16 +124,15 @@ def groups_for_all(spec: FrameSpec) -> int:
 def certificate(spec: FrameSpec) -> Certificate:
     """What frames of a specification have to satisfy; see the constants above."""
     swing2, power = (spec.node_swing_v or 0.0) ** 2, most_noise_power(spec.line_bits)
-    # Who flips a bit leaves two amplitudes squared there, or his level comes near the margin.
-    of_bit, of_level = _by_chance(spec.order), (BY_CHANCE / LOW_MARGIN) ** 2 / spec.order
     return Certificate(
         capacity=capacity(spec),
         most_noise=blinding_noise_v(spec) ** 2,
         more=MORE,
         tolerance=TOLERANCE,
+        faintest=FAINTEST * (spec.node_swing_v or 0.0),
         chance=_by_chance(spec.chips),
-        chance_of_bit=of_bit,
-        hiding=swing2 / min(of_bit, of_level),
+        chance_of_bit=_by_chance(spec.order),
+        hiding=swing2 * min(_most_noise_of_words(spec), spec.order / SILENT_RHO**2),
         weight=WEIGHT,
         silent_square=spec.line_bits * LEAST_SHARE**2 * swing2,
         silent_power=spec.line_bits * power,
@@ -195,7 +197,7 @@ class SparseRecogniser:
                 found, explained = other, self._words_explain(other)
         late = () if explained else self._late(found)
         doubtful: Bools | None = None
-        if late or not explained or self._line.noise > self._rules.hiding:
+        if late or not explained or self._hides_words:
             doubtful = np.ones(spec.nodes, np.bool_)
         elif _hides_nodes(spec, self._line.noise, int(np.count_nonzero(found.heard))):
             doubtful = ~found.heard
@@ -267,10 +269,17 @@ class SparseRecogniser:
         """Whether words were found that leave no more than the line's noise, in any bit."""
         noise, more = self._line.noise, MORE + TOLERANCE**2 * np.count_nonzero(found.heard)
         left = self._noise_of(found)
+        if found.heard.any() and self._loudest(found) < np.float32(self._rules.faintest):
+            return False
         for power, chips in ((left.mean(), self._spec.chips), (left.max(), self._spec.order)):
             if not power < noise * (1 + _by_chance(chips)) + more * self._swing2:
                 return False
         return noise > 0 and self._is_understood(found) and self._are_told_apart(found)
+
+    def _loudest(self, found: Detected) -> np.float32:
+        """Amplitude of the loudest word, V."""
+        own = found.rows[:, self._spec.node_slice][:, found.heard]
+        return np.float32(np.abs(own).mean(axis=0, dtype=np.float32).max())
 
     def _may_be_turned(self, found: Detected) -> bool:
         """Whether what is left may be that of a few pairs of wrong bits."""
@@ -288,6 +297,11 @@ class SparseRecogniser:
         codes = self._spec.code_numbers[self._spec.rows[found.heard]]
         least = MORE + _by_chance(self._spec.order) * self._line.noise / self._swing2
         return _told_apart(codes, self._products, least)
+
+    @property
+    def _hides_words(self) -> bool:
+        """Whether the noise of a bit may hide that a word is disturbed, and what it says."""
+        return self._line.noise > _most_noise_of_words(self._spec) * self._swing2
 
     def _noise_of(self, found: Detected) -> Floats:
         """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
@@ -328,12 +342,23 @@ def _told_apart(codes: Indices, products: Floats32, least: float) -> bool:
     return True
 
 
+def _most_noise_of_words(spec: FrameSpec) -> float:
+    """Noise of chips up to which words are certain, in amplitudes squared.
+
+    What is lost of a word in a bit, or turned, leaves more than an amplitude squared there; what it
+    says then is noise, of which little reaches the margin of a word that is claimed.
+    """
+    return max(1 / _by_chance(spec.order), spec.order * (LOW_MARGIN / BY_CHANCE) ** 2)
+
+
 def _hides_nodes(spec: FrameSpec, noise: float, words: int) -> bool:
     """Whether the noise of chips, V², and what so many words leave may hold a node that is unheard.
 
     What is known of the noise may be too much by chance; as much less, or more, is in the frame.
     """
     swing2 = (spec.node_swing_v or 0.0) ** 2
+    if noise * SILENT_RHO**2 > spec.order * swing2:
+        return True
     return 3 * _by_chance(spec.chips) * noise + (MORE + TOLERANCE**2 * words) * swing2 > swing2
 
 
