@@ -165,7 +165,11 @@ def _parameters(request: pytest.FixtureRequest) -> dict[str, Any]:
     parameters = dict(marker.kwargs) if marker else {}
     sim = argument("sim", parameters.pop("sim", ""), "")
     parameters = parameters_of(parameters)
-    options = [f"{own}={parameters[name]}" for name, own in _OF_BOTH.items() if name in parameters]
+    options = [
+        f"{own}={str(parameters[name]).strip('()')}"
+        for name, own in _OF_BOTH.items()
+        if name in parameters
+    ]
     if sim:
         options.append(sim)
     return {"port": "&".join([PORT, *options])} | parameters
