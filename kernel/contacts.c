@@ -11,34 +11,49 @@
 enum { UNREAD = 1, CHANGED = 2, DIM = 4 };
 enum { NONE = -1, OPEN = -2 }; /* labels of taxels: in no component, not in one yet */
 
-/* Notes what is to be said of each reading; returns the bits that any has, or -1 if nothing touches the skin
- * or did. */
+/* Notes what is to be said of each reading, and counts; returns the bits that any has, or -1 if nothing
+ * touches the skin or did. */
 static int note(const struct contacts_skin *skin, const float *pressure_pa, const uint8_t *status,
-                const struct contacts_kept *kept)
+                const struct contacts_kept *kept, int32_t *tally)
 {
     const float below_pa = -skin->contact_pa;
-    int any = 0;
+    int any = 0, valid = 0, in_service = 0, doubtful = 0;
     bool is_touched = false;
 
     for (size_t i = 0; i < skin->taxels; i++) {
-        int now = pressure_pa[i] != pressure_pa[i], before = kept->notes[i] & UNREAD; /* NaN */
-        int dim = now | ((status[i] & skin->saturated) != 0) | (pressure_pa[i] < below_pa);
-        kept->notes[i] = (uint8_t)(now * UNREAD | (now ^ before) * CHANGED | dim * DIM);
+        float here_pa = status[i] & skin->uncertain ? NAN : pressure_pa[i];
+        int now = isnan(here_pa) != 0, before = kept->notes[i] & UNREAD;
+        int saturated = (status[i] & skin->saturated) != 0, below = here_pa < below_pa;
+        int serves = (status[i] & skin->masked) == 0, reads = serves & (isfinite(here_pa) != 0);
+        kept->notes[i] =
+            (uint8_t)(now * UNREAD | (now ^ before) * CHANGED | (now | saturated | below) * DIM);
         any |= kept->notes[i];
-        is_touched |= (pressure_pa[i] > skin->contact_pa) | (kept->place[i] >= 0);
+        is_touched |= (here_pa > skin->contact_pa) | (kept->place[i] >= 0);
+        in_service += serves;
+        valid += reads;
+        doubtful += reads & ((saturated & (here_pa <= skin->contact_pa)) | below);
     }
+    tally[0] = valid;
+    tally[1] = in_service;
+    tally[2] = doubtful;
+    tally[3] = 0;
     return is_touched ? any : -1;
+}
+
+static bool exceeds(const float *pressure_pa, const struct contacts_kept *kept, size_t taxel, float least_pa)
+{
+    return pressure_pa[taxel] > least_pa && !(kept->notes[taxel] & UNREAD);
 }
 
 /* Labels the connected components of the taxels above the release in the order of their first taxels, NONE
  * elsewhere. Returns their number; SIZE_MAX for a neighbour that is no taxel. */
-static size_t connect(const struct contacts_skin *skin, const float *pressure_pa, int32_t *label,
-                      int32_t *waiting)
+static size_t connect(const struct contacts_skin *skin, const float *pressure_pa,
+                      const struct contacts_kept *kept, int32_t *label, int32_t *waiting)
 {
     int32_t count = 0;
 
     for (size_t i = 0; i < skin->taxels; i++)
-        label[i] = pressure_pa[i] > skin->release_pa ? OPEN : NONE;
+        label[i] = exceeds(pressure_pa, kept, i, skin->release_pa) ? OPEN : NONE;
     for (size_t i = 0; i < skin->taxels; i++) {
         if (label[i] != OPEN)
             continue;
@@ -102,12 +117,14 @@ static void add(const struct contacts_skin *skin, size_t taxel, double pressure_
 }
 
 /* Adds pressed taxels beside contacts to these. */
-static void add_rim(const struct contacts_skin *skin, const float *pressure_pa, const int32_t *place,
-                    double *sums)
+static void add_rim(const struct contacts_skin *skin, const float *pressure_pa,
+                    const struct contacts_kept *kept, double *sums)
 {
+    const int32_t *place = kept->place;
+
     for (size_t i = 0; i < skin->taxels; i++) {
         int32_t beside = NONE;
-        if (place[i] >= 0 || !(pressure_pa[i] > skin->rim_pa))
+        if (place[i] >= 0 || !exceeds(pressure_pa, kept, i, skin->rim_pa))
             continue;
         for (size_t n = 0; n < skin->near; n++) {
             int32_t j = skin->neighbours[i * skin->near + n];
@@ -124,12 +141,12 @@ size_t contacts_gather(const struct contacts_skin *skin, const float *pressure_p
 {
     size_t taxels = skin->taxels;
     int32_t *label = kept->scratch, *number = label + taxels, *cursor = number + taxels;
-    int any = note(skin, pressure_pa, status, kept);
+    int any = note(skin, pressure_pa, status, kept, found->tally);
 
     found->starts[0] = 0;
     if (any < 0)
         return 0;
-    size_t components = connect(skin, pressure_pa, label, cursor);
+    size_t components = connect(skin, pressure_pa, kept, label, cursor);
     if (components == SIZE_MAX)
         return SIZE_MAX;
     int32_t count = rank(skin, pressure_pa, label, kept, components, number, cursor);
@@ -155,6 +172,7 @@ size_t contacts_gather(const struct contacts_skin *skin, const float *pressure_p
         int notes = kept->notes[i];
         found->taxels[cursor[c]] = (int32_t)i;
         found->before[cursor[c]++] = before;
+        found->tally[3] += before != c;
         add(skin, i, pressure_pa[i], sums);
         sums[CONTACTS_MOMENTS] += skin->moments[i * CONTACTS_MOMENTS];
         found->peak_pa[c] = fmaxf(found->peak_pa[c], pressure_pa[i]);
@@ -164,6 +182,6 @@ size_t contacts_gather(const struct contacts_skin *skin, const float *pressure_p
         found->lower_bound[c] |= (notes & DIM) != 0;
         found->torn[c] |= (notes & CHANGED) != 0;
     }
-    add_rim(skin, pressure_pa, kept->place, found->sums);
+    add_rim(skin, pressure_pa, kept, found->sums);
     return (size_t)count;
 }

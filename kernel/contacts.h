@@ -12,15 +12,17 @@
 #define CONTACTS_MOMENTS 10 /* per taxel: load, load·position, force, torque, per pascal */
 #define CONTACTS_SUMS 11    /* the moments, and the area */
 #define CONTACTS_SCRATCH 3
+#define CONTACTS_TALLY 4
 
 /* neighbours: (taxels, near), symmetric, padded with each taxel's own index. moments: (taxels,
- * CONTACTS_MOMENTS). Thresholds, Pa; saturated: the bit of a taxel's status that says so. */
+ * CONTACTS_MOMENTS). Thresholds, Pa; saturated, uncertain, masked: the bits of a taxel's status that say
+ * so. The reading of one that is uncertain counts as none. */
 struct contacts_skin {
     size_t taxels, near;
     const int32_t *neighbours;
     const double *moments;
     float contact_pa, release_pa, rim_pa;
-    uint8_t saturated;
+    uint8_t saturated, uncertain, masked;
 };
 
 /* From frame to frame, (taxels,): index of the contact, -1 for none; bits of what is to be said of the
@@ -36,9 +38,10 @@ struct contacts_kept {
  * starts: (taxels + 1,) where each contact begins among these, and where the last ends. Of each contact:
  * sums, (taxels, CONTACTS_SUMS), and (taxels,) greatest pressure, and, 0 or 1, whether a taxel is
  * saturated, whether one in it or beside it may carry more than it reads, whether one there lost or got
- * its reading. */
+ * its reading. tally: (CONTACTS_TALLY,) taxels of the skin that are valid, in service, doubtful (see
+ * Coverage in tactile_cdma/readings/taxels.py), and those in contact that were not in that contact before. */
 struct contacts_found {
-    int32_t *taxels, *before, *starts;
+    int32_t *taxels, *before, *starts, *tally;
     double *sums;
     float *peak_pa;
     uint8_t *saturated, *lower_bound, *torn;

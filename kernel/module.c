@@ -14,7 +14,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 30 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 31 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */
@@ -305,28 +305,28 @@ FUNCTION(word_noise, SETTINGS(words_frame), SIZE("spare"), SIZE("spare_count"),
 /* ---- contacts ---------------------------------------------------------------------------------- */
 
 FUNCTION(gather_contacts, NUMBER("contact_pa"), NUMBER("release_pa"), NUMBER("rim_pa"),
-         SIZE("saturated"), ARRAY("neighbours", 'i', "tm"), ARRAY("moments", 'd', "tc"),
-         ARRAY("pressure_pa", 'f', "t"), ARRAY("status", 'B', "t"), OUT("place", 'i', "t"),
-         OUT("notes", 'B', "t"), OUT("scratch", 'i', "3t"), OUT("loads", 'd', "t"),
-         OUT("taxels", 'i', "2t"), OUT("starts", 'i', "s"), OUT("sums", 'd', "te"),
+         SIZE("saturated"), SIZE("uncertain"), SIZE("masked"), ARRAY("neighbours", 'i', "tm"),
+         ARRAY("moments", 'd', "tc"), ARRAY("pressure_pa", 'f', "t"), ARRAY("status", 'B', "t"),
+         OUT("place", 'i', "t"), OUT("notes", 'B', "t"), OUT("scratch", 'i', "3t"), OUT("loads", 'd', "t"),
+         OUT("taxels", 'i', "2t"), OUT("starts", 'i', "s"), OUT("tally", 'i', "4"), OUT("sums", 'd', "te"),
          OUT("peak_pa", 'f', "t"), OUT("flags", '?', "3t"))
 {
     const union value *v = call->value;
     size_t t = axis(call, 't');
-    int32_t *taxels = v[12].data;
-    uint8_t *flags = v[16].data;
-    const struct contacts_skin skin = {t, axis(call, 'm'), v[4].data, v[5].data,
-                                       (float)v[0].number, (float)v[1].number, (float)v[2].number,
-                                       (uint8_t)v[3].size};
-    const struct contacts_kept kept = {v[8].data, v[9].data, v[10].data, v[11].data};
-    const struct contacts_found found = {taxels, taxels + t, v[13].data, v[14].data,
-                                         v[15].data, flags, flags + t, flags + 2 * t};
+    int32_t *taxels = v[14].data;
+    uint8_t *flags = v[19].data;
+    const struct contacts_skin skin = {
+        t, axis(call, 'm'), v[6].data, v[7].data, (float)v[0].number, (float)v[1].number,
+        (float)v[2].number, (uint8_t)v[3].size, (uint8_t)v[4].size, (uint8_t)v[5].size};
+    const struct contacts_kept kept = {v[10].data, v[11].data, v[12].data, v[13].data};
+    const struct contacts_found found = {taxels, taxels + t, v[15].data, v[16].data, v[17].data,
+                                         v[18].data, flags, flags + t, flags + 2 * t};
 
     if (!(axis(call, 'c') == CONTACTS_MOMENTS && axis(call, 'e') == CONTACTS_SUMS &&
           axis(call, 's') == t + 1))
         return refuse(call, "moments, sums, starts: (t, %d), (t, %d) and (t + 1,) expected",
                       CONTACTS_MOMENTS, CONTACTS_SUMS);
-    size_t contacts = contacts_gather(&skin, v[6].data, v[7].data, &kept, &found);
+    size_t contacts = contacts_gather(&skin, v[8].data, v[9].data, &kept, &found);
     return contacts == SIZE_MAX ? refuse(call, "neighbours: one is no taxel")
                                 : PyLong_FromSize_t(contacts);
 }

@@ -511,18 +511,19 @@ static void look_for_frame(struct input *input)
 }
 
 /* Contacts of frames of any pressures on a grid: every taxel is in one contact at most, and that is
- * connected to nothing above the release but itself. */
+ * connected to nothing above the release but itself; one that is uncertain is in none. */
 static void touch(struct input *input)
 {
     enum { NEAR = 4, MOST = 300 };
     size_t taxels = 1 + input_u16(input) % MOST, width = 1 + taxels % 17;
     int32_t near[MOST * NEAR], place[MOST], scratch[CONTACTS_SCRATCH * MOST], in[2 * MOST], starts[MOST + 1];
+    int32_t tally[CONTACTS_TALLY];
     double moments[MOST * CONTACTS_MOMENTS] = {0}, loads[MOST], sums[MOST * CONTACTS_SUMS];
     uint8_t notes[MOST], flags[3 * MOST], status[MOST];
     float pressure_pa[MOST], peak_pa[MOST];
-    const struct contacts_skin skin = {taxels, NEAR, near, moments, 0.5f, 0.2f, 0.06f, 8};
+    const struct contacts_skin skin = {taxels, NEAR, near, moments, 0.5f, 0.2f, 0.06f, 8, 4, 2};
     const struct contacts_kept kept = {place, notes, scratch, loads};
-    const struct contacts_found found = {in, in + MOST, starts, sums, peak_pa, flags, flags + MOST, flags + 2 * MOST};
+    const struct contacts_found found = {in, in + MOST, starts, tally, sums, peak_pa, flags, flags + MOST, flags + 2 * MOST};
 
     for (size_t i = 0; i < taxels; i++) {
         int32_t own = (int32_t)i;
@@ -540,20 +541,21 @@ static void touch(struct input *input)
         for (size_t i = 0; i < taxels; i++)
             pressure_pa[i] = level_of(input_u8(input));
         size_t count = contacts_gather(&skin, pressure_pa, status, &kept, &found);
-        MUST(count <= taxels, WRONG_VALUE);
+        MUST(count <= taxels && tally[0] <= tally[1] && tally[2] <= tally[0], WRONG_VALUE);
         for (size_t c = 0; c < count; c++) {
             MUST(starts[c] < starts[c + 1] && peak_pa[c] > skin.release_pa, WRONG_VALUE);
             for (int32_t at = starts[c]; at < starts[c + 1]; at++)
                 MUST(place[in[at]] == (int32_t)c, WRONG_VALUE);
         }
         for (size_t i = 0; i < taxels; i++) {
-            bool touched = pressure_pa[i] > skin.release_pa;
+            bool touched = pressure_pa[i] > skin.release_pa && !(status[i] & skin.uncertain);
             in_contact += place[i] >= 0;
             MUST(place[i] < 0 || touched, WRONG_VALUE);
-            MUST(place[i] >= 0 || !(pressure_pa[i] > skin.contact_pa), WRONG_VALUE);
+            MUST(place[i] >= 0 || !touched || !(pressure_pa[i] > skin.contact_pa), WRONG_VALUE);
             for (size_t n = 0; touched && n < NEAR; n++) {
                 int32_t beside = near[NEAR * i + n];
-                MUST(!(pressure_pa[beside] > skin.release_pa) || place[beside] == place[i], WRONG_VALUE);
+                bool presses = pressure_pa[beside] > skin.release_pa && !(status[beside] & skin.uncertain);
+                MUST(!presses || place[beside] == place[i], WRONG_VALUE);
             }
         }
         MUST(!count || in_contact == (size_t)starts[count], WRONG_VALUE);

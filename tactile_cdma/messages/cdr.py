@@ -42,7 +42,7 @@ class Heading(NamedTuple):
     @property
     def fields(self) -> bytes:
         """It as fields of a message; they begin at a multiple of 4."""
-        return self.stamp + _string(self.frame_id)
+        return self.stamp + string(self.frame_id)
 
     @property
     def stamp(self) -> bytes:
@@ -56,7 +56,7 @@ class Heading(NamedTuple):
 
 
 @lru_cache
-def _string(text: str) -> bytes:
+def string(text: str) -> bytes:
     """A string as a field, which begins at a multiple of 4."""
     data = text.encode(errors="replace")
     return b"%b%b\0" % (_COUNT.pack(len(data) + 1), data)
@@ -90,7 +90,7 @@ class CdrWriter:
         self.add(_COUNT.pack(length), 4)
 
     def text(self, text: str) -> None:
-        self.add(_string(text), 4)
+        self.add(string(text), 4)
 
     def array(self, values: NDArray[np.generic]) -> None:
         """Write a sequence of numbers (m,), or of points and the like (m, …), little-endian."""

@@ -4,6 +4,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.errors import SpecError
 from ..places.layout import Layout
 from .gather import Gatherer
-from .status import is_certain
 from .taxels import Coverage, Readings
 
 SMOOTHING_S = 0.05
@@ -44,33 +44,26 @@ class ContactThresholds:
 class Contacts:
     """The contacts of one frame, c of them, the strongest first.
 
-    coverage: how much of the patch was read.
-    ids: (c,) int64, from 1 on. age_s: (c,) float64, s since each began.
-    load_n: (c,) float64, Σ p·A, N. position_m: (c, 3) float64, centre of pressure Σ r·p·A / Σ p·A.
-    force_n: (c, 3) float64, force on the skin, Σ −normal·p·A, N.
-    torque_nm: (c, 3) float64, of these forces about the frame's origin, N·m.
-    area_m2: (c,) float64, of the taxels in contact. pressure_max_pa: (c,) float32.
+    coverage: how much of the patch was read. ids: (c,) int64, from 1 on.
+    age_s: (c,) float64, s since each began. moments: (c, 11) float64, see Gathered.
+    course: (c, 8) float64, position (m), force (N), and velocity (m/s) and force rate (N/s),
+        smoothed. normals: (c, 3) float64, unit vectors out of the skin, the taxels' normals
+        weighted by their forces. pressure_max_pa: (c,) float32.
     saturated: (c,) bool, a taxel is beyond its range.
     lower_bound: (c,) bool, force, area and pressure are at least this: a taxel in or beside the
         contact may carry more than it reads, or has no certain reading.
-    velocity_m_s: (c, 3) float64, of the position along the skin, smoothed.
-    force_rate_n_s: (c,) float64, rate of change of the force, smoothed.
     taxels: per contact the indices of its taxels, rising.
     """
 
     coverage: Coverage
     ids: NDArray[np.int64]
     age_s: Floats
-    load_n: Floats
-    position_m: Floats
-    force_n: Floats
-    torque_nm: Floats
-    area_m2: Floats
+    moments: Floats
+    course: Floats
+    normals: Floats
     pressure_max_pa: Floats32
     saturated: Bools
     lower_bound: Bools
-    velocity_m_s: Floats
-    force_rate_n_s: Floats
     taxels: list[Indices]
 
     def __len__(self) -> int:
@@ -87,9 +80,39 @@ class Contacts:
         return len(self) > 0
 
     @property
-    def normals(self) -> Floats:
-        """(c, 3) unit vectors out of the skin, the taxels' normals weighted by their forces."""
-        return -self.force_n / _length(self.force_n)[:, None]
+    def load_n(self) -> Floats:
+        """(c,) Σ p·A, N."""
+        return self.moments[:, 0]
+
+    @property
+    def position_m(self) -> Floats:
+        """(c, 3) centre of pressure Σ r·p·A / Σ p·A, m."""
+        return self.course[:, :3]
+
+    @property
+    def force_n(self) -> Floats:
+        """(c, 3) force on the skin, Σ −normal·p·A, N."""
+        return self.moments[:, 4:7]
+
+    @property
+    def torque_nm(self) -> Floats:
+        """(c, 3) of these forces about the frame's origin, N·m."""
+        return self.moments[:, 7:10]
+
+    @property
+    def area_m2(self) -> Floats:
+        """(c,) of the taxels in contact, m²."""
+        return self.moments[:, 10]
+
+    @property
+    def velocity_m_s(self) -> Floats:
+        """(c, 3) of the position along the skin, smoothed, m/s."""
+        return self.course[:, 4:7]
+
+    @property
+    def force_rate_n_s(self) -> Floats:
+        """(c,) rate of change of the force, smoothed, N/s."""
+        return self.course[:, 7]
 
     @property
     def untouched(self) -> bool:
@@ -106,43 +129,49 @@ class Contacts:
         return self.untouched or (self.touched and self.coverage.is_most)
 
     @property
+    def resultant(self) -> Floats:
+        """(10,) area (m²), centre (m), force (N), torque (N m) of all contacts, see below."""
+        if not self.touched or not self.has_resultant:
+            return _NOTHING if self.untouched else _UNKNOWN
+        total = self.moments.sum(axis=0)
+        total[1:4] /= total[0]
+        total[0] = total[10]
+        return np.asarray(total[:10])
+
+    @property
     def total_area_m2(self) -> float:
         """Area in contact, m²; NaN where has_resultant is False, as are the following."""
-        return float(self._sum(self.area_m2))
+        return float(self.resultant[0])
 
     @property
     def total_force_n(self) -> Floats:
         """(3,) resultant force on the skin, N."""
-        return self._sum(self.force_n)
+        return self.resultant[4:7]
 
     @property
     def total_torque_nm(self) -> Floats:
         """(3,) its torque about the frame's origin, N·m."""
-        return self._sum(self.torque_nm)
+        return self.resultant[7:]
 
     @property
     def wrench(self) -> Floats:
         """(6,) both, N and N·m."""
-        return np.concatenate([self.total_force_n, self.total_torque_nm])
+        return self.resultant[4:]
 
     @property
     def centre_m(self) -> Floats:
         """(3,) centre of pressure of all contacts, m; NaN if there are none, too."""
-        if not len(self) or not self.has_resultant:
-            return np.full(3, np.nan)
-        return np.asarray(self.load_n @ self.position_m / self.load_n.sum())
-
-    def _sum(self, of_contacts: Floats) -> Floats:
-        total = of_contacts.sum(axis=0)
-        return np.asarray(total if self.has_resultant else np.full_like(total, np.nan))
+        return self.resultant[1:4]
 
 
-_NO_READING = np.float32(np.nan)
-_NONE, _NOWHERE = np.zeros(0), np.zeros((0, 3))
-_NO_IDS, _NO_PEAKS, _NO_FLAGS = _NONE.astype(np.int64), _NONE.astype(np.float32), _NONE.astype(bool)
+_UNKNOWN = np.full(10, np.nan)
+_NOTHING = np.array([0.0, *[math.nan] * 3, *[0.0] * 6])
+for _constant in (_UNKNOWN, _NOTHING):
+    _constant.flags.writeable = False
+_NONE, _NO_FLAGS = np.zeros(0), np.zeros(0, dtype=bool)
 NO_CONTACTS = Contacts(
-    *(Coverage(), _NO_IDS, _NONE, _NONE, _NOWHERE, _NOWHERE, _NOWHERE, _NONE),
-    *(_NO_PEAKS, _NO_FLAGS, _NO_FLAGS, _NOWHERE, _NONE, []),
+    *(Coverage(), _NONE.astype(np.int64), _NONE, np.zeros((0, 11)), np.zeros((0, 8))),
+    *(np.zeros((0, 3)), _NONE.astype(np.float32), _NO_FLAGS, _NO_FLAGS, []),
 )
 
 
@@ -162,14 +191,14 @@ class ContactTracker:
         self.thresholds = thresholds
         self.next_id = first_id
         self._gatherer = Gatherer(layout)
-        self._contacts, self._course = NO_CONTACTS, _NO_COURSE
+        self._contacts = NO_CONTACTS
         self._readings: Readings | None = None
         self._used = thresholds
         self._t_s = math.nan
 
     def forget(self) -> None:
         """Start over: all contacts of the next frame are new."""
-        self._contacts, self._course = NO_CONTACTS, _NO_COURSE
+        self._contacts = NO_CONTACTS
         self._readings, self._t_s = None, math.nan
         self._gatherer.forget()
 
@@ -186,62 +215,38 @@ class ContactTracker:
         return self._contacts
 
     def _find(self, readings: Readings, passed_s: float) -> Contacts:
-        coverage, last = readings.coverage(self._used.contact_pa), self._contacts
-        if not coverage.is_whole:
-            certain_pa = np.where(is_certain(readings.status), readings.pressure_pa, _NO_READING)
-            readings = replace(readings, pressure_pa=certain_pa)
-        found = self._gatherer.gather(readings, self._used.contact_pa, self._used.release_pa)
-        count = len(found.starts)
-        if not count:
-            self._course = _NO_COURSE
-            is_same = not len(last) and coverage == last.coverage
-            return last if is_same else replace(NO_CONTACTS, coverage=coverage)
-        begins = found.starts.tolist()
-        ends = [*begins[1:], len(found.taxels)]
-        ids, age_s, then, torn = last.ids, last.age_s + passed_s, self._course, found.torn
-        sums = found.moments
-        position_m, force_n = sums[:, 1:4] / sums[:, :1], -sums[:, 4:7]
-        labels = np.arange(count).repeat(np.subtract(ends, begins))
-        goes_on = len(last) == count and np.array_equal(found.places, labels)
-        if not goes_on:  # as it does in most frames
+        last, used = self._contacts, self._used
+        found = self._gatherer.gather(readings, used.contact_pa, used.release_pa)
+        bounds, moments, torn = found.bounds, found.moments, found.torn
+        if not (count := len(moments)):
+            is_same = not len(last) and found.coverage == last.coverage
+            return last if is_same else replace(NO_CONTACTS, coverage=found.coverage)
+        ids, age_s, then = last.ids, last.age_s + passed_s, last.course
+        if not found.goes_on or len(last) != count:  # else, in most frames, all stay what they are
+            labels = np.arange(count).repeat(np.diff(bounds))
             origin, jumped = _origins(found.places, labels, len(last), count)
             new, torn = (origin < 0).nonzero()[0], torn | jumped
             # The last ones are of new contacts, whose origin is −1; their force rises from zero.
             ids, age_s = np.append(ids, 0)[origin], np.append(age_s, 0.0)[origin]
             then = np.concatenate([then, _NO_MOTION])[origin]
-            then[new, :3] = position_m[new]
+            then[new, :3] = moments[new, 1:4] / moments[new, :1]
             ids[new] = np.arange(self.next_id, self.next_id + len(new))
             self.next_id += len(new)
-        self._course = course = _course(position_m, force_n, then, torn, passed_s)
+        course, normals = _course(moments, then, torn, passed_s)
         return Contacts(
-            coverage=coverage,
-            ids=ids,
-            age_s=age_s,
-            load_n=sums[:, 0],
-            position_m=position_m,
-            force_n=force_n,
-            torque_nm=-sums[:, 7:10],
-            area_m2=found.area_m2,
-            pressure_max_pa=found.pressure_max_pa,
-            saturated=found.saturated,
-            lower_bound=found.lower_bound,
-            velocity_m_s=course[:, 4:7],
-            force_rate_n_s=course[:, 7],
-            taxels=[found.taxels[a:b] for a, b in zip(begins, ends, strict=True)],
+            *(found.coverage, ids, age_s, moments, course, normals),
+            *(found.pressure_max_pa, found.saturated, found.lower_bound),
+            taxels=[found.taxels[a:b] for a, b in pairwise(bounds)],
         )
 
     def _rest(self, passed_s: float) -> None:
         """Go on with the same contacts after passed_s in which no reading changed."""
-        if not len(self._contacts):
+        last = self._contacts
+        if not len(last):
             return
-        self._course = course = self._course.copy()
+        course = last.course.copy()
         course[:, 4:] *= _decay(passed_s)
-        self._contacts = replace(
-            self._contacts,
-            age_s=self._contacts.age_s + passed_s,
-            velocity_m_s=course[:, 4:7],
-            force_rate_n_s=course[:, 7],
-        )
+        self._contacts = replace(last, age_s=last.age_s + passed_s, course=course)
 
 
 def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple[Indices, Bools]:
@@ -268,22 +273,25 @@ def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple
     return np.array(origin), torn
 
 
-def _course(
-    position_m: Floats, force_n: Floats, then: Floats, torn: Bools, passed_s: float
-) -> Floats:
-    """(c, 8) position, m, force, N, velocity, m/s, and force rate, N/s, of every contact.
+def _course(moments: Floats, then: Floats, torn: Bools, passed_s: float) -> tuple[Floats, Floats]:
+    """The course, (c, 8), and normals, (c, 3), of contacts, see Contacts.
 
-    The latter are low-pass filtered differences of frames. then: (c, 8), those of the frame before.
+    Rates are low-pass filtered differences of frames. then: (c, 8), the course in the frame before.
     torn: (c,) bool, contacts that jumped without moving keep their rates.
     """
-    now, force = np.empty_like(then), _length(force_n)[:, None]
-    now[:, :3], now[:, 3:4], now[:, 4:] = position_m, force, then[:, 4:]
+    now = np.empty_like(then)
+    np.divide(moments[:, 1:4], moments[:, :1], out=now[:, :3])
+    forces_n = moments[:, 4:7]
+    # At least the smallest float, to be divided by.
+    lengths = np.maximum(np.sqrt(np.einsum("ij,ij->i", forces_n, forces_n)), _TINY)[:, None]
+    now[:, 3:4], now[:, 4:] = lengths, then[:, 4:]
+    normals = forces_n / -lengths
     if passed_s > 0:  # NaN in the very first frame
-        change, normals = now[:, 4:], force_n / force
-        gain = (1.0 - _decay(passed_s)) * ~torn[:, None]
+        change, gain = now[:, 4:], (1.0 - _decay(passed_s)) * ~torn[:, None]
         change += gain * ((now[:, :4] - then[:, :4]) / passed_s - change)
-        change[:, :3] -= (change[:, :3] * normals).sum(axis=1, keepdims=True) * normals
-    return now
+        velocity = change[:, :3]
+        velocity -= np.einsum("ij,ij->i", velocity, normals)[:, None] * normals
+    return now, normals
 
 
 def _decay(passed_s: float) -> float:
@@ -291,10 +299,5 @@ def _decay(passed_s: float) -> float:
     return math.exp(-passed_s / SMOOTHING_S)
 
 
-def _length(vectors: Floats) -> Floats:
-    """Lengths (c,) of vectors (c, 3), at least the smallest float, to be divided by."""
-    return np.asarray(np.maximum(np.sqrt(np.square(vectors).sum(axis=1)), _TINY))
-
-
 _TINY = np.finfo(np.float64).tiny
-_NO_COURSE, _NO_MOTION = np.zeros((0, 8)), np.zeros((1, 8))
+_NO_MOTION = np.zeros((1, 8))

@@ -13,8 +13,8 @@ from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..places.components import connected
 from ..places.layout import Layout
-from .status import Status
-from .taxels import Readings
+from .status import Status, is_certain
+from .taxels import Coverage, Readings
 
 RIM = 0.3
 """Fraction of the release threshold above which taxels adjacent to a contact add to its force.
@@ -27,21 +27,24 @@ zero is off by one count would add 8 % instead of 5 % (`make bench-contact`).
 class Gathered(NamedTuple):
     """The c contacts of a frame and their k taxels, the strongest contact first.
 
-    taxels: (k,) int, contact by contact, rising within each. places: (k,) int, the contact of each
-    in the frame before, −1 for none. starts: (c,) int, where each contact begins among these.
-    moments: (c, 10) float64, sums of load (N), load·position (N m), force of the skin (N) and its
-    torque (N m), pressed taxels beside the contact included. area_m2: (c,) float64.
-    pressure_max_pa: (c,) float32. saturated: (c,) bool, a taxel is. lower_bound: (c,) bool, a taxel
-    in or beside the contact may carry more than it reads: it is saturated, has no reading, or reads
-    less than nothing by as much as a contact is more. torn: (c,) bool, one of these had a reading
-    in the frame before and has none, or the other way round.
+    coverage: how much of the patch was read. goes_on: every taxel in contact was so before, in a
+    contact of the same index. taxels: (k,) int, contact by contact, rising within each. places:
+    (k,) int, the contact of each in the frame before, −1 for none. bounds: c + 1, where each
+    contact begins among these, and where the last ends. moments: (c, 11) float64, sums of load (N),
+    load·position (N m), force on the skin (N) and its torque (N m), pressed taxels beside the
+    contact included; and the contact's area (m²). pressure_max_pa: (c,) float32. saturated: (c,)
+    bool, a taxel is. lower_bound: (c,) bool, a taxel in or beside the contact may carry more than
+    it reads: it is saturated, has no reading, or reads less than nothing by as much as a contact is
+    more. torn: (c,) bool, one of these had a reading in the frame before and has none, or the other
+    way round.
     """
 
+    coverage: Coverage
+    goes_on: bool
     taxels: Indices
     places: Indices
-    starts: Indices
+    bounds: list[int]
     moments: Floats
-    area_m2: Floats
     pressure_max_pa: Floats32
     saturated: Bools
     lower_bound: Bools
@@ -64,17 +67,22 @@ class NumpyGatherer:
         self._place[:], self._unread[:] = -1, True
 
     def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        """The contacts of a frame; thresholds: see ContactThresholds."""
-        pressure_pa = readings.pressure_pa
+        """The contacts of a frame; thresholds: see ContactThresholds.
+
+        An uncertain reading counts as none.
+        """
+        coverage = readings.coverage(contact_pa)
+        certain = is_certain(readings.status)
+        pressure_pa = np.where(certain, readings.pressure_pa, np.float32(np.nan))
         before, self._unread = self._unread, np.isnan(pressure_pa)
         if not (pressure_pa > contact_pa).any() and (self._place < 0).all():
-            return _NOTHING
+            return _NOTHING._replace(coverage=coverage)
         taxels, labels, starts = self._touched(pressure_pa, contact_pa, release_pa)
         places = self._place[taxels]
         self._place[:] = -1
         self._place[taxels] = labels
         if not len(starts):
-            return _NOTHING
+            return _NOTHING._replace(coverage=coverage)
         saturated = readings.status[taxels] & _SATURATED > 0
         dim = self._unread | (readings.status & _SATURATED > 0) | (pressure_pa < -contact_pa)
         at_least = dim[taxels] | self._beside_any(dim, taxels)
@@ -85,11 +93,12 @@ class NumpyGatherer:
         rim, labels_of_rim = self._rim(pressure_pa, RIM * release_pa)
         np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
         return Gathered(
-            taxels,
-            places,
-            starts,
-            sums,
-            area_m2=np.add.reduceat(moments[:, 0], starts),
+            coverage,
+            goes_on=np.array_equal(places, labels),
+            taxels=taxels,
+            places=places,
+            bounds=[*starts.tolist(), len(taxels)],
+            moments=np.column_stack([sums, np.add.reduceat(moments[:, 0], starts)]),
             pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
             saturated=_any(saturated, starts),
             lower_bound=_any(at_least, starts),
@@ -145,6 +154,7 @@ class CompiledGatherer:
         self._scratch = np.empty((3, taxels), np.int32), np.empty(taxels)
         self._taxels = np.empty((2, taxels), np.int32)
         self._starts = np.empty(taxels + 1, np.int32)
+        self._tally = np.empty(4, np.int32)
         self._sums = np.empty((taxels, moments.shape[1] + 1))
         self._peak_pa = np.empty(taxels, np.float32)
         self._flags = np.empty((3, taxels), np.bool_)
@@ -158,19 +168,19 @@ class CompiledGatherer:
         """See NumpyGatherer."""
         assert kernel.compiled is not None
         count = kernel.compiled.gather_contacts(
-            contact_pa, release_pa, RIM * release_pa, Status.SATURATED, *self._skin,
+            contact_pa, release_pa, RIM * release_pa, *_FLAGS, *self._skin,
             readings.pressure_pa, readings.status, self._place, self._notes, *self._scratch,
-            self._taxels, self._starts, self._sums, self._peak_pa, self._flags,
+            self._taxels, self._starts, self._tally, self._sums, self._peak_pa, self._flags,
         )  # fmt: skip
+        *tally, moved = self._tally.tolist()
         if not count:
-            return _NOTHING
-        starts = self._starts[: count + 1].astype(np.intp)
-        taxels, places = self._taxels[:, : starts[-1]].astype(np.intp)
-        sums = self._sums[:count].copy()
-        return Gathered(
-            *(taxels, places, starts[:-1], sums[:, :-1], sums[:, -1]),
-            *(self._peak_pa[:count].copy(), *self._flags[:, :count].copy()),
-        )
+            return _NOTHING._replace(coverage=Coverage(*tally))
+        bounds = self._starts[: count + 1].tolist()
+        taxels, places = self._taxels[:, : bounds[-1]].astype(np.intp)
+        sums, peaks_pa = self._sums[:count].copy(), self._peak_pa[:count].copy()
+        flags = self._flags[:, :count].copy()
+        coverage, goes_on = Coverage(*tally), not moved
+        return Gathered(coverage, goes_on, taxels, places, bounds, sums, peaks_pa, *flags)
 
 
 Gatherer = NumpyGatherer if kernel.compiled is None else CompiledGatherer
@@ -179,11 +189,11 @@ Gatherer = NumpyGatherer if kernel.compiled is None else CompiledGatherer
 def moments_of(layout: Layout) -> Floats:
     """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
 
-    Force and torque along the normal, thus of the skin on the touching object.
+    Force and torque against the normal, thus on the skin.
     """
     area = layout.areas_m2.astype(np.float64)[:, None]
-    places, normals = layout.positions_m.astype(np.float64), layout.normals.astype(np.float64)
-    return np.hstack([area, area * places, area * normals, area * np.cross(places, normals)])
+    places, inwards = layout.positions_m.astype(np.float64), -layout.normals.astype(np.float64)
+    return np.hstack([area, area * places, area * inwards, area * np.cross(places, inwards)])
 
 
 def _any(flags: Bools, starts: Indices) -> Bools:
@@ -194,8 +204,9 @@ def _any(flags: Bools, starts: Indices) -> Bools:
 
 
 _SATURATED = np.uint8(Status.SATURATED)
+_FLAGS = Status.SATURATED, Status.LOW_SNR, Status.MASKED
 _NO_TAXELS, _NO_FLAGS = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool)
 _NOTHING = Gathered(
-    *(_NO_TAXELS, _NO_TAXELS, _NO_TAXELS, np.zeros((0, 10)), np.zeros(0)),
+    *(Coverage(), True, _NO_TAXELS, _NO_TAXELS, [0], np.zeros((0, 11))),
     *(np.zeros(0, dtype=np.float32), _NO_FLAGS, _NO_FLAGS, _NO_FLAGS),
 )

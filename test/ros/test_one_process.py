@@ -11,12 +11,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
 
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.msg import TactileArray, TactileBody
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.client import SkinClient
-from tactile_cdma.ros.common.qos import QUEUE
+from tactile_cdma.ros.common.qos import PICTURE, QUEUE
 from tactile_cdma.ros.driver import patches as patches_module
 from tactile_cdma.ros.driver.patches import PatchesNode
 from test.support.scripts import body_commands
@@ -52,6 +53,7 @@ def test_a_patch_that_fails_takes_no_other_with_it(
     arrays: dict[str, list[TactileArray]] = {name: [] for name in ("left", "right", "wrong")}
     bodies: list[TactileBody] = []
     said: dict[str, str] = {}
+    images: list[Image] = []
 
     def diagnosed(message: DiagnosticArray) -> None:
         said.update({status.name: status.message for status in message.status})
@@ -92,6 +94,10 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         after = len(arrays["left"])
         wait_for(lambda: len(arrays["left"]) > after + 5)  # starts again
         assert len(arrays["right"]) > before and has_no_gap(arrays["right"])
+
+        left.pictures._publishers = None  # looking for subscribers fails
+        client.create_subscription(Image, "/right/skin/heatmap", images.append, PICTURE)
+        wait_for(lambda: len(images) > 3)
 
         (tmp_path / "wrong.yaml").write_text(WRONG)  # mended
         wait_for(lambda: arrays["wrong"])

@@ -40,7 +40,7 @@ from .frames import FramePublishers
 from .mount import TF_STATIC, Mount, transform_of
 from .objects import ObjectsInput
 from .parameters import NodeParameters
-from .pictures import Pictures
+from .pictures import LOOK_S, Pictures
 from .services import RestServices
 from .stamps import Stamps
 
@@ -61,6 +61,8 @@ class SkinNode(ManagedNode):
     streams, deactivate stops and closes the port. With `autostart` the node does both by itself,
     and tries again for as long as the reason for a failure lasts. Decoding runs in the Driver's
     thread.
+
+    pictures: what people look at. look_timer: calls their `look`.
     """
 
     def __init__(self, **node_options: Any) -> None:
@@ -79,7 +81,7 @@ class SkinNode(ManagedNode):
         self._report = SkinReport(self.get_fully_qualified_name())
         stamps = Stamps(self, self._live)
         self._frames = FramePublishers(self, self._live, stamps)
-        self._pictures = Pictures(self, self._live, self._frames, stamps.at)
+        self.pictures = Pictures(self, self._live, self._frames, stamps.at)
         self._objects = ObjectsInput(self, self._live)
         self._mount = Mount(self, self._declared.offered(LATCHED, TF_STATIC))
         self._diagnostics_publisher = self.create_publisher(
@@ -91,6 +93,7 @@ class SkinNode(ManagedNode):
         RestServices(self, lambda: self._rest)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.look_timer = self.create_timer(LOOK_S, self.pictures.look, clock=steady)
         self._review_timer = self.create_timer(REVIEW_S, self._review, clock=steady)
         self._review_timer.cancel()
         self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
@@ -126,7 +129,7 @@ class SkinNode(ManagedNode):
             self._mount.show(values, config.layout)
         else:
             self._review_timer.reset()
-        self._pictures.change(values)
+        self.pictures.change(values)
 
     def _review(self) -> None:
         """Announce what configure would refuse: a combination, once all that was set is there.
@@ -190,7 +193,7 @@ class SkinNode(ManagedNode):
         self._heard = None
         self._rest.activate(self._driver)
         self._frames.start(config)
-        self._pictures.start(config)
+        self.pictures.start(config)
         self._driver.start(self._port)
         self._port = None  # the driver's now
         self._objects.start(self._driver)
@@ -265,7 +268,7 @@ class SkinNode(ManagedNode):
             self._driver.stop()
             self._rest.deactivate()
             self._driver = None
-        self._pictures.stop()
+        self.pictures.stop()
         self._frames.stop()
 
     # Publishing

@@ -23,8 +23,10 @@ from ...base.errors import TactileError
 from ...base.plain_text import plain
 from ...config.body_file import Patch, read_body
 from ..common.convert import diagnostic
+from ..common.failures import FAILURES
 from ..common.process import run_node
 from .node import SkinNode
+from .pictures import LOOK_S, Pictures
 
 RETRY_S, NEXT_S = 2.0, 0.02
 """Time between attempts to make a node, s; chosen as between those to start it. Time left to those
@@ -47,6 +49,8 @@ class PatchesNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._next = self.create_timer(NEXT_S, self._make_next, clock=steady)
         self._retry = self.create_timer(RETRY_S, self._try_again, clock=steady)
+        # One for all: every timer that comes has the executor look at all that all nodes have.
+        self.create_timer(LOOK_S, self._look, clock=steady)
 
     def destroy_node(self) -> None:
         """End the patches' nodes, too.
@@ -72,6 +76,7 @@ class PatchesNode(Node):
             self._failed.append(patch)
             self._report(patch.node, plain(str(error)) or type(error).__name__)
         else:
+            node.look_timer.cancel()
             self._nodes.append(node)
             assert self.executor is not None
             self.executor.add_node(node)
@@ -84,6 +89,10 @@ class PatchesNode(Node):
             self._next.reset()
         else:
             self._retry.cancel()
+
+    def _look(self) -> None:
+        for node in self._nodes:
+            FAILURES.survive(Pictures.look, node.pictures)
 
     def _report(self, name: str, fault: str) -> None:
         if self._faults.get(name) != fault:

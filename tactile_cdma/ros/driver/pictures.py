@@ -32,7 +32,7 @@ TOPICS = {
 }
 Drawings = Mapping[str, Callable[[TactileFrame, Heading], bytes]]
 LOOK_S = 0.25
-"""Interval of checks for subscribers, s, while there are none; chosen: nobody minds the wait."""
+"""Interval of `Pictures.look`, s; chosen: nobody minds the wait."""
 FADE_PERIODS, LEAST_FADE_S = 3, 1.0
 """Markers vanish that were not renewed for this many periods of pictures, and this many s. Chosen:
 two late pictures do not make them flicker."""
@@ -41,9 +41,9 @@ two late pictures do not make them flicker."""
 class Pictures:
     """Pictures of a skin, each drawn only while somebody subscribes.
 
-    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice; it
-    comes less often without subscribers. Its clock is steady, so that it goes on where simulated
-    time stands.
+    A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice, from
+    a `look` that finds subscribers until there are none. Its clock is steady, so that it goes on
+    where simulated time stands.
     """
 
     def __init__(
@@ -72,7 +72,6 @@ class Pictures:
         # somebody subscribes to them, in the driver's thread, which this spares.
         self._tracker = ContactTracker(config.layout, config.contact)
         self._drawings = _drawings(config, self._live, self._tracker)
-        self._turn_every(_period_s(self._live))
 
     def stop(self) -> None:
         """Draw nothing more of the stream."""
@@ -83,20 +82,28 @@ class Pictures:
         """Use other values of parameters; all of them, and they fit each other."""
         if self._drawings is not None:
             self._tracker.thresholds = contact_thresholds(values)
-            if _period_s(values) != _period_s(self._live):  # a timer that is reset comes late
-                self._turn_every(_period_s(values))
+            if not self._timer.is_canceled() and _period_s(values) != _period_s(self._live):
+                self._turn_every(_period_s(values))  # a timer that is reset comes late
+
+    def look(self) -> None:
+        """Draw from now on if somebody subscribes; to be called every LOOK_S."""
+        if self._drawings is not None and self._timer.is_canceled() and self._asked:
+            self._turn_every(_period_s(self._live))
+
+    @property
+    def _asked(self) -> list[str]:
+        """The topics that have subscribers."""
+        return [name for name, p in self._publishers.items() if p.get_subscription_count()]
 
     def _turn_every(self, period_s: float) -> None:
         self._timer.timer_period_ns = round(period_s * 1e9)
         self._timer.reset()
 
     def _turn(self) -> None:
-        asked = [name for name, p in self._publishers.items() if p.get_subscription_count()]
-        if asked:
+        if asked := self._asked:
             self._draw(asked)
-        period_s = _period_s(self._live) if asked else max(_period_s(self._live), LOOK_S)
-        if round(period_s * 1e9) != self._timer.timer_period_ns:
-            self._turn_every(period_s)
+        else:
+            self._timer.cancel()
 
     def _draw(self, topics: list[str]) -> None:
         latest = self._frames.latest  # with the heading of the frame's other messages

@@ -41,7 +41,9 @@ def frames(layout: Layout, seed: int, density: float) -> list[Readings]:
     for _ in range(20):
         changed = rng.random(len(layout)) < density
         pressure_pa = np.where(changed, rng.choice(LEVELS_PA, len(layout)), pressure_pa)
-        status = np.where(rng.random(len(layout)) < 0.05, Status.SATURATED, 0).astype(np.uint8)
+        status = np.zeros(len(layout), np.uint8)
+        for flag in (Status.SATURATED, Status.LOW_SNR, Status.MASKED):
+            status[rng.random(len(layout)) < 0.05] |= np.uint8(flag)
         found.append(Readings(pressure_pa.astype(np.float32), pressure_pa, status))
     return found
 
@@ -58,7 +60,9 @@ class Searched:
     def gather(self, readings: Readings) -> list[dict[str, Any]]:
         pressure_pa = dict(enumerate(readings.pressure_pa.tolist()))
         saturated = {i for i, bits in enumerate(readings.status) if bits & Status.SATURATED}
-        unread = {i for i, pa in pressure_pa.items() if np.isnan(pa)}
+        unread = {i for i, bits in enumerate(readings.status) if bits & Status.LOW_SNR}
+        unread |= {i for i, pa in pressure_pa.items() if np.isnan(pa)}
+        pressure_pa |= dict.fromkeys(unread, np.nan)
         dim = unread | saturated | {i for i, pa in pressure_pa.items() if pa < -CONTACT_PA}
         changed = unread ^ self.unread
         left, contacts = [i for i, pa in pressure_pa.items() if pa > RELEASE_PA], []
@@ -82,8 +86,10 @@ class Searched:
             {
                 "taxels": taxels,
                 "places": [before.get(i, -1) for i in taxels],
-                "moments": sum(self.moments[i] * pressure_pa[i] for i in taxels + rim[number]),
-                "area_m2": sum(self.moments[i, 0] for i in taxels),
+                "moments": [
+                    *sum(self.moments[i] * pressure_pa[i] for i in taxels + rim[number]),
+                    sum(self.moments[i, 0] for i in taxels),
+                ],
                 "pressure_max_pa": max(pressure_pa[i] for i in taxels),
                 "saturated": bool(saturated & set(taxels)),
                 "lower_bound": bool(dim & around),
@@ -106,18 +112,22 @@ def test_contacts_are_those_of_a_search(which: int, seed: int, density: float) -
             searched.held, searched.unread = {}, set(range(len(LAYOUTS[which])))
         found, *others = (each.gather(readings, CONTACT_PA, RELEASE_PA) for each in gatherers)
         for other in others:
-            for ours, theirs in zip(found, other, strict=True):
+            assert found[:2] == other[:2] and found.bounds == other.bounds
+            for ours, theirs in zip(
+                map(np.asarray, found[2:]), map(np.asarray, other[2:]), strict=True
+            ):
                 assert ours.dtype == theirs.dtype
                 np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-14)
         expected = searched.gather(readings)
-        assert len(found.starts) == len(expected)
-        ends = [*found.starts, len(found.taxels)]
+        assert len(found.moments) == len(expected) == len(found.bounds) - 1
+        labels = np.arange(len(expected)).repeat(np.diff(found.bounds))
+        assert found.goes_on == (found.places == labels).all()
         for contact, theirs in enumerate(expected):
-            own = slice(ends[contact], ends[contact + 1])
-            ours = {name: values[contact] for name, values in found._asdict().items()}
-            ours |= {"taxels": found.taxels[own], "places": found.places[own]}
+            own = slice(*found.bounds[contact : contact + 2])
             for name, value in theirs.items():
-                np.testing.assert_allclose(ours[name], value, rtol=1e-9, atol=1e-14, err_msg=name)
+                ours = getattr(found, name)[own if name in ("taxels", "places") else contact]
+                np.testing.assert_allclose(ours, value, rtol=1e-9, atol=1e-14, err_msg=name)
+        assert found.coverage == readings.coverage(CONTACT_PA)
 
 
 def test_a_whole_skin_is_one_contact_and_what_was_given_stays() -> None:
@@ -128,7 +138,7 @@ def test_a_whole_skin_is_one_contact_and_what_was_given_stays() -> None:
     kept = first.moments.copy()
     pressed.pressure_pa[:2048] = 0.0
     second = gatherer.gather(pressed, CONTACT_PA, RELEASE_PA)
-    assert (len(first.starts), len(first.taxels), len(second.taxels)) == (1, 4096, 2048)
+    assert (len(first.moments), len(first.taxels), len(second.taxels)) == (1, 4096, 2048)
     np.testing.assert_array_equal(first.moments, kept)
     assert first.moments[0, 0] == pytest.approx(2 * second.moments[0, 0])
 
