@@ -8,9 +8,9 @@
 
 size_t gap_values(const struct burst_search *search, size_t samples)
 {
-    size_t halves = samples / search->half;
+    size_t halves = samples / search->half, burst = halves + burst_scratch(halves);
 
-    return samples + 1 + halves + burst_scratch(halves);
+    return burst > samples + 1 ? burst : samples + 1;
 }
 
 size_t gap_scratch(const struct fit_code *code, const struct burst_search *search)
@@ -270,7 +270,7 @@ bool gap_look(const struct fit_code *code, const struct burst_search *search, co
               struct gap_seen *seen, enum gap_look *look, double *values, float *scratch)
 {
     size_t halves = size / search->half;
-    double *sums = values, *means = sums + size + 1, *rest = means + halves;
+    double *means = values, *rest = means + halves, *sums = values; /* sums once the burst is found */
     double behind = 0; /* the last half chip */
     struct burst_found *burst = &seen->burst;
     float *levels = scratch;

@@ -8,7 +8,7 @@
 #include "vectors.h"
 
 #define LANES 16 /* sums that are kept apart, so that they can be added at once */
-#define RULING_CHIPS 1000
+#define RULING_CHIPS 700
 
 VECTORS static double square_sum(const float *values, size_t size)
 {

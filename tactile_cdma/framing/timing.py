@@ -128,7 +128,8 @@ class SampleBuffer:
     def append(self, volts: Floats32, checked: bool = False) -> None:
         """Add the samples that follow. checked: see SampleBlock."""
         kept = self.end - self.begin
-        if self._at + kept + volts.size > self._store.size:
+        # At the front of the store, which the cache still holds, if that moves little.
+        if self._at > 4 * kept or self._at + kept + volts.size > self._store.size:
             self._make_room(kept + volts.size)
         place = self._at + kept
         store = self._store[place : place + volts.size]

@@ -163,7 +163,7 @@ class GapSearch(BurstSearch):
         code = self._code
         if code is None:
             return None
-        size = volts.size + 3 * (volts.size // self.half + 1)
+        size = max(volts.size, 3 * (volts.size // self.half)) + 2
         if self._values.size < size:
             self._values = np.empty(2 * size)
         place = (0.0, 0.0, 0.0, 0.0)
