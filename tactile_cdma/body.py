@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +20,11 @@ from .base.arrays import Floats32
 from .base.errors import PortError, RecordingEndError
 from .config.body_file import read_body
 from .config.parameters import DEFAULTS, SIMULATION
+from .config.python_arguments import argument, path_of, timeout
 from .messages.rounds import Rounds
 from .places.poses import Pose
 from .readings.status import Status
-from .skin import LOOK_S, TIMEOUT_S, Frame, Skin, check_timeout
+from .skin import LOOK_S, TIMEOUT_S, Frame, Skin
 
 STALE_S = 1.0
 """A patch without a frame for longer, s, and two of its frame periods at least, is missing; chosen
@@ -91,13 +91,12 @@ class Body:
         contacts: bool = False,
         timeout_s: float | None = TIMEOUT_S,
     ) -> None:
-        check_timeout(timeout_s)
-        found = read_body(Path(path))
-        self.path, self.timeout_s = Path(path), timeout_s
+        self.timeout_s, self.path = timeout("timeout_s", timeout_s), path_of("path", path)
+        found = read_body(self.path)
         self.skins: dict[str, Skin] = {}
         self.parts: dict[str, slice] = {}
         places, count = [], 0
-        for patch in found.only(only):
+        for patch in found.only(argument("only", only, "")):
             values = {**DEFAULTS, **patch.values}
             given = {"port": SIMULATION} | {k: v for k, v in patch.values.items() if v != ""}
             skin = Skin(**given, contacts=contacts)  # type: ignore[arg-type]

@@ -4,17 +4,18 @@
 
 from __future__ import annotations
 
+import reprlib
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .base.errors import CaptureError, ObservationError, ParameterError
-from .config.parameters import BY_NAME
+from .config.parameters import BY_NAME, unknown
+from .config.python_arguments import WHOLE_NS, argument, instance, path_of, seconds
 from .config.skin_config import CURVE_PARAMETERS, FRAME_PARAMETERS
 from .datasets.alignment import Present, Tick
 from .datasets.lerobot.features import cells, obstacle
@@ -80,9 +81,9 @@ class LiveObservation:
         self, dataset: str | PathLike[str] | DatasetMeta, skins: Skin | Mapping[str, Skin]
     ) -> None:
         if not isinstance(dataset, DatasetMeta):
-            dataset = DatasetMeta.read(Path(dataset))
+            dataset = DatasetMeta.read(path_of("dataset", dataset))
         self._meta = meta = dataset
-        self._skins = {next(iter(meta.slots)): skins} if isinstance(skins, Skin) else dict(skins)
+        self._skins = _by_name(skins, next(iter(meta.slots)))
         if self._skins.keys() != meta.slots.keys():
             names = ", ".join(meta.slots)
             raise ParameterError(
@@ -113,7 +114,7 @@ class LiveObservation:
 
         With contacts and wrench where all find contacts. Names become those of the export.
         """
-        by_name = {skins.config.skin: skins} if isinstance(skins, Skin) else skins
+        by_name = _by_name(skins)
         named = {feature_name(name): skin for name, skin in by_name.items()}
         if not named or len(named) < len(by_name):
             raise ParameterError(
@@ -130,10 +131,11 @@ class LiveObservation:
         patch: its name; may be missing where there is one. Raises CaptureError where it was not
         decoded by the export: of a bag, the driver's parameters are not known.
         """
-        meta = DatasetMeta.read(Path(dataset))
-        found = meta.about.get(patch or next(iter(meta.slots)), {}).get("parameters")
+        meta = DatasetMeta.read(path_of("dataset", dataset))
+        patch = _known(patch, meta.slots)
+        found = meta.about.get(patch, {}).get("parameters")
         if found is None:
-            raise CaptureError(f"{dataset}: no parameters of {patch or 'its patch'}: of a bag?")
+            raise CaptureError(f"{dataset}: no parameters of {patch}: of a bag?")
         return {name: value for name, value in found.items() if name in BY_NAME and name != "port"}
 
     @property
@@ -163,7 +165,10 @@ class LiveObservation:
             raise ParameterError(f"{self._meta.path} has no {key}")
         if isinstance(values, Mapping):
             names, values = tuple(values), list(values.values())
-        array = np.asarray(values, dtype=np.float32)
+        try:
+            array = np.asarray(values, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise ParameterError(f"{key} is {reprlib.repr(values)}; it must be numbers") from None
         given = tuple(names) or stream.names
         if array.shape != (len(given),) or (found := in_order(array, given, stream.names)) is None:
             raise ParameterError(
@@ -171,7 +176,7 @@ class LiveObservation:
                 f"{', '.join(stream.names)}"
             )
         now_ns = self._now_ns()
-        self._present.add(Sample(key, now_ns if stamp_ns is None else stamp_ns, now_ns, found))
+        self._present.add(Sample(key, _stamp(stamp_ns, now_ns), now_ns, found))
 
     def read(self, now: bool = False) -> dict[str, NDArray[Any]]:
         """The observation of the present, at once: arrays as the dataset has them, by feature.
@@ -182,6 +187,7 @@ class LiveObservation:
         begun, the state is too old, or, with --nan drop, a taxel has no valid reading. PortError
         if a skin is closed.
         """
+        argument("now", now, False)
         for name, skin in self._skins.items():
             for frame in skin.waiting():
                 self.take(frame, name)
@@ -202,15 +208,15 @@ class LiveObservation:
         patch: its name in the dataset; may be missing where there is one. stamp_ns: Unix time of
         its middle, if that is not t_host, as in a replay, and what it may be off by, s.
         """
-        patch = patch or next(iter(self._skins))
+        patch, frame = _known(patch, self._skins), instance("frame", frame, Frame)
         if stamp_ns is None:
             uncertainty_s = frame.stamp_uncertainty_s
-            stamp_ns = round(frame.t_host * NANO) + self._ahead_ns
+        stamp_ns = _stamp(stamp_ns, round(frame.t_host * NANO) + self._ahead_ns)
         touch = SkinFrame(
             sequence=frame.sequence,
             device_time_s=frame.t_device,
             wall_time_s=stamp_ns / NANO,
-            stamp_uncertainty_s=uncertainty_s,
+            stamp_uncertainty_s=seconds("uncertainty_s", uncertainty_s),
             noise_v=frame.noise_rms_v,
             pressure_pa=frame.pressure_pa,
             voltage_v=frame.voltage_v,
@@ -226,6 +232,7 @@ class LiveObservation:
 
         Raises ObservationError as read().
         """
+        time_ns = argument("time_ns", time_ns, 0, WHOLE_NS, "ns")
         row = self._present.row(Tick(time_ns, 0, self._present.done_ns))
         streams = self._meta.streams.values()
         reason = obstacle(row, streams, self._meta.policy, self._begin_ns, "this run")
@@ -257,6 +264,27 @@ class LiveObservation:
             raise ParameterError(
                 f"{self._meta.path} has contacts of {name}: open it with Skin(…, contacts=True)"
             )
+
+
+def _by_name(skins: Skin | Mapping[str, Skin], patch: str = "") -> dict[str, Skin]:
+    """Skins by their patches' names; patch: that of a single one, its own if it is empty."""
+    if isinstance(skins, Skin):
+        return {patch or skins.config.skin: skins}
+    return {
+        argument("a patch's name", name, ""): instance(f"skins[{name!r}]", skin, Skin)
+        for name, skin in instance("skins", skins, Mapping).items()
+    }
+
+
+def _known(patch: str, patches: Iterable[str]) -> str:
+    """The name of a patch; the first, if it is empty."""
+    if (patch := argument("patch", patch, "")) and patch not in patches:
+        raise ParameterError(unknown(patch, patches, "patch"))
+    return patch or next(iter(patches))
+
+
+def _stamp(stamp_ns: int | None, otherwise_ns: int) -> int:
+    return otherwise_ns if stamp_ns is None else argument("stamp_ns", stamp_ns, 0, WHOLE_NS, "ns")
 
 
 def _differences(name: str, skin: Skin, about: Mapping[str, Any]) -> Iterator[str]:

@@ -13,11 +13,10 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from os import PathLike, fspath
-from pathlib import Path
+from os import PathLike
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,7 +24,8 @@ from numpy.typing import NDArray
 
 from .base.arrays import Bools, Floats, Floats32, Int32s
 from .base.errors import ParameterError, PortError, RecordingEndError, Refusal, RestError
-from .config.parameters import BY_NAME, REPLAY, Value, Values, check_values, read_file
+from .config.parameters import BY_NAME, REPLAY, Value, Values, read_file
+from .config.python_arguments import argument, parameters_of, path_of, seconds, timeout
 from .config.skin_config import SkinConfig
 from .driver.digitizer import Source
 from .driver.driver import NOT_YET, Driver
@@ -165,11 +165,11 @@ class Skin:
         timeout_s: float | None = TIMEOUT_S,
         **parameters: Setting,
     ) -> None:
-        values: Values = _checked({"port": port, **parameters})
-        check_timeout(timeout_s)
-        self.config, self.port, self.timeout_s = SkinConfig.of(values), values["port"], timeout_s
+        self.contacts: bool = argument("contacts", contacts, False)
+        self.timeout_s = timeout("timeout_s", timeout_s)
+        values: Values = parameters_of({"port": port, **parameters})
+        self.config, self.port = SkinConfig.of(values), values["port"]
         self.parameters = values
-        self.contacts = contacts
         self._baud: int = values.get("baud", BY_NAME["baud"].default)
         self._opening = threading.Lock()  # one thread opens, closes or tares
         self._inbox = self._new_inbox()
@@ -221,6 +221,8 @@ class Skin:
         From another thread, which must not be held up: a listener sets an event, say.
         """
         self._running()
+        if not callable(listener):
+            raise ParameterError(f"listener is {listener!r}; it must be a function")
         return self._inbox.telling(listener)
 
     def open(self, patiently: bool = False) -> Skin:
@@ -228,6 +230,7 @@ class Skin:
 
         Raises PortError if the port cannot be opened; patiently: it is tried again then.
         """
+        argument("patiently", patiently, False)
         with self._opening:
             if self._driver is None:
                 port = None if patiently else Port(self.port, self._baud, self.layout)
@@ -305,6 +308,8 @@ class Skin:
         skin that fell silent is not taken for one that feels what it felt last.
         """
         self._running()
+        if max_age_s is not None:
+            max_age_s = seconds("max_age_s", max_age_s)
         inbox = self._inbox
         with inbox.changed:
             inbox.all()
@@ -346,7 +351,8 @@ class Skin:
         the program, and is tared there. Raises RestError, with its reason, if no frames arrive and,
         without force, while something touches or moves the skin; PortError if the skin is not open.
         """
-        end_s = time.monotonic() + wait_s
+        force = argument("force", force, False)
+        end_s = time.monotonic() + seconds("wait_s", wait_s)
         while True:
             try:
                 return self._tare(force)
@@ -416,8 +422,6 @@ class _Framing:
     """Makes the frames that programs get."""
 
     def __init__(self, config: SkinConfig, contacts: bool) -> None:
-        if not isinstance(contacts, bool):
-            raise ParameterError(f"contacts is {contacts!r}; it must be True or False")
         self._layout = config.layout
         self._tracker = ContactTracker(config.layout, config.contact) if contacts else None
 
@@ -559,9 +563,9 @@ class Decoder:
     """
 
     def __init__(self, *, contacts: bool = False, **parameters: Setting) -> None:
-        config = SkinConfig.of(_checked(parameters))
+        config = SkinConfig.of(parameters_of(parameters))
+        self._framing = _Framing(config, argument("contacts", contacts, False))
         self._pipeline = Pipeline(config, background=False)
-        self._framing = _Framing(config, contacts)
 
     @property
     def layout(self) -> Layout:
@@ -582,9 +586,17 @@ class Decoder:
 
     def feed(self, data: bytes | bytearray | memoryview, t_host: float) -> list[Frame]:
         """Frames that these bytes complete; t_host: when they were read, monotonic, s."""
-        if not math.isfinite(t_host):
-            raise ValueError(f"t_host is {t_host}; it must be a time in s, as of time.monotonic()")
-        return self._shown(self._pipeline.feed(memoryview(data).tobytes(), t_host))
+        if not math.isfinite(t_host := argument("t_host", t_host, 0.0, unit="s")):
+            raise ParameterError(f"t_host is {t_host}; it must be a time in s, as time.monotonic()")
+        try:
+            view = memoryview(data)
+        except TypeError:
+            view = None
+        if view is None or view.itemsize != 1:
+            raise ParameterError(
+                f"data is a {type(data).__name__}; it must be bytes of a digitizer"
+            )
+        return self._shown(self._pipeline.feed(view.tobytes(), t_host))
 
     def flush(self) -> list[Frame]:
         """Frames that still waited for what follows them: call it where the bytes end."""
@@ -599,7 +611,7 @@ def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
 
     Raises ParameterError, naming file and line, for anything else and for wrong values.
     """
-    return read_file(Path(path))
+    return read_file(path_of("path", path))
 
 
 def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
@@ -609,23 +621,7 @@ def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
     taken as the bytes of a port, at time 0. Raises CaptureError, when the first bytes are asked
     for, if the file cannot be read.
     """
-    return read_bytes(Path(path))
-
-
-def check_timeout(timeout_s: float | None) -> None:
-    """Raises ParameterError unless it is above 0 s, or None."""
-    if timeout_s is not None and not (isinstance(timeout_s, float | int) and timeout_s > 0):
-        raise ParameterError(f"timeout_s is {timeout_s!r}; it must be above 0 s, or None")
-
-
-def _checked(parameters: Mapping[str, object]) -> dict[str, Value]:
-    """Parameters in their own types; paths and numpy's scalars and arrays are taken, too."""
-    plain: dict[str, object] = {}
-    for name, value in parameters.items():
-        if isinstance(value, np.generic | np.ndarray):
-            value = value.tolist()
-        plain[name] = fspath(value) if isinstance(value, PathLike) else value
-    return check_values(plain)
+    return read_bytes(path_of("path", path))
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

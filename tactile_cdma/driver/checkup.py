@@ -49,6 +49,8 @@ LATE_S, LATE_PERIODS = 0.05, 2.0
 two frames and a scheduler's hiccup."""
 BUSY_SHARE = 0.8
 """Share of a core above which the driver's thread has no reserve left; chosen."""
+FULL_SHARE = 0.9
+"""Share of a core above which the threads of a process wait for each other; chosen."""
 DRIFT_PPM = 300.0
 """Largest difference of two sound clocks. Chosen: 3 × that of two 50 ppm crystals."""
 BROKEN_SHARE = 0.1
@@ -240,6 +242,12 @@ def host(window: Window, drivers: int) -> Iterator[Finding]:
             "or publish less"
         )
         yield Finding(text, key="busy")
+    elif window.process_share > FULL_SHARE:
+        text = (
+            f"its process takes {window.process_share:.0%} of a core, and Python uses hardly more: "
+            "let fewer patches share it (process: in the body file), simulated ones least of all"
+        )
+        yield Finding(text, key="full")
 
 
 def rivals(drivers: int) -> str:

@@ -18,15 +18,18 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
+from rclpy.validate_topic_name import validate_topic_name
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 from tactile_cdma.srv import Tare
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import MessageError, ParameterError, PortError
+from ..config.python_arguments import argument, instance, seconds
 from ..readings.status import is_certain
 from .common.convert import places_of, readings_of
 from .common.qos import FRESH, LATCHED
@@ -34,6 +37,8 @@ from .common.touches import STATE, Touches
 
 SILENT_S = 0.5
 """A skin that has sent nothing for longer, s, is not felt any more; chosen for control."""
+LONGEST_S = 86_400.0
+"""Longest time that a program can ask for, s; chosen: a day."""
 ANSWER_S = 5.0
 """Longest wait for a service, s, besides what was asked of it; chosen: discovery takes a second."""
 SETTLED_S = 0.3
@@ -131,8 +136,15 @@ class SkinClient:
         frames: bool = False,
         silent_after_s: float = SILENT_S,
     ) -> None:
-        if not 0 < silent_after_s < math.inf:
-            raise ParameterError(f"silent_after_s is {silent_after_s}; it must be above 0 s")
+        instance("node", node, Node)
+        skin = _node_name(skin)
+        if not (on_touch is None or callable(on_touch)):
+            raise ParameterError(f"on_touch is {on_touch!r}; it must be a function")
+        if not 0 < seconds("silent_after_s", silent_after_s) <= LONGEST_S:
+            raise ParameterError(
+                f"silent_after_s is {silent_after_s:g} s; it must be above 0, and at most "
+                f"{LONGEST_S:g} s"
+            )
         self.info: TactileSkinInfo | None = None
         self._places = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.float32)
         self._fault = ""  # of the last message, if it was refused
@@ -146,7 +158,7 @@ class SkinClient:
             TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True
         ).topic_name
         subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
-        if frames:
+        if argument("frames", frames, False):
             subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
         self._tare = node.create_client(Tare, f"{skin}/tare")
         self._get_state = node.create_client(GetState, f"{skin}/get_state")
@@ -197,11 +209,11 @@ class SkinClient:
 
         Returns the answer, with success, message and reason. Raises PortError without one.
         """
-        return self._call(self._tare, Tare.Request(force=force, wait=wait_s), wait_s)
+        return self._call(self._tare, _tare_request(force, wait_s), wait_s)
 
     def tare_async(self, force: bool = False, wait_s: float = 0.0) -> Future:
         """The same, for callbacks: a future of the answer, which is not done without a driver."""
-        return self._tare.call_async(Tare.Request(force=force, wait=wait_s))
+        return self._tare.call_async(_tare_request(force, wait_s))
 
     def state(self) -> str:
         """Of the driver's lifecycle: unconfigured, inactive, active, …; raises PortError."""
@@ -209,7 +221,7 @@ class SkinClient:
 
     def change(self, transition: str) -> bool:
         """Ask for one of TRANSITIONS; returns whether it succeeded. Raises PortError."""
-        if (number := TRANSITIONS.get(transition)) is None:
+        if (number := TRANSITIONS.get(argument("transition", transition, ""))) is None:
             raise ParameterError(f"no transition {transition!r}: {', '.join(TRANSITIONS)}")
         request = ChangeState.Request(transition=Transition(id=number))
         return bool(self._call(self._change_state, request).success)
@@ -260,3 +272,20 @@ class SkinClient:
             yield
         except MessageError as error:
             self._fault = str(error)
+
+
+def _node_name(name: str) -> str:
+    """The name of a driver's node, without a slash at its end; ParameterError: it is none."""
+    name = argument("skin", name, "").rstrip("/")
+    try:
+        validate_topic_name(name)
+    except InvalidTopicNameException:
+        raise ParameterError(
+            f"skin is {name!r}, which is not a node's name; names look like /left_palm/skin"
+        ) from None
+    return name
+
+
+def _tare_request(force: bool, wait_s: float) -> Tare.Request:
+    wait_s = argument("wait_s", wait_s, 0.0, (0.0, LONGEST_S), "s")
+    return Tare.Request(force=argument("force", force, False), wait=wait_s)

@@ -9,11 +9,13 @@ of s that depends on both surfaces; there the same sum, with the shares of the s
 Newton's method, which finds its kinks, too.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..base.arrays import Floats
+from ..config.python_arguments import argument, instance
 from .indenters import Foundation, Indenter, Near, Spans
 
 DEEPEST_M = 0.02
@@ -36,7 +38,8 @@ def at_force(
     along: unit vector into the skin. An object that cannot have the force within DEEPEST_M, as it
     lies beside the skin or goes right through its cover, stays where it is.
     """
-    way = np.array(along, dtype=np.float64)
+    _check(cover, thing, force_n)
+    way = np.array(argument("along", along, (0.0, 0.0, 0.0), (-1.0, 1.0)))
     near = cover.near(thing)
     if _is_along(near, way):
         shift_m = _flat_shift_m(thing, near, thing.spans_m(near.points_m, near.normals), force_n)
@@ -83,6 +86,7 @@ def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
     """
     pressed = []
     for thing, force_n, along in presses:
+        _check(cover, thing, force_n)
         near = cover.near(thing)
         if is_along := _is_along(near, np.array(along)):
             moved = thing
@@ -94,6 +98,12 @@ def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
         depth_m = np.where(spans_m[1] > shift_m, np.maximum(shift_m - spans_m[0], 0.0), 0.0)
         pressed.append((near, thing.stiffness_pa_per_m * depth_m))
     return cover.mean_pa(pressed)
+
+
+def _check(cover: Foundation, thing: Indenter, force_n: float) -> None:
+    instance("cover", cover, Foundation)
+    instance("thing", thing, Indenter)
+    argument("force_n", force_n, 0.0, (0.0, math.inf), "N")
 
 
 def _is_along(near: Near, way: Floats) -> bool:

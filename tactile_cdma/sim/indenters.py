@@ -18,6 +18,7 @@ import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import ParameterError
+from ..config.python_arguments import argument, array_of, instance
 from ..places.layout_shapes import tangents
 from ..places.poses import Pose
 
@@ -56,25 +57,21 @@ class Indenter(ABC):
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
-        _positive(f"stiffness_pa_per_m of {kind}", self.stiffness_pa_per_m, MOST_PA_PER_M)
-        for name, count in self.LENGTHS.items():
-            lengths_m = np.ravel(getattr(self, name))
-            if len(lengths_m) != count:
-                raise ParameterError(
-                    f"{name} of {kind} has {len(lengths_m)} values; it must have {count}"
-                )
-            for length_m in lengths_m.tolist():
-                _positive(f"{name} of {kind}", length_m, MOST_M)
-        if len(self.position_m) != 3 or len(self.orientation_xyzw) != 4:
-            raise ParameterError(f"{kind}: a position has 3 values, an orientation has 4")
+        amounts = [("stiffness_pa_per_m", 1, MOST_PA_PER_M, "Pa/m")]
+        amounts += [(name, count, MOST_M, "m") for name, count in self.LENGTHS.items()]
+        for name, count, most, unit in amounts:
+            like = 0.0 if count == 1 else (0.0,) * count
+            if not np.all(found := self._checked(name, like, (0.0, most), unit)):
+                raise ParameterError(f"{name} of {kind} is {found}; it must be above 0")
+        self._checked("position_m", (0.0,) * 3, (-MOST_M, MOST_M), "m")
+        self._checked("orientation_xyzw", (0.0,) * 4)
         try:
             _ = self.pose
         except ValueError as error:
             raise ParameterError(f"{kind}: {error}") from None
-        if max(map(abs, self.position_m)) > MOST_M:
-            raise ParameterError(
-                f"position_m of {kind} is {tuple(self.position_m)}; it must be within {MOST_M:g} m"
-            )
+
+    def _checked(self, name: str, like: float | tuple[float, ...], *about: Any) -> Any:
+        return argument(f"{name} of {type(self).__name__}", getattr(self, name), like, *about)
 
     @cached_property
     def pose(self) -> Pose:
@@ -238,6 +235,11 @@ class HeightMap(Indenter):
     heights_m: Floats
     cell_m: float
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if min(array_of("heights_m", self.heights_m, ("rows", "columns")).shape) < 2:
+            raise ParameterError(f"heights_m is {self.heights_m.shape}; it must be 2 × 2 or more")
+
     @property
     def _reach_m(self) -> float:
         rows, columns = self.heights_m.shape
@@ -272,9 +274,11 @@ class Foundation:
         aspect: float = 1.0,
     ) -> None:
         """positions_m, normals: (t, 3), m, in the skin's frame. aspect: width over height."""
+        taxels = len(array_of("positions_m", positions_m, ("taxels", 3)))
         self._positions_m = positions_m.astype(np.float64)
-        self._normals = normals.astype(np.float64)
-        self.areas_m2 = areas_m2.astype(np.float64)
+        self._normals = array_of("normals", normals, (taxels, 3)).astype(np.float64)
+        self.areas_m2 = array_of("areas_m2", areas_m2, (taxels,)).astype(np.float64)
+        aspect = argument("aspect", aspect, 1.0, (1e-3, 1e3))
         edge_m = np.sqrt(self.areas_m2)[:, None, None]
         wide_m, tall_m = edge_m * math.sqrt(aspect), edge_m / math.sqrt(aspect)
         self._corners_m = np.hypot(wide_m, tall_m).ravel() / 2  # how far they are from the centres
@@ -300,7 +304,8 @@ class Foundation:
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
         """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
         pressed = []
-        for indenter in indenters:
+        for indenter in instance("indenters", indenters, Sequence):
+            instance("an indenter", indenter, Indenter)
             near = self.near(indenter)
             depth_m = indenter.depth_m(near.points_m, near.normals)
             pressed.append((near, indenter.stiffness_pa_per_m * depth_m))
@@ -388,8 +393,3 @@ def _between(grid: Floats, row: Floats, column: Floats) -> Floats:
     below = grid[top + 1, left] * (1 - right) + grid[top + 1, left + 1] * right
     inside = (abs(down - 0.5) <= 0.5) & (abs(right - 0.5) <= 0.5)
     return np.where(inside, above * (1 - down) + below * down, np.nan)
-
-
-def _positive(name: str, value: float, most: float) -> None:
-    if not 0 < value <= most:
-        raise ParameterError(f"{name} is {value}; it must be above 0, and {most:g} at most")

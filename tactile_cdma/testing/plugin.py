@@ -10,6 +10,7 @@ more options of its URL, from a marker:
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -84,12 +85,11 @@ class SimulatedDriver:
         from ..ros.client import SkinClient
         from ..skin import Skin
 
-        Skin(**parameters)  # a driver would only wait for better ones
+        known = Skin(**parameters).parameters  # a driver would only wait for better ones
         folder = ends.enter_context(tempfile.TemporaryDirectory())
-        given = [
-            f"{name}:={value}" for name, value in ({"state_folder": folder} | parameters).items()
-        ]
-        words = [word for one in given for word in ("-p", one)]
+        # Quoted, for a text that YAML would read as something else.
+        given = {"state_folder": folder, **known}.items()
+        words = [word for name, value in given for word in ("-p", f"{name}:={json.dumps(value)}")]
         command = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args", *words]
         self.process = subprocess.Popen(command)
         ends.callback(self._end)
@@ -126,6 +126,9 @@ class SimulatedDriver:
 
     def step(self, *objects: Indenter, timeout_s: float = 5.0) -> Touch:
         """Let these objects, and no others, touch the skin for one frame; returns what it feels."""
+        from ..config.python_arguments import seconds
+
+        timeout_s = seconds("timeout_s", timeout_s)
         self._touches.clear()
         self._ask(objects)
         self._spin_until(lambda: self._touches, timeout_s)
@@ -156,9 +159,17 @@ class SimulatedDriver:
 
 def _parameters(request: pytest.FixtureRequest) -> dict[str, Any]:
     """Of the skin that a test's marker asks for, its port among them."""
+    from ..config.python_arguments import argument, parameters_of
+
     marker = request.node.get_closest_marker(MARKER)
     parameters = dict(marker.kwargs) if marker else {}
-    options = [f"{own}={parameters[name]}" for name, own in _OF_BOTH.items() if name in parameters]
-    if more := parameters.pop("sim", ""):
-        options.append(more)
+    sim = argument("sim", parameters.pop("sim", ""), "")
+    parameters = parameters_of(parameters)
+    options = [
+        f"{own}={str(parameters[name]).strip('()')}"
+        for name, own in _OF_BOTH.items()
+        if name in parameters
+    ]
+    if sim:
+        options.append(sim)
     return {"port": "&".join([PORT, *options])} | parameters

@@ -107,6 +107,16 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         assert SkinClient(client, "/left/skin").change("deactivate")
         wait_for(lambda: "/left/skin" in bodies[-1].absent)
         silent = bodies[-1]
+        ending = patches_module.SkinNode.destroy_node
+
+        def destroyed(node: patches_module.SkinNode) -> None:
+            """What takes DDS long comes when no digitizer needs to be stopped any more."""
+            streaming.append(sum(each._driver is not None for each in host._nodes))
+            ending(node)
+
+        streaming: list[int] = []
+        monkeypatch.setattr(patches_module.SkinNode, "destroy_node", destroyed)
+    assert streaming == [0] * 4
     assert np.isnan(silent.pressure[:16]).all() and np.isfinite(silent.pressure[16:]).all()
     assert set(silent.status[:16]) == {TactileArray.STATUS_STALE}
     assert message.header.frame_id == "torso"

@@ -26,6 +26,7 @@ def test_another_skin(simulated_skin):
     assert frame.grid.shape == (4, 6) and math.isnan(frame.pressure_pa[2])
     assert not frame.touched and not frame.untouched
 
+@pytest.mark.simulated_skin(pitch_mm=(7.0, 7.0), skin="7")
 def test_a_node(simulated_driver):
     touch = simulated_driver.step(BALL)
     assert touch.is_sure and touch.touched and math.isclose(-touch.force_n[2], 0.62, abs_tol=0.05)

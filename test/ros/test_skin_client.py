@@ -3,6 +3,9 @@
 """SkinClient beside a real driver: touch and its validity, frames, tare, lifecycle."""
 
 import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,11 +47,24 @@ def test_touch_is_sure_while_it_is_felt_and_never_while_the_skin_is_silent() -> 
         assert not skin.change("deactivate"), "not possible now"
         assert skin.change("activate")
         wait_for(lambda: skin.touch.is_sure)
-        with pytest.raises(ParameterError, match="no transition 'start': configure, activate"):
-            skin.change("start")
-        for silent_s in (0.0, -1.0, np.nan):
-            with pytest.raises(ParameterError, match="silent_after_s is"):
-                SkinClient(node, silent_after_s=silent_s)
+        wrong: tuple[tuple[str, Callable[[Any], object], Iterable[Any]], ...] = (
+            ("node", SkinClient, (None, "skin", True)),
+            ("skin", partial(SkinClient, node), (None, 5, "", "/", "left palm", b"x")),
+            ("on_touch", partial(SkinClient, node, "/skin"), ("feel", 5)),
+            ("frames", lambda x: SkinClient(node, frames=x), ("no", 1, None)),
+            (
+                "silent_after_s",
+                lambda x: SkinClient(node, silent_after_s=x),
+                (0, -1.0, np.nan, "1"),
+            ),
+            ("force", skin.tare, ("no", 1, None)),
+            ("wait_s", lambda x: skin.tare_async(wait_s=x), (-1.0, np.nan, np.inf, "1", 1e300)),
+            ("transition", skin.change, (None, [], 3, "start")),
+        )
+        for name, call, values in wrong:
+            for value in values:
+                with pytest.raises(ParameterError, match=name):
+                    call(value)
 
 
 def test_a_skin_that_is_blind_in_part_is_not_sure_of_anything() -> None:

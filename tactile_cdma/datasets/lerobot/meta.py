@@ -89,7 +89,7 @@ class DatasetMeta:
 def _content(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise CaptureError(
             f"{path}: not read: {reason}; is its folder a dataset of tactile-cdma export --lerobot?"

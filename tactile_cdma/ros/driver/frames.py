@@ -17,7 +17,7 @@ from ...driver.pipeline import TactileFrame
 from ...messages.cdr import Heading, tactile_array
 from ...readings.baseline import Baseline
 from ...readings.contact import ContactThresholds, ContactTracker
-from ..common.convert import UNKNOWN_WRENCH, skin_info, wrench_stamped
+from ..common.convert import UNKNOWN_WRENCH, is_known, skin_info, wrench_stamped
 from ..common.qos import LATCHED, RELIABLE
 from .contacts import contacts_message
 from .stamps import Stamps
@@ -98,9 +98,10 @@ class FramePublishers:
             return
         self._is_tracking = True
         found = self._tracker.update(frame.readings, frame.t_middle)
-        if heading and wrench and (self._live[UNKNOWN_WRENCH] or found.has_resultant):
+        if heading and wrench:
             force_n, torque_nm = found.total_force_n, found.total_torque_nm
-            self._wrench.publish(wrench_stamped(heading, force_n, torque_nm))
+            if self._live[UNKNOWN_WRENCH] or is_known(force_n, torque_nm):
+                self._wrench.publish(wrench_stamped(heading, force_n, torque_nm))
         if heading and contacts:
             self._contacts.publish(
                 contacts_message(found, frame, self._patch, heading, self._info_id)

@@ -209,25 +209,35 @@ class SkinNode(ManagedNode):
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the configuration, so that every parameter can change."""
-        self._release()
+        self.release()
         return super().on_cleanup(state)
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything."""
-        self._release()
+        self.release()
         return super().on_shutdown(state)
 
     @reported
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fall back to unconfigured."""
-        self._release()
+        self.release()
         self._last_failure = f"internal error while {state.label}, see the log"
         return TransitionCallbackReturn.SUCCESS
 
+    def release(self) -> None:
+        """Stop the digitizer, join the driver's thread, keep tare and drift, close the port."""
+        self._start_timer.cancel()
+        self._stop_driver()
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+        self._rest, self._declared.fixed = None, False
+        self._mount.release()
+
     def destroy_node(self) -> None:
         """Join the driver's thread before its publishers go."""
-        self._release()
+        self.release()
         super().destroy_node()
 
     def _start(self) -> None:
@@ -260,15 +270,6 @@ class SkinNode(ManagedNode):
             self._driver = None
         self.pictures.stop()
         self._frames.stop()
-
-    def _release(self) -> None:
-        self._start_timer.cancel()
-        self._stop_driver()
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-        self._rest, self._declared.fixed = None, False
-        self._mount.release()
 
     # Publishing
 

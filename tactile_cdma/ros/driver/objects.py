@@ -12,6 +12,7 @@ from tactile_cdma.msg import SimObject, SimObjects
 
 from ...base.errors import ParameterError, TactileError
 from ...config.parameters import Values
+from ...config.python_arguments import instance
 from ...driver.driver import Driver
 from ...sim.indenters import (
     STIFFNESS_PA_PER_M,
@@ -107,16 +108,17 @@ def sim_objects(objects: Sequence[Indenter]) -> SimObjects:
 
 
 def _message(thing: Indenter) -> SimObject:
-    message = SimObject(stiffness=float(thing.stiffness_pa_per_m))
+    stiffness = float(instance("an object", thing, Indenter).stiffness_pa_per_m)
+    message = SimObject(stiffness=stiffness)
     where, turned = message.pose.position, message.pose.orientation
     where.x, where.y, where.z = map(float, thing.position_m)
     turned.x, turned.y, turned.z, turned.w = map(float, thing.orientation_xyzw)
     match thing:
         case Sphere():
-            message.shape, message.size = SimObject.SPHERE, [thing.radius_m]
+            message.shape, message.size = SimObject.SPHERE, [float(thing.radius_m)]
         case Cylinder() | Capsule():
             kind = SimObject.CYLINDER if isinstance(thing, Cylinder) else SimObject.CAPSULE
-            message.shape, message.size = kind, [thing.radius_m, thing.length_m]
+            message.shape, message.size = kind, [float(thing.radius_m), float(thing.length_m)]
         case Box() | Ellipsoid():
             kind = SimObject.BOX if isinstance(thing, Box) else SimObject.ELLIPSOID
             message.shape, message.size = kind, [float(edge) for edge in thing.size_m]

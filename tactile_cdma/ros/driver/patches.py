@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -27,8 +28,9 @@ from ..common.process import run_node
 from .node import SkinNode
 from .pictures import LOOK_S, Pictures
 
-RETRY_S = 2.0
-"""Time between attempts to make a node, s; chosen as between those to start it."""
+RETRY_S, NEXT_S = 2.0, 0.02
+"""Time between attempts to make a node, s; chosen as between those to start it. Time left to those
+that are made before the next one is, which takes 0.1 s or more, s; chosen."""
 
 
 class PatchesNode(Node):
@@ -40,38 +42,53 @@ class PatchesNode(Node):
 
     def __init__(self, patches: Sequence[Patch]) -> None:
         super().__init__("patches", namespace=f"/{patches[0].name}")
-        self._missing = list(patches)
+        self._untried, self._failed = deque(patches), list[Patch]()
         self._faults: dict[str, str] = {}  # by node
         self._nodes: list[SkinNode] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
-        self._first = self.create_timer(0.0, self._make, clock=steady)
-        self._timer = self.create_timer(RETRY_S, self._make, clock=steady)
+        self._next = self.create_timer(NEXT_S, self._make_next, clock=steady)
+        self._retry = self.create_timer(RETRY_S, self._try_again, clock=steady)
         # One for all: every timer that comes has the executor look at all that all nodes have.
         self.create_timer(LOOK_S, self._look, clock=steady)
 
     def destroy_node(self) -> None:
-        """End the patches' nodes, too."""
+        """End the patches' nodes, too.
+
+        All drivers first: DDS takes minutes to forget the topics of a hundred patches, and what
+        started this process may kill it meanwhile.
+        """
+        for node in self._nodes:
+            node.release()
         for node in self._nodes:
             node.destroy_node()
         super().destroy_node()
 
-    def _make(self) -> None:
-        """Make the nodes that are missing; report those that cannot be made."""
-        self._first.cancel()
-        for patch in list(self._missing):
-            try:
-                node = made(patch)
-            except Exception as error:  # whatever it is, it is this patch's
-                self._report(patch.node, plain(str(error)) or type(error).__name__)
-                continue
-            self._missing.remove(patch)
+    def _make_next(self) -> None:
+        """Make the node of one patch; report it if it cannot be made."""
+        if not self._untried:
+            self._next.cancel()
+            return
+        patch = self._untried.popleft()
+        try:
+            node = made(patch)
+        except Exception as error:  # whatever it is, it is this patch's
+            self._failed.append(patch)
+            self._report(patch.node, plain(str(error)) or type(error).__name__)
+        else:
             node.look_timer.cancel()
             self._nodes.append(node)
             assert self.executor is not None
             self.executor.add_node(node)
-        if not self._missing:
-            self._timer.cancel()
+        self._next.reset()  # the callbacks of those that are made come first
+
+    def _try_again(self) -> None:
+        self._untried.extend(self._failed)
+        self._failed.clear()
+        if self._untried:
+            self._next.reset()
+        else:
+            self._retry.cancel()
 
     def _look(self) -> None:
         for node in self._nodes:

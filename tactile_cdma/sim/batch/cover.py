@@ -10,9 +10,10 @@ import numpy as np
 
 from ...base.arrays import Floats
 from ...base.errors import ParameterError
+from ...config.python_arguments import instance
 from ...places.layout import Layout
 from ..indenters import Axis, Foundation, HeightMap, Indenter, Spans
-from .standard import Array, array_api
+from .standard import Array, array_api, described, floating, is_array
 
 AT_ONCE = 1 << 15
 """Points × environments that numpy takes at once. Chosen: they stay in a core's cache, which makes
@@ -39,7 +40,7 @@ class BatchCover:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self.areas_m2 = layout.areas_m2.astype(np.float64)
+        self.areas_m2 = instance("layout", layout, Layout).areas_m2.astype(np.float64)
         places = layout.positions_m, layout.normals, layout.areas_m2
         points_m = Foundation(*places, layout.aspect).points_m
         self._per_taxel = points_m.shape[1]
@@ -67,15 +68,18 @@ class BatchCover:
         """
         if not isinstance(thing, Indenter) or isinstance(thing, HeightMap):
             raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
-        count = getattr(position_m, "shape", ())[:1]
+        floating("position_m", position_m)
+        count = position_m.shape[:1]
         for name, array, rest in (
             ("position_m", position_m, (3,)),
             ("orientation_xyzw", orientation_xyzw, (4,)),
             ("force_n", force_n, ()),
         ):
-            shape = getattr(array, "shape", None)
-            if array is not None and (not shape or tuple(shape) != (*count, *rest)):
-                raise ParameterError(f"{name} is {shape or array!r}; it must be {('e', *rest)}")
+            if array is None:
+                continue
+            if not is_array(array, (*count, *rest)) or 0 in array.shape:
+                raise ParameterError(f"{name} is {described(array)}; it must be {('e', *rest)}")
+            floating(name, array)
         given, envs = (position_m, orientation_xyzw, force_n), position_m.shape[0]
         few = max(1, AT_ONCE // len(self._points_m))
         if envs <= few or not array_api().is_numpy_array(position_m):

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ...base.arrays import Floats32
 from ...base.errors import ParameterError, SpecError
+from ...config.python_arguments import argument, instance
 from ...config.skin_config import SkinConfig
 from ...readings.baseline import Baseline
 from ...readings.calibration import AdcScale
@@ -34,7 +35,7 @@ from ...words.health import NodeHealth
 from ..nodes import rest_codes
 from ..options import Setup, SimOptions
 from ..sensor import delayed, followed
-from .standard import Array, array_api
+from .standard import Array, array_api, described, floating, is_array
 
 PUBLISHING_S = 1e-3
 """From a frame's last sample to a subscriber, s: more than the median of make bench-ros."""
@@ -42,6 +43,8 @@ MOST_READINGS = 1 << 26
 """Codes × taxels of the table. Chosen: 0.6 GB; words of 16 bits of 1,024 taxels."""
 AT_ONCE = 1 << 20
 """Codes × nodes that are read at once. Chosen: some 50 MB."""
+MOST_ENVS, MOST_DELAY_FRAMES = 1 << 31, 1 << 16
+"""Chosen, far above what memory holds."""
 _NEVER = -(1 << 30)
 """Number of the frame in which a node spoke that was never heard."""
 
@@ -108,18 +111,17 @@ class SkinBatch:
         tared: bool = False,
     ) -> None:
         array_api()  # where it is missing this is told first
-        options, spec = SimOptions.from_url(simulator), config.spec
+        spec = instance("config", config, SkinConfig).spec
+        options = SimOptions.from_url(argument("simulator", simulator, ""))
         _check(config, options)
-        if not (isinstance(envs, int | np.integer) and envs >= 1):
-            raise ParameterError(f"envs is {envs!r}; it must be a whole number, 1 or more")
         least = math.ceil(delay_s(config) / spec.frame_period_s)
-        self.delay_frames = least if delay_frames is None else delay_frames
-        if not (isinstance(self.delay_frames, int | np.integer) and self.delay_frames >= 0):
-            raise ParameterError(f"delay_frames is {delay_frames!r}; it must be a whole number")
-        self.config, self.envs, self.taxels = config, envs, len(config.layout)
+        late = least if delay_frames is None else delay_frames
+        self.delay_frames: int = argument("delay_frames", late, 0, (0, MOST_DELAY_FRAMES))
+        self.envs: int = argument("envs", envs, 1, (1, MOST_ENVS))
+        self.config, self.taxels = config, len(config.layout)
         self._sensors, self._rules = options.sensors, options.rules(spec)
         self._stale_frames = math.floor(config.stale_after_s / spec.frame_period_s + 1e-6)
-        self._tables = _Tables.of(config, options, tared)
+        self._tables = _Tables.of(config, options, argument("tared", tared, False))
         self._here: _Tables | None = None  # the same as arrays of the kind that begin was given
         self._xp: Any = None
         self._kind: type = type(None)  # of these arrays; another one may be of the same library
@@ -131,9 +133,8 @@ class SkinBatch:
         a few in 10⁵ that differ by one. heard: every node has been heard before, as a second after
         a driver's start. Not to be called inside of jit.
         """
-        xp = self._xp = array_api().array_namespace(like)
-        if not xp.isdtype(like.dtype, "real floating"):
-            raise ParameterError(f"SkinBatch takes arrays of floating numbers, not {like.dtype}")
+        argument("heard", heard, False)
+        xp = self._xp = floating("like", like)
         here, self._kind = self._tables.moved(xp, like), type(like)
         self._here = here
         shape = self.envs, self.taxels
@@ -158,9 +159,9 @@ class SkinBatch:
         dead in this frame. deviates: (e, t), standard normal, for sensor_noise; drawn by the
         caller, as each library does that its own way.
         """
+        self._check_state("state", state)
         xp, here, rules = self._xp, self._here, self._rules
-        if here is None:
-            raise ParameterError("call SkinBatch.begin before SkinBatch.step")
+        assert here is not None
         self._check_array("pressure_pa", pressure_pa)
         is_dead = xp.isnan(pressure_pa) | (here.dies <= state.number)
         pressure_pa = xp.where(pressure_pa > 0, pressure_pa, here.zero)
@@ -181,10 +182,10 @@ class SkinBatch:
 
     def reset(self, state: BatchState, fresh: BatchState, done: Array) -> BatchState:
         """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave."""
-        if tuple(done.shape) != (self.envs,) or not self._xp.isdtype(done.dtype, "bool"):
-            raise ParameterError(
-                f"done is {tuple(done.shape)} of {done.dtype}; it must be ({self.envs},) of bool"
-            )
+        self._check_state("state", state)
+        self._check_state("fresh", fresh)
+        if not is_array(done, (self.envs,)) or not self._xp.isdtype(done.dtype, "bool"):
+            raise ParameterError(f"done is {described(done)}; it must be ({self.envs},) of bool")
         where, done = self._xp.where, done[:, None]
 
         def chosen(new: Any, old: Any) -> Any:
@@ -234,11 +235,24 @@ class SkinBatch:
         """Raises ParameterError unless it is one of those that begin prepared for."""
         assert self._here is not None
         shape, kind = (self.envs, self.taxels), self._here.zero.dtype
-        same = type(array) is self._kind or array_api().array_namespace(array) is self._xp
-        if not same or array.dtype != kind or tuple(array.shape) != shape:
+        same = is_array(array, shape) and (
+            type(array) is self._kind or array_api().array_namespace(array) is self._xp
+        )
+        if not same or array.dtype != kind:
             raise ParameterError(
-                f"{name} is {tuple(array.shape)} of {array.dtype}; as begun, it must be {shape} of "
-                f"{kind}, of the same library"
+                f"{name} is {described(array)}; as begun, it must be {shape} of {kind}, of the "
+                "same library"
+            )
+
+    def _check_state(self, name: str, state: BatchState) -> None:
+        """Raises ParameterError unless it is one of this batch's, as it was begun last."""
+        if self._here is None:
+            raise ParameterError("call SkinBatch.begin first: it says of which kind arrays are")
+        instance(name, state, BatchState)
+        self._check_array(f"{name}.lagged_pa", state.lagged_pa)
+        if len(state.late) != self.delay_frames:
+            raise ParameterError(
+                f"{name} is {len(state.late)} frames late, and this batch {self.delay_frames}"
             )
 
 

@@ -2,8 +2,10 @@
 
 """The array API standard: one set of functions for numpy, torch, JAX and others."""
 
+import reprlib
 from typing import Any
 
+from ...base.errors import ParameterError
 from ...base.optional import needed_for
 
 Array = Any
@@ -15,3 +17,26 @@ def array_api() -> Any:
     with needed_for("SkinBatch", "array_api_compat"):
         import array_api_compat
     return array_api_compat
+
+
+def is_array(array: object, shape: tuple[int, ...]) -> bool:
+    """Whether it is an array of a library that follows the standard, and of this shape."""
+    found: bool = array_api().is_array_api_obj(array)
+    return found and tuple(array.shape) == shape  # type: ignore[attr-defined]
+
+
+def floating(name: str, array: Array) -> Any:
+    """The namespace of an array of real floating numbers; ParameterError: it is none."""
+    api = array_api()
+    if api.is_array_api_obj(array):
+        xp = api.array_namespace(array)
+        if xp.isdtype(array.dtype, "real floating"):
+            return xp
+    raise ParameterError(f"{name} is {described(array)}; it must be an array of floating numbers")
+
+
+def described(array: object) -> str:
+    """Shape and type of what was given as an array."""
+    if not array_api().is_array_api_obj(array):
+        return f"{reprlib.repr(array)} ({type(array).__name__})"
+    return f"{tuple(array.shape)} of {array.dtype}"  # type: ignore[attr-defined]

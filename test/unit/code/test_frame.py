@@ -75,8 +75,8 @@ def test_chips_follow_the_definition_for_any_number_of_nodes(
     spec = FrameSpec(nodes=nodes, chip_s=1e-6, drive=drive, polarity=polarity, sign_seed=seed)
     rng = np.random.default_rng(seed)
     codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.7
-    own = spec.signs[:, None] * spec.book.rows(spec.rows)  # (n, N), of ±1
-    sent = (2 * word_bits(codes, 10).astype(int) - 1)[:, :, None] * own[:, None, :]  # (n, k, N)
-    level = 0.3 * (sent if drive == "bipolar" else (sent + 1) / 2)
-    expected = polarity * level[active].sum(axis=0)
+    own = spec.signs[:, None] * spec.book.rows(spec.rows).astype(float)  # (n, N), of ±1
+    bits = 2 * word_bits(codes, 10).astype(int) - 1  # (n, k), of ±1
+    total = bits[active].T @ own[active]  # (k, N): of all who speak
+    expected = polarity * 0.3 * (total if drive == "bipolar" else (total + active.sum()) / 2)
     assert np.allclose(line_chips(spec, codes, active), expected, atol=1e-5 * nodes)

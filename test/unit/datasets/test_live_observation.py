@@ -115,7 +115,7 @@ def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
         time.sleep(0.8)
         with pytest.raises(ObservationError, match=r"observation.state .* had stopped"):
             observation.read()
-    with pytest.raises(CaptureError, match="no parameters of its patch"):
+    with pytest.raises(CaptureError, match="no parameters of skin: of a bag"):
         LiveObservation.parameters(dataset)
 
 

@@ -183,6 +183,9 @@ def test_a_thread_without_reserve_is_told() -> None:
     assert list(checkup.host(window_with(thread_share=0.79), 1)) == []
     [finding] = checkup.host(window_with(thread_share=0.85), 1)
     assert finding.level == Level.WARN and "85% of a core" in finding.text
+    [finding] = checkup.host(window_with(thread_share=0.3, process_share=0.95), 1)
+    assert "its process takes 95% of a core" in finding.text and "fewer patches" in finding.text
+    assert list(checkup.host(window_with(thread_share=0.3, process_share=0.85), 1)) == []
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tactile_cdma.base.errors import ParameterError
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane
 from tactile_cdma.places.poses import Pose
@@ -181,31 +180,6 @@ def test_what_reaches_below_a_surface_may_touch_what_is_around(shape: str) -> No
         assert may_touch[reached].all()
         assert not may_touch.all()
     assert pressed > 500
-
-
-@pytest.mark.parametrize(
-    ("make", "reason"),
-    [
-        (lambda: Sphere(radius_m=0.0, position_m=(0, 0, 0)), "radius_m of Sphere is 0"),
-        (lambda: Sphere(radius_m=1.0, position_m=(0, math.nan, 0)), "not a translation"),
-        (lambda: Sphere(radius_m=1.0, position_m=(0, 0)), "a position has 3 values"),
-        (
-            lambda: Sphere(radius_m=1.0, position_m=(0, 0, 0), orientation_xyzw=(0, 0, 0, 0)),
-            "not a rotation",
-        ),
-        (
-            lambda: Sphere(radius_m=1.0, position_m=(0, 0, 0), stiffness_pa_per_m=-1.0),
-            "stiffness_pa_per_m of Sphere is -1",
-        ),
-        (lambda: Sphere(radius_m=1.0, position_m=(0, 2e3, 0)), "within 1000 m"),
-        (lambda: Sphere(radius_m=1e9, position_m=(0, 0, 0)), "1000 at most"),
-        (lambda: Box(size_m=(1, 1), position_m=(0, 0, 0)), "must have 3"),
-        (lambda: Cylinder(radius_m=1, length_m=math.inf, position_m=(0, 0, 0)), "length_m"),
-    ],
-)
-def test_what_cannot_be_is_refused(make: Callable[[], Indenter], reason: str) -> None:
-    with pytest.raises(ParameterError, match=reason):
-        make()
 
 
 def objects(seed: int) -> list[Indenter]:

@@ -185,13 +185,10 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
         SkinBatch(config, 1, "sim://?warming=20")
     with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):
         SkinBatch(config, 1, "sim://?nodes=12")
-    for envs, delay in ((0, 1), (2.5, 1), (1, -1), (1, 0.5)):
-        with pytest.raises(ParameterError, match=r"is (0|2\.5|-1|0\.5); it must be a whole number"):
-            SkinBatch(config, envs, delay_frames=delay)  # type: ignore[arg-type]
     batch = SkinBatch(config, 2, "sim://?sensor_noise=0.01")
-    with pytest.raises(ParameterError, match="begin before"):
+    with pytest.raises(ParameterError, match=r"call SkinBatch\.begin first"):
         batch.step(None, np.zeros((2, 16)))  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match="floating numbers, not int64"):
+    with pytest.raises(ParameterError, match=r"like is \(\) of int64; .* floating numbers"):
         batch.begin(np.zeros((), np.int64))
     state = batch.begin(np.zeros(()))
     for wrong in (
@@ -279,7 +276,7 @@ def test_what_is_unknown_presses_with_nan_and_what_is_no_pose_is_refused() -> No
         felt_pa = cover.pressure_pa(ball, places_m, turned, force_n)
         assert np.isnan(felt_pa).all(axis=1).tolist() == [False, True, False]
         array[1] = array[0]
-    for bad in ({"position_m": places_m[0]}, {"orientation_xyzw": places_m}, {"force_n": 2.0}):
+    for bad in ({"orientation_xyzw": places_m}, {"force_n": 2.0}):
         with pytest.raises(ParameterError, match=f"{next(iter(bad))} is .* it must be"):
             cover.pressure_pa(ball, **({"position_m": places_m} | bad))  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="knows no str"):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_cdma import Body, BodyError, Frame, ParameterError, PortError, Skin, Status
+from tactile_cdma import Body, BodyError, Frame, PortError, Skin, Status
 
 pytestmark = pytest.mark.xdist_group("public_skin")
 FILE = """
@@ -76,8 +76,6 @@ def test_a_body_of_which_nothing_comes_names_every_reason(file: Path) -> None:
     with Body(file, only="away", timeout_s=0.3) as body, pytest.raises(PortError) as silent:
         body.read()
     assert "away: " in str(silent.value) and "/dev/no_such_port" in str(silent.value)
-    with pytest.raises(ParameterError, match="timeout_s is -1"):
-        Body(file, timeout_s=-1)
     with pytest.raises(BodyError, match="no patch 'lft'"):
         Body(file, only="lft")
     with pytest.raises(PortError, match="not open"):

@@ -3,7 +3,6 @@
 """Live frames without ROS: contacts, the latest frame, async loops, a tare that waits."""
 
 import asyncio
-import math
 import time
 from pathlib import Path
 
@@ -115,10 +114,9 @@ def test_an_async_loop_gets_every_frame_while_other_tasks_run(tmp_path: Path) ->
 def test_a_tare_waits_for_what_passes_and_no_longer() -> None:
     idle = "sim://?scene=idle&heartbeat=2"
     with Skin(idle, nodes=16) as skin:  # not read for a second yet
-        for no_time_s in (0.0, math.nan):
-            with pytest.raises(RestError) as early:
-                skin.tare(wait_s=no_time_s)
-            assert early.value.reason == Refusal.EARLY
+        with pytest.raises(RestError) as early:
+            skin.tare(wait_s=0.0)
+        assert early.value.reason == Refusal.EARLY
         assert skin.tare(wait_s=10.0).shape == (16,)
     with Skin("sim://?scene=press&heartbeat=2&speed=4", nodes=16) as skin:
         while np.nanmax(skin.newest().pressure_pa, initial=0.0) < 5e3:

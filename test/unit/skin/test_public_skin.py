@@ -4,12 +4,10 @@
 
 import doctest
 import gc
-import math
 import os
 import sys
 import threading
 import time
-from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -165,10 +163,6 @@ def test_a_decoder_that_cannot_decode_says_so() -> None:
     decoder = Decoder(nodes=16)
     decoder.feed(b"\x01garbage\x00" * 100, t_host=1.0)
     assert decoder.problem is not None and "in 900 bytes" in decoder.problem
-    with pytest.raises(ValueError, match="t_host is nan"):
-        decoder.feed(b"", t_host=math.nan)
-    with pytest.raises(TypeError):
-        decoder.feed("text", t_host=1.0)  # type: ignore[arg-type]
 
 
 def test_a_slow_program_loses_the_oldest_frames_and_is_told(
@@ -230,12 +224,6 @@ def test_wrong_parameters_are_refused_by_name_and_limit() -> None:
         Decoder(bits=99)
     with pytest.raises(SpecError):
         Skin("sim://", nodes=16, frame_period_ms=1.0)
-    for timeout_s in (0, -1.0, math.nan, "5"):
-        with pytest.raises(ParameterError, match="timeout_s is "):
-            Skin("sim://", timeout_s=timeout_s)  # type: ignore[arg-type]
-    for skin in (partial(Skin, "sim://"), Decoder):
-        with pytest.raises(ParameterError, match="contacts is 'no'"):
-            skin(contacts="no")  # type: ignore[operator]
 
 
 def test_paths_and_numpy_s_numbers_are_parameters_too() -> None:

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Checks what programs hand to the public classes, by the rules for parameters.
+
+numpy's scalars and arrays are taken for Python's numbers and lists, paths for texts; a truth value
+is no number, and a text no truth value. All raise ParameterError.
+"""
+
+import math
+import reprlib
+from collections.abc import Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import ParameterError
+from .parameters import Parameter, Value, check_values
+
+T = TypeVar("T")
+WHOLE_NS = (-(2**63), 2**63 - 1)
+"""Limits of times of int64, ns."""
+_NOT_NEGATIVE = (0.0, math.inf)
+
+
+def parameters_of(given: Mapping[str, object]) -> dict[str, Value]:
+    """Parameters by name, in their own types."""
+    return check_values({name: _plain(value) for name, value in given.items()})
+
+
+def argument(
+    name: str,
+    value: object,
+    like: Value,
+    limits: tuple[float, float] | None = None,
+    unit: str = "",
+) -> Any:
+    """A value in the type of `like`, of a tuple also in its length; limits are inclusive."""
+    return Parameter(name, like, "", unit, limits).check(_plain(value))
+
+
+def seconds(name: str, value: object) -> float:
+    """A time span, s: 0 or more, also infinite."""
+    return float(argument(name, value, 0.0, _NOT_NEGATIVE, "s"))
+
+
+def timeout(name: str, value: object) -> float | None:
+    """A time span, s, above 0; None for none."""
+    if value is not None and seconds(name, value) == 0:
+        raise ParameterError(f"{name} is 0 s; it must be above 0 s, or None")
+    return None if value is None else seconds(name, value)
+
+
+def path_of(name: str, value: object) -> Path:
+    """A path, as one or as a text."""
+    return Path(argument(name, value, ""))
+
+
+def instance(name: str, value: T, kind: type[Any]) -> T:
+    """The value, if it is one of a class."""
+    if not isinstance(value, kind):
+        raise ParameterError(
+            f"{name} is {reprlib.repr(value)} ({type(value).__name__}); it must be of "
+            f"{kind.__module__.partition('.')[0]}'s {kind.__name__}"
+        )
+    return value
+
+
+def array_of(name: str, value: object, shape: tuple[int | str, ...]) -> NDArray[Any]:
+    """An array of floating numbers; a text in its shape stands for any length."""
+    array: NDArray[Any] = np.asarray(instance(name, value, np.ndarray))
+    fits = len(array.shape) == len(shape) and all(
+        isinstance(wanted, str) or length == wanted
+        for length, wanted in zip(array.shape, shape, strict=True)
+    )
+    if not fits or array.dtype.kind != "f":
+        sizes = " × ".join(map(str, shape))
+        raise ParameterError(
+            f"{name} is {array.shape} of {array.dtype}; it must be {sizes} floating numbers"
+        )
+    return array
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return fspath(value) if isinstance(value, PathLike) else value
