@@ -13,10 +13,9 @@ static const struct field sparse_fields[] = {
     OF_DETECTION(swing),     OF_DETECTION(least),      OF_DETECTION(soft_noise), OF_DETECTION(slope),
     OF_DETECTION(log_odds),  OF_DETECTION(hard_share), OF_DETECTION(settled),    OF_DETECTION(near),
     OF_DETECTION(negligible), OF_DETECTION(stalled),   OF_DETECTION(turns),      OF_RULES(capacity),
-    OF_RULES(most_noise),    OF_RULES(more),           OF_RULES(tolerance),      OF_RULES(chance),
-    OF_RULES(faintest),
-    OF_RULES(chance_of_bit), OF_RULES(hiding),         OF_RULES(weight),         OF_RULES(silent_square),
-    OF_RULES(silent_power),  OF_RULES(alike),
+    OF_RULES(most_noise),    OF_RULES(more),           OF_RULES(tolerance),      OF_RULES(faintest),
+    OF_RULES(chance),        OF_RULES(chance_of_bit),  OF_RULES(hiding),         OF_RULES(weight),
+    OF_RULES(silent_square), OF_RULES(silent_power),   OF_RULES(alike),
 };
 
 const struct layout sparse_layout = LAYOUT(sparse_rules, sparse_fields);

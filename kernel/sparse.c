@@ -130,7 +130,8 @@ static bool hides_nodes(const struct sparse *sparse, double noise, double more)
     return 3 * sparse->rules.chance * noise + more > sparse->swing2;
 }
 
-/* Whether the words leave no more than noise that hides nobody, in any bit, and no others would leave nearly as little. */
+/* Whether the words leave no more than noise that hides nobody, in any bit, and no others would leave
+ * nearly as little. */
 static bool words_explain(const struct sparse *sparse, double noise)
 {
     const struct sparse_rules *rules = &sparse->rules;
@@ -144,8 +145,8 @@ static bool words_explain(const struct sparse *sparse, double noise)
         power += detector->power[bit] / (double)bits;
     }
     return count <= rules->capacity && power < rules->most_noise && !hides_nodes(sparse, noise, more) &&
-           !all_are_faint(sparse) && mean < noise * (1 + rules->chance) + more && most < noise * (1 + rules->chance_of_bit) + more &&
-           are_told_apart(sparse, noise);
+           !all_are_faint(sparse) && mean < noise * (1 + rules->chance) + more &&
+           most < noise * (1 + rules->chance_of_bit) + more && are_told_apart(sparse, noise);
 }
 
 /* Whether the row of anyone who did not speak holds more than noise (V², of a level); see rises in amplitude.py. */

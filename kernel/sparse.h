@@ -8,12 +8,13 @@
 #include "detect.h"
 
 /* Of the certificate, from capacity on, as in sparse_timing.py. chance, chance_of_bit: shares by which the noise of a
- * frame and of a bit may be off; most_noise, hiding: mean squares of what is left, V²; faintest: V; silent_square, V², silent_power:
- * see rises in amplitude.py. */
+ * frame and of a bit may be off; most_noise, hiding: mean squares of what is left, V²; faintest: V;
+ * silent_square, V², silent_power: see rises in amplitude.py. */
 struct sparse_rules {
     struct detect_rules detect;
     size_t capacity;
-    double most_noise, more, tolerance, faintest, chance, chance_of_bit, hiding, weight, silent_square, silent_power;
+    double most_noise, more, tolerance, faintest, chance, chance_of_bit, hiding, weight;
+    double silent_square, silent_power;
     bool alike; /* codes of those who speak may add up to nothing */
 };
 

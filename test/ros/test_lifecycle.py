@@ -198,8 +198,8 @@ def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: P
     [
         ({"_watch_of_port": 1}, "configure", UNCONFIGURED),
         ({"_stop_driver": 1}, "deactivate", UNCONFIGURED),
-        ({"_release": 1}, "shutdown", UNCONFIGURED),
-        ({"_release": 2}, "shutdown", FINALIZED),
+        ({"release": 1}, "shutdown", UNCONFIGURED),
+        ({"release": 2}, "shutdown", FINALIZED),
     ],
 )
 def test_a_defect_in_a_transition_ends_no_node(
