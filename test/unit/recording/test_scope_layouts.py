@@ -6,7 +6,6 @@ The layouts are those of the makers' manuals and of files in public repositories
 """
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -375,12 +374,11 @@ def test_zeros_at_the_end_of_text_are_no_raw_bytes(tmp_path: Path) -> None:
 def test_a_long_file_costs_little_more_than_its_numbers(tmp_path: Path) -> None:
     rows = [f"{i * 1e-6:.6f},{(i % 97) / 97:.4f},," for i in range(100_000)]
     path = write(tmp_path / "long.csv", text("Time (s),CH1 (V),,", rows=rows))
-    spent_s: dict[bool, float] = {}  # the least of three
-    for reads in [False, True] * 3:
+    ratios = []
+    for _ in range(9):  # by turns: a processor's speed changes
         begun = process_time()
-        if reads:
-            assert read_scope_csv(path).rate_hz == pytest.approx(1e6)
-        else:
-            np.loadtxt(rows, delimiter=",", usecols=[0, 1], comments=None)
-        spent_s[reads] = min(process_time() - begun, spent_s.get(reads, math.inf))
-    assert spent_s[True] < 4 * spent_s[False]
+        np.loadtxt(rows, delimiter=",", usecols=[0, 1], comments=None)
+        parsed = process_time()
+        assert read_scope_csv(path).rate_hz == pytest.approx(1e6)
+        ratios.append((process_time() - parsed) / (parsed - begun))
+    assert np.median(ratios) < 4
