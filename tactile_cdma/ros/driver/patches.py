@@ -58,10 +58,9 @@ class PatchesNode(Node):
         All drivers first: DDS takes minutes to forget the topics of a hundred patches, and what
         started this process may kill it meanwhile.
         """
-        for node in self._nodes:
-            node.release()
-        for node in self._nodes:
-            node.destroy_node()
+        for end in (SkinNode.release, SkinNode.destroy_node):
+            for node in self._nodes:
+                FAILURES.survive(end, node)
         super().destroy_node()
 
     def _make_next(self) -> None:
