@@ -99,7 +99,8 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         client.create_subscription(Image, "/right/skin/heatmap", images.append, PICTURE)
         wait_for(lambda: len(images) > 3)
 
-        (tmp_path / "wrong.yaml").write_text(WRONG)  # mended
+        (tmp_path / "mended.yaml").write_text(WRONG)
+        (tmp_path / "mended.yaml").rename(tmp_path / "wrong.yaml")  # whole: it is read all the time
         wait_for(lambda: arrays["wrong"])
         wait_for(lambda: bodies and bodies[-1].absent == ["/away/skin"])
         wait_for(lambda: "/wrong/skin" in bodies[-1].patches and len(bodies[-1].pressure) == 56)
