@@ -48,9 +48,10 @@ def seconds(name: str, value: object) -> float:
 
 def timeout(name: str, value: object) -> float | None:
     """A time span, s, above 0; None for none."""
-    if value is not None and seconds(name, value) == 0:
+    span_s = None if value is None else seconds(name, value)
+    if span_s == 0:
         raise ParameterError(f"{name} is 0 s; it must be above 0 s, or None")
-    return None if value is None else seconds(name, value)
+    return span_s
 
 
 def path_of(name: str, value: object) -> Path:

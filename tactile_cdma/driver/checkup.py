@@ -245,7 +245,7 @@ def host(window: Window, drivers: int) -> Iterator[Finding]:
     elif window.process_share > FULL_SHARE:
         text = (
             f"its process takes {window.process_share:.0%} of a core, and Python uses hardly more: "
-            "let fewer patches share it (process: in the body file), simulated ones least of all"
+            "subscribe to less, or let fewer patches share it (process: in the body file)"
         )
         yield Finding(text, key="full")
 

@@ -3,6 +3,7 @@
 """Many patches in one process, and all their taxels in one message: /body/tactile."""
 
 import subprocess
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +73,19 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         ]
     )
     (tmp_path / "wrong.yaml").write_text("nothing: [that ROS takes")  # changed since
-    host = PatchesNode(patches)
+    host, turns, turns_at = PatchesNode(patches), count(), list[int]()
+    host.create_timer(1e-3, lambda: next(turns))
+    make = patches_module.made
+
+    def made(patch: patches_module.Patch) -> patches_module.SkinNode:
+        turns_at.append(next(turns))
+        return make(patch)
+
+    monkeypatch.setattr(patches_module, "made", made)
     with as_its_process(host), as_its_process(body), spinning([client]):
         wait_for(lambda: len(arrays["left"]) > 30 and len(arrays["right"]) > 30)
         wait_for(lambda: "wrong/skin: process" in said)
+        assert min(np.diff(turns_at[:4])) > 1, "others have their turn between two that are made"
         wait_for(lambda: "no such port" in said.get("away/skin: stream", str(said)))
         assert "wrong.yaml" in said["wrong/skin: process"]
 

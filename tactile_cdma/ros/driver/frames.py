@@ -99,7 +99,7 @@ class FramePublishers:
         self._is_tracking = True
         found = self._tracker.update(frame.readings, frame.t_middle)
         if heading and wrench:
-            force_n, torque_nm = found.total_force_n, found.total_torque_nm
+            force_n, torque_nm = found.wrench.reshape(2, 3)
             if self._live[UNKNOWN_WRENCH] or is_known(force_n, torque_nm):
                 self._wrench.publish(wrench_stamped(heading, force_n, torque_nm))
         if heading and contacts:

@@ -223,18 +223,34 @@ def test_silence_is_not_claimed_of_a_node_that_cannot_be_understood() -> None:
         assert not certain(rig.read(rig.sent(rig.some(others)) + strange)).any()
 
 
-@pytest.mark.parametrize("clips", [False, True])
+@pytest.mark.parametrize("other", ["none", "clipped", "spikes"])
 @pytest.mark.parametrize("rho", [20.0, RHO])
-def test_a_node_that_is_never_understood_is_not_taken_for_noise(rho: float, clips: bool) -> None:
-    """It speaks in every frame, from the first one on. What clipping leaves sticks out."""
+def test_a_node_that_is_never_understood_is_not_taken_for_noise(rho: float, other: str) -> None:
+    """It speaks from the first frame on. What others leave sticks out, of more power or of its."""
     strange = node_chips(9, SPEC.nodes, SPEC.order, SPEC.bits, seed=4).ravel()
     for known in (True, False):
         rig = Rig(rho=rho, known=known)
         for frame in range(2 * sparse_timing.RELEARNT):
-            if clips and frame % 2 == 0:
+            if frame % 2 == 0 and other == "clipped":
                 line = rig.sent(rig.some(40))
                 rig.read(np.clip(line, -1.2 * np.std(line), 1.2 * np.std(line)))
+            if frame % 2 == 0 and other == "spikes":
+                line = rig.sent(rig.some(3))
+                line[rig.rng.choice(line.size, 20)] += np.sqrt(line.size / 20)
+                rig.read(line)
             assert not certain(rig.read(rig.sent(rig.some(3)) + strange)).any()
+
+
+def test_a_node_among_frames_of_more_noise_is_not_taken_for_noise() -> None:
+    """They are as Gaussian as noise is, and seven times as many."""
+    rig = Rig(rho=20.0, known=False)
+    strange = node_chips(9, SPEC.nodes, SPEC.order, SPEC.bits, seed=4).ravel()
+    for frame in range(10 * sparse_timing.LEARNT):
+        line = rig.sent(rig.some(3))
+        if frame % 8:
+            rig.read(line + rig.rng.normal(0, 1.8, line.size))
+        else:
+            assert not certain(rig.read(line + strange)).any()
 
 
 @pytest.mark.parametrize(("spec", "rho"), [(SPEC, 4.0), (SMALL, 5.5)])
