@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from test.support.domains import own_domain
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -93,7 +95,7 @@ def machine() -> dict[str, str | int | None]:
 
 def be_alone() -> None:
     """Give the ROS nodes of this run a domain of their own, on this machine only."""
-    os.environ["ROS_DOMAIN_ID"] = str(20 + os.getpid() % 80)
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 

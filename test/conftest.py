@@ -4,7 +4,6 @@
 
 import os
 import signal
-import zlib
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +12,7 @@ from typing import Never
 import pytest
 from hypothesis import settings
 
+from test.support.domains import own_domain
 from test.support.workers import (
     pytest_sessionfinish,
     pytest_testnodedown,
@@ -26,7 +26,6 @@ __all__ = ["pytest_sessionfinish", "pytest_testnodedown", "pytest_xdist_make_sch
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROS = Path(__file__).parent / "ros"
 LONGEST_ID = 80
-DOMAINS = 101  # domain ids that leave room below Linux's ephemeral ports
 
 
 # How long an example takes says more about the machine than about the code.
@@ -37,9 +36,7 @@ settings.load_profile("any machine")
 
 def pytest_configure(config: pytest.Config) -> None:
     # Before anything imports rclpy; child processes inherit it.
-    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    os.environ["ROS_DOMAIN_ID"] = str(1 + (zlib.crc32(run.encode()) + worker) % DOMAINS)
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     # Messages assert their fields' types, as those of a plain colcon build do in C.
     os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"

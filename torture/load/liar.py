@@ -39,6 +39,7 @@ from tactile_cdma.msg import (
     TactileContacts,
     TactileSkinInfo,
 )
+from test.support.domains import own_domain
 from test.support.spinning import spinning
 
 from ..fuzz.target import mutated
@@ -108,7 +109,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
 
 def lied_to(plan: Plan, folder: Path) -> Outcome:
     """Have nodes and examples hear some truth and many lies; all of them must live and end."""
-    domain = 1 + os.getpid() % 101
+    domain = own_domain()
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_HOME": str(folder / "ros")}
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     dead: list[str] = []

@@ -26,6 +26,7 @@ from sensor_msgs.msg import Image
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
+from test.support.domains import own_domain
 from test.support.spinning import spinning
 
 from ..outcome import Outcome, Tally
@@ -38,8 +39,6 @@ MOST_STARVED = 10.0
 """Patience with a driver that gets no processor, in times of that with one that does. Chosen."""
 DEFECTS = ("Traceback", "internal error")
 """Text that must not be in a driver's log."""
-DOMAINS = 101
-"""Domain ids up to this one leave their ports below Linux's ephemeral ones."""
 FRESH_S = 0.5
 """Age of the newest message up to which a driver on a busy computer keeps up."""
 _TURN_S, _WATCH_S = 0.02, 0.2
@@ -113,7 +112,7 @@ class LoadedSkin:
         self.name = f"{namespace}/skin"
         self.environment = {
             **os.environ,
-            "ROS_DOMAIN_ID": str(1 + (os.getpid() + networked) % DOMAINS),
+            "ROS_DOMAIN_ID": str(own_domain("networked" if networked else "")),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_HOME": str(folder / "ros"),
         }
