@@ -59,13 +59,21 @@ SCATTER = 4.0
 class _Twins(NamedTuple):
     """Rows that are those of other nodes, or their own inverted, but late: (h,) each.
 
-    late: chips. own, other: nodes. sign: -1 where inverted.
+    late: chips. own, other: nodes. sign: -1 where inverted. same_bit, next_bit: chips, agreeing
+    less differing ones, in which a bit of its own overlaps with the other's same one, and with that
+    beside it.
     """
 
     late: Indices
     own: Indices
     other: Indices
     sign: Floats32
+    same_bit: Floats32
+    next_bit: Floats32
+
+    def of(self, some: Bools | Indices) -> "_Twins":
+        """Some of them."""
+        return _Twins._make(each[some] for each in self)
 
 
 def strays(
@@ -149,42 +157,75 @@ def _of_others(
     edges: Floats = np.arange(-MOST_LATE, spec.chips + MOST_LATE + 1, dtype=np.float64)
     left = line.means(fit.start + fit.chip * edges)
     left[MOST_LATE:-MOST_LATE] -= _chips_of(words, spec) + words.pedestal[0]
-    found, rows, twins = np.zeros(spec.nodes, np.bool_), _node_rows(spec), _twins(spec)
-    level = np.sign(words.rows[0, :, spec.node_slice]).T * words.amplitude[0][:, None]
+    found, twins = np.zeros(spec.nodes, np.bool_), _twins(spec)
+    level = np.sign(words.rows[0, :, spec.node_slice]) * words.amplitude[0]
     for late in set(twins.late.tolist()):
-        some = (twins.late == late) & (words.amplitude[0][twins.own] > 0)
-        own, moved = twins.own[some], twins.sign[some][:, None] * rows[twins.other[some]]
-        change = np.zeros((own.size, left.size), np.float32)  # by the other hypothesis
-        for shift, chips, sign in ((0, rows[own], -1), (late, moved, 1)):
-            word = level[own][:, :, None] * chips[:, None]
-            change[:, MOST_LATE + shift :][:, : spec.chips] += sign * word.reshape(-1, spec.chips)
-        power = np.einsum("hc,hc->h", change, change)
-        found[own[change @ left - power / 2 > -SURE * noise]] = True
+        of_active = twins.of((twins.late == late) & (words.amplitude[0][twins.own] > 0))
+        own = of_active.own
+        power = _power(of_active, level, spec)
+        fits = _along(left, of_active, late, level, spec)
+        found[own[fits - power / 2 > -SURE * noise]] = True
         if placed or not own.size:
             continue
         # Or all may be, where nothing else tells where the frame is, but for one that is late.
-        each = change[np.unique(own, return_index=True)[1]]
-        joint = each.sum(axis=0) - np.vstack((np.zeros_like(left), each))
-        power = np.einsum("hc,hc->h", joint, joint)
-        if ((power > 0) & (joint @ left - power / 2 > -SURE * noise)).any():
+        each = np.unique(own, return_index=True)[1]
+        everyone = _change(of_active.of(each), late, level, spec)
+        one = each if each.size > 1 else each[:0]
+        less = power - 2 * _along(everyone, of_active, late, level, spec)
+        powers = dot(everyone, everyone) + np.append(0, less[one])
+        if (fits[each].sum() - np.append(0, fits[one]) - powers / 2 > -SURE * noise).any():
             return np.ones(spec.nodes, np.bool_)
     return found
 
 
-@lru_cache(maxsize=8)
-def _node_rows(spec: FrameSpec) -> Floats32:
-    """(n, N) of ±1."""
-    return spec.node_rows.astype(np.float32)
+def _change(twins: _Twins, late: int, level: Floats32, spec: FrameSpec) -> Floats:
+    """By how much chips, from MOST_LATE before a frame on, change if all words are the others'.
+
+    level: (k, n) V, of every bit.
+    """
+    change = np.zeros(spec.chips + 2 * MOST_LATE)
+    moved = twins.sign * level[:, twins.own]
+    for shift, nodes, values in ((0, twins.own, -level[:, twins.own]), (late, twins.other, moved)):
+        symbols = np.zeros((spec.line_bits, spec.order), np.float32)
+        np.add.at(symbols[:, spec.node_slice].T, nodes, values.T)
+        change[MOST_LATE + shift :][: spec.chips] += chips_of(symbols, spec).ravel()
+    return change
+
+
+def _along(
+    chips: Floats | Floats32, twins: _Twins, late: int, level: Floats32, spec: FrameSpec
+) -> Floats:
+    """Product of chips with the change that each of these words makes alone, (h,) V²."""
+    both = np.stack([chips[MOST_LATE + shift :][: spec.chips] for shift in (0, late)])
+    rows = rows_of(both.astype(np.float32).reshape(2, spec.line_bits, spec.order), spec)
+    in_time, out_of_time = rows[..., spec.node_slice]
+    seen = twins.sign * out_of_time[:, twins.other] - in_time[:, twins.own]
+    product: Floats = np.einsum("kh,kh->h", level[:, twins.own], seen, dtype=np.float64)
+    return spec.order * product
+
+
+def _power(twins: _Twins, level: Floats32, spec: FrameSpec) -> Floats:
+    """Sum of squares of each of these changes, (h,) V²: of two words that overlap as rows do."""
+    own = level[:, twins.own].astype(np.float64)
+    squares, steps = np.square(own).sum(axis=0), (own[1:] * own[:-1]).sum(axis=0)
+    words = spec.order * (1 + np.abs(twins.sign))  # sign is 0 where rows of order 4 agree in half
+    power: Floats = squares * (words - 2 * twins.same_bit) - 2 * steps * twins.next_bit
+    return power
 
 
 @lru_cache(maxsize=8)
 def _twins(spec: FrameSpec) -> _Twins:
-    rows, found = _node_rows(spec), []
+    rows, order, found = spec.node_rows.astype(np.float32), spec.order, []
     for late in (*range(-MOST_LATE, 0), *range(1, MOST_LATE + 1)):
-        alike = np.roll(rows, late, axis=1) @ rows.T
+        moved = np.roll(rows, late, axis=1)
+        alike = moved @ rows.T
         alike[np.diag_indices(spec.nodes)] = np.minimum(alike.diagonal(), 0)  # says the same
-        other, own = np.nonzero(np.abs(alike) >= spec.order - 2 * UNLIKE)
-        found.append((np.full(own.size, late), own, other, np.sign(alike[other, own])))
+        other, own = np.nonzero(np.abs(alike) >= order - 2 * UNLIKE)
+        sign = np.sign(alike[other, own])
+        wrapped = np.s_[:late] if late > 0 else np.s_[late:]
+        next_bit = sign * np.einsum("hc,hc->h", moved[other, wrapped], rows[own, wrapped])
+        same_bit = np.abs(alike[other, own]) - next_bit
+        found.append((np.full(own.size, late), own, other, sign, same_bit, next_bit))
     return _Twins(*(np.concatenate(each) for each in zip(*found, strict=True)))
 
 
