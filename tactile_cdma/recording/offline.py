@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..base.errors import CaptureError
+from ..code.frame import SPARSE
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, RENAMED, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
@@ -93,13 +94,14 @@ class RawCapture:
         """asked: parameters that override what the digitizer described.
 
         That overrides what the recording says was asked of it. The amplitude is learnt unless it is
-        given.
+        given; that of sparse codes cannot be, and is the one that the driver had.
         """
         recorded = describe(path).parameters if is_recording(path) else {}
         recorded = {RENAMED.get(name, name): value for name, value in recorded.items()}
         described = described_parameters(path)
         self.path = path
-        self.values: dict[str, Value] = {"amplitude_mv": 0.0, **recorded, **described, **asked}
+        learnt: dict[str, Value] = {} if recorded.get("codes") == SPARSE else {"amplitude_mv": 0.0}
+        self.values: dict[str, Value] = {**learnt, **recorded, **described, **asked}
         self.config = SkinConfig.of(self.values)
         self.pipeline = Pipeline(self.config, background=False)
 

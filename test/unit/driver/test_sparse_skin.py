@@ -104,6 +104,8 @@ def test_info_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     port = "sim://?scene=all&threshold=0"
     assert main(["record", port, str(path), "--seconds", "0.2", *skin.split()]) == 0
     capsys.readouterr()
-    assert main(["info", str(path), "--amplitude-mv", "300"]) == 0
-    said = re.search(r"at once: (\d+) at most, capacity 13, (\d+) fr", capsys.readouterr().out)
+    assert main(["info", str(path)]) == 0
+    told = capsys.readouterr().out
+    said = re.search(r"at once: (\d+) at most, capacity 13, (\d+) fr", told)
+    assert "50 µs chips, sparse codes" in told
     assert said and 100 < int(said[1]) < 140 and int(said[2]) > 2
