@@ -52,13 +52,19 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
 def described_parameters(path: Path) -> dict[str, Value]:
     """The frame layout that the digitizer described in a raw capture, as parameters.
 
+    That is the first one that it said twice: one that it says as the port is opened may be of
+    before it was configured.
     Raises CaptureError where the capture holds no such description.
     """
-    parser = PacketParser()
+    parser, told = PacketParser(), None
     for data, _ in read_bytes(path):
         for packet in parser.feed(data):
             if isinstance(packet, Info):
-                return parameters_of(packet)
+                if packet == told:
+                    return parameters_of(packet)
+                told = packet
+    if told is not None:
+        return parameters_of(told)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
 
