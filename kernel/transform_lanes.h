@@ -151,12 +151,12 @@ TARGET static void NAMED(multiply_sylvester)(const struct transform *transform, 
     NAMED(sylvester)(from, to, transform->order, count, stages, transform->scale);
 }
 
-/* The 16 sums of each four of inputs, in the order of `sums` in transform.c. */
-TARGET INLINE void NAMED(add_up)(float (*inputs)[COLUMNS], float (*sums)[16][COLUMNS], size_t groups)
+/* The 16 sums of each four of inputs, of `width` columns, in the order of `sums` in transform.c. */
+TARGET INLINE void NAMED(add_up)(float (*inputs)[COLUMNS], float (*sums)[16][COLUMNS], size_t groups, unsigned width)
 {
     for (size_t group = 0; group < groups; group++, inputs += 4) {
         UNROLL
-        for (unsigned column = 0; column < COLUMNS; column += LANES) {
+        for (unsigned column = 0; column < width; column += LANES) {
             lanes a = NAMED(load)(inputs[0] + column), b = NAMED(load)(inputs[1] + column);
             lanes c = NAMED(load)(inputs[2] + column), d = NAMED(load)(inputs[3] + column);
             lanes left[4] = {a + b, b - a, a - b, -a - b};
@@ -168,23 +168,23 @@ TARGET INLINE void NAMED(add_up)(float (*inputs)[COLUMNS], float (*sums)[16][COL
     }
 }
 
-/* One dense factor times COLUMNS columns. */
-TARGET static void NAMED(dense_columns)(const struct dense *dense, float (*inputs)[COLUMNS],
-                                        float (*outputs)[COLUMNS])
+/* One dense factor times `width` columns. */
+TARGET INLINE void NAMED(dense_columns)(const struct dense *dense, float (*inputs)[COLUMNS],
+                                        float (*outputs)[COLUMNS], unsigned width)
 {
     float sums[GROUPS][16][COLUMNS];
     size_t order = dense->order, left = order / 4;
 
     for (size_t first = 0; first < left; first += GROUPS) {
         size_t groups = left - first < GROUPS ? left - first : GROUPS;
-        NAMED(add_up)(inputs + 4 * first, sums, groups);
+        NAMED(add_up)(inputs + 4 * first, sums, groups, width);
         for (size_t j = 0; j < order; j += 4) {
             const uint8_t *taken = dense->sums + first * order + j;
             lanes x[4][COLUMNS / LANES];
             UNROLL
             for (unsigned i = 0; i < 4; i++) {
                 UNROLL
-                for (unsigned v = 0; v < COLUMNS / LANES; v++)
+                for (unsigned v = 0; v < width / LANES; v++)
                     x[i][v] = first ? NAMED(load)(outputs[j + i] + v * LANES) : (lanes){0};
             }
             NO_UNROLL
@@ -193,14 +193,14 @@ TARGET static void NAMED(dense_columns)(const struct dense *dense, float (*input
                 for (unsigned i = 0; i < 4; i++) {
                     const float *sum = (const float *)sums[group] + taken[i];
                     UNROLL
-                    for (unsigned v = 0; v < COLUMNS / LANES; v++)
+                    for (unsigned v = 0; v < width / LANES; v++)
                         x[i][v] += NAMED(load)(sum + v * LANES);
                 }
             }
             UNROLL
             for (unsigned i = 0; i < 4; i++) {
                 UNROLL
-                for (unsigned v = 0; v < COLUMNS / LANES; v++)
+                for (unsigned v = 0; v < width / LANES; v++)
                     NAMED(store)(outputs[j + i] + v * LANES, x[i][v]);
             }
         }
@@ -217,7 +217,10 @@ TARGET static void NAMED(multiply_dense)(const struct dense *dense, const float 
     for (size_t first = 0; first < columns; first += COLUMNS) {
         size_t number = columns - first < COLUMNS ? columns - first : COLUMNS;
         gather(inputs, from, dense, first, number, scale);
-        NAMED(dense_columns)(dense, inputs, outputs);
+        if (number > COLUMNS / 2)
+            NAMED(dense_columns)(dense, inputs, outputs, COLUMNS);
+        else
+            NAMED(dense_columns)(dense, inputs, outputs, COLUMNS / 2);
         scatter(outputs, to, dense, first, number);
     }
 }

@@ -110,9 +110,10 @@ def _say_frames(path: Path, asked: dict[str, Value]) -> None:
     print(f"digitizer: {capture.source.digitizer}")
     pipeline = capture.pipeline
     counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
+    codes = ", sparse codes" if spec.sparse else ", scrambled" if spec.scramble else ""
     print(
         f"skin: {spec.nodes} nodes, {spec.bits} bits, order {spec.order}, "
-        f"{spec.chip_s * 1e6:g} µs chips{', scrambled' if spec.scramble else ''}, "
+        f"{spec.chip_s * 1e6:g} µs chips{codes}, "
         f"a frame every {spec.frame_period_s * 1e3:g} ms"
     )
     if load := pipeline.load:

@@ -14,7 +14,8 @@ from typing import Any
 from ..base.errors import SpecError
 from ..base.named_file import expanded
 from ..code.frame import MAX_STRETCH, MEASURING_S, FrameSpec
-from ..framing.sparse_timing import capacity, groups_for_all
+from ..code.sparse import ORDERS
+from ..framing.sparse_timing import capacity, groups_for_all, told_apart
 from ..places.layout import Layout
 from ..places.layout_file import read_layout
 from ..places.layout_nodes import Wiring
@@ -75,11 +76,13 @@ class SkinConfig:
             if is_so:
                 raise SpecError(reason)
         if spec.sparse and not groups_for_all(spec):
+            most = told_apart(ORDERS[1]) << TURN_MOST_LOG2
+            more = f"set order to more than {spec.order}"
             _log.warning(
                 "if all %d nodes speak at once, their codes are not told apart, not even in %d "
-                "groups by turns, and all is in doubt; %d may in one frame: set order to more than "
-                "%d",
-                *(spec.nodes, 1 << TURN_MOST_LOG2, capacity(spec), spec.order),
+                "groups by turns, and all is in doubt; %d may in one frame: %s",
+                *(spec.nodes, 1 << TURN_MOST_LOG2, capacity(spec)),
+                more if spec.nodes <= most else f"no order is enough for more than {most} nodes",
             )
         if fills_period(spec, get["samples_per_chip"]):
             _log.warning(
@@ -224,6 +227,7 @@ def _contradictions(
     if spec.sparse:
         reason = "sparse codes are told apart by whole chips of marked frames"
         yield gap, f"{reason}: {line}"
+        yield roll_call, f"{reason}, nodes with clocks of their own are not: set roll_call to false"
         yield samples_per_chip != 1, f"{reason}: {samples} 1"
         yield (
             spec.amplitude_v is None,

@@ -204,11 +204,19 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
     aside = {"samples_per_chip"} | ({"sign_seed"} if ours.signs == Signs.NATURAL else set())
+    both = {
+        each.name: (getattr(theirs, each.name), getattr(ours, each.name)) for each in fields(ours)
+    }
     different = [
-        f"{field.name} {getattr(theirs, field.name)} (parameters: {getattr(ours, field.name)})"
-        for field in fields(FrameLayout)
-        if field.name not in aside and getattr(theirs, field.name) != getattr(ours, field.name)
+        f"{name} {_shown(their)} (parameters: {_shown(our)})"
+        for name, (their, our) in both.items()
+        if name not in aside and their != our
     ]
     if different:
         return f"the digitizer is set to {', '.join(different)}; make the two agree"
     return None
+
+
+def _shown(value: object) -> str:
+    """A field of a layout, for people."""
+    return value.name.lower() if isinstance(value, IntEnum) else str(value)

@@ -221,7 +221,7 @@ class Pipeline:
         if placement.step is Step.RESET:
             self.taxels.forget()
         elif placement.step is Step.RESTART:  # how many frames were lost meanwhile is a guess
-            self.taxels.miss(self.config.nodes_repeat)
+            self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         self.stream.place(placement)
 
     def _frame(self, heard: FrameLevels) -> TactileFrame:
@@ -229,13 +229,13 @@ class Pipeline:
         rate_hz, spec = self._description.pace.rate_hz, self.config.spec
         stamp = self.timeline.times.stamp(heard, rate_hz, spec)
         if stamp.sequence != self._follows:
-            # Whose turn it was may have spoken last in any frame of a round.
-            round_s = spec.frame_period_s * ((1 << self.groups.now_log2) - 1)
-            self.taxels.miss(self.config.nodes_repeat, round_s)
+            self.taxels.miss(self.config.nodes_repeat, self.groups.spoke)
         self._follows = stamp.sequence + 1
         words, readings = self._read(heard, stamp.t_middle)
         if (load := self.load) is not None:
             self.groups.take(heard.turn, load.now, words.active, load.crowded)
+        else:
+            self.groups.hear(heard.turn, words.active)
         if heard.turn:
             readings = self.taxels.waiting(readings, out_of_turn(heard.turn, spec.nodes))
         return TactileFrame(*stamp, heard.clipped, words, readings)

@@ -104,7 +104,12 @@ def capacity(spec: FrameSpec) -> int:
     """Nodes that may speak in one frame."""
     if not spec.sparse:
         return spec.nodes
-    return min(spec.nodes, max(1, int(CAPACITY * (spec.order - LOST * math.sqrt(spec.order)))))
+    return min(spec.nodes, told_apart(spec.order))
+
+
+def told_apart(order: int) -> int:
+    """Nodes that may speak in one frame of so many chips per bit."""
+    return max(1, int(CAPACITY * (order - LOST * math.sqrt(order))))
 
 
 def groups_for_all(spec: FrameSpec) -> int:

@@ -173,17 +173,16 @@ class Taxels:
         late: Bools = self.now_s - self._heard_s > self.stale_after_s
         return late & ~self._masked
 
-    def miss(self, nodes_repeat: bool, round_s: float = 0.0) -> None:
+    def miss(self, nodes_repeat: bool, spoke: Bools) -> None:
         """Note that a frame was not heard, in which any node may have spoken.
 
-        round_s: from the last frame of a group of nodes that transmit by turns to that of the next.
-        nodes_repeat: they speak in every frame while their code is farther than a threshold from
-        that at rest, or from the one they sent last (firmware/core/event.c). Who was silent in the
-        last frame held a value within two thresholds of its rest then; if it is silent in the next
-        one, too, its code is within one of it. So what it holds stands, but for three thresholds,
-        and only who spoke in the last frame may have told its release unheard.
+        spoke: (n,), nodes that did in the last frame in which they might. nodes_repeat: they do so
+        in every such frame while their code is farther than a threshold from that at rest, or from
+        the one they sent last (firmware/core/event.c). Who was silent in the last one held a value
+        within two thresholds of its rest then; if it is silent in the next one, too, its code is
+        within one of it. So what it holds stands, but for three thresholds, and only who spoke may
+        have told its release unheard.
         """
-        spoke = self._kept.heard_s >= self.now_s - 1.01 * round_s
         self._kept.flags[spoke if nodes_repeat else slice(None)] = Status.LOW_SNR
         self._silence = None
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..base.errors import CaptureError
+from ..code.frame import SPARSE
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, RENAMED, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
@@ -51,13 +52,19 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
 def described_parameters(path: Path) -> dict[str, Value]:
     """The frame layout that the digitizer described in a raw capture, as parameters.
 
+    That is the first one that it said twice: one that it says as the port is opened may be of
+    before it was configured.
     Raises CaptureError where the capture holds no such description.
     """
-    parser = PacketParser()
+    parser, told = PacketParser(), None
     for data, _ in read_bytes(path):
         for packet in parser.feed(data):
             if isinstance(packet, Info):
-                return parameters_of(packet)
+                if packet == told:
+                    return parameters_of(packet)
+                told = packet
+    if told is not None:
+        return parameters_of(told)
     reason = diagnose(parser.counters)
     raise CaptureError(f"{path}: {reason}")
 
@@ -93,13 +100,14 @@ class RawCapture:
         """asked: parameters that override what the digitizer described.
 
         That overrides what the recording says was asked of it. The amplitude is learnt unless it is
-        given.
+        given; that of sparse codes cannot be, and is the one that the driver had.
         """
         recorded = describe(path).parameters if is_recording(path) else {}
         recorded = {RENAMED.get(name, name): value for name, value in recorded.items()}
         described = described_parameters(path)
         self.path = path
-        self.values: dict[str, Value] = {"amplitude_mv": 0.0, **recorded, **described, **asked}
+        learnt: dict[str, Value] = {} if recorded.get("codes") == SPARSE else {"amplitude_mv": 0.0}
+        self.values: dict[str, Value] = {**learnt, **recorded, **described, **asked}
         self.config = SkinConfig.of(self.values)
         self.pipeline = Pipeline(self.config, background=False)
 

@@ -42,6 +42,7 @@ class Groups:
     others, as heartbeats do, in one of a round.
 
     now_log2: of the newest frame. wanted_log2: what the digitizer is to be asked for.
+    spoke: (n,) bool, nodes that did in their last turn, in however many groups that was.
     """
 
     def __init__(self, nodes: int, capacity: int, period_s: float) -> None:
@@ -49,10 +50,15 @@ class Groups:
         self.now_log2 = self.wanted_log2 = 0
         self._capacity, self._calm_frames = capacity, math.ceil(CALM_S / period_s)
         self._most_calm_frames = math.ceil(MOST_CALM_S / period_s)
-        self._spoke = np.zeros(nodes, np.bool_)  # in its last turn
+        self.spoke = np.zeros(nodes, np.bool_)
         # How many of each group would speak, if all did at once.
         self._round: deque[float] = deque(maxlen=1)
         self._over = self._since_over = self._calm = 0
+
+    def hear(self, turn: int, active: Bools) -> None:
+        """Take in who spoke in a frame of this turn, (n,), where all may in one frame."""
+        waits = out_of_turn(turn, active.size) if turn else None
+        self.spoke = active if waits is None else np.where(waits, self.spoke | active, active)
 
     def take(self, turn: int, speakers: int, active: Bools, crowded: bool = False) -> None:
         """Take in how many spoke in a frame of this turn, and as far as is known, who, (n,).
@@ -65,11 +71,11 @@ class Groups:
             self.now_log2, self._over = log2, 0
             self._round = deque(maxlen=1 << log2)
         if log2:
-            again = int(np.count_nonzero(active & self._spoke))
-            self._spoke = np.where(out_of_turn(turn, active.size), self._spoke, active)
+            again = int(np.count_nonzero(active & self.spoke))
             self._round.append(again + (speakers - again) / (1 << log2))
         else:
             self._round.append(speakers)
+        self.hear(turn, active)
         is_over = crowded or speakers > self._capacity
         is_whole = len(self._round) == self._round.maxlen
         self._since_over = 0 if is_over else self._since_over + 1

@@ -200,6 +200,7 @@ def test_what_cannot_be_is_refused(changes: dict[str, Any], reason: str) -> None
         ({"timing": "gap", "samples_per_chip": 4}, "it must be 'line'"),
         ({"samples_per_chip": 4}, "it must be 1"),
         ({"amplitude_mv": 0.0}, "set amplitude_mv"),
+        ({"roll_call": True}, "set roll_call to false"),
     ],
 )
 def test_how_sparse_codes_cannot_be_read_is_refused(changes: dict[str, Any], reason: str) -> None:
@@ -219,6 +220,12 @@ def test_that_all_cannot_speak_by_turns_is_told(
     values = {"codes": "sparse", "nodes": nodes, "order": order, "samples_per_chip": 1}
     assert groups_for_all(SkinConfig.of({**values, "frame_period_ms": 0.0}).spec) == groups
     assert ("set order to more than" in caplog.text) == (groups == 0)
+
+
+def test_an_order_that_cannot_be_is_not_advised(caplog: pytest.LogCaptureFixture) -> None:
+    values = {"codes": "sparse", "nodes": 65_535, "order": 4096, "samples_per_chip": 1}
+    SkinConfig.of({**values, "frame_period_ms": 0.0})
+    assert "no order is enough for more than 41264 nodes" in caplog.text
 
 
 def test_the_wire_says_it() -> None:

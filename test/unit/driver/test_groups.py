@@ -14,6 +14,8 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
+from tactile_cdma.wire.messages import Groups as AskGroups
+from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.groups import CALM_S, OVERLOADS, Groups, groups_of, out_of_turn
 from test.support.simulated import Truth
 
@@ -117,6 +119,28 @@ def test_a_lost_frame_leaves_no_value_of_its_group_certain(monkeypatch: pytest.M
     assert len(lost) > 20_000
     frames, truth = robot.frames(RELEASE_S + 0.4), Truth(robot.digitizer)
     assert frames[0].words.active.sum() < robot.config.spec.nodes // 8
+    for frame in frames:
+        valid = frame.readings.status & (Status.LOW_SNR | Status.STALE) == 0
+        pressed = np.nan_to_num(frame.readings.pressure_pa) > 5e3
+        assert not (valid & pressed & (truth[frame.sequence].pressure_pa < 1)).any()
+
+
+def test_frames_lost_as_groups_change_leave_no_value_certain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Who spoke in a turn of 16 groups, and told its release in a lost one of 8, is unheard."""
+    robot = Robot(monkeypatch, True, nodes=64, order=128, resync_chips=128, frame_period_ms=9.0)
+    robot.session = Session()  # which asks for no groups
+    encode, period_s = PacketWriter().encode, robot.config.spec.frame_period_s
+    for log2, frames_before in ((4, 24), (3, 4)):
+        robot.frames(RELEASE_S - frames_before * period_s)
+        robot.digitizer.receive(encode(AskGroups(log2)))
+    robot.frames(RELEASE_S - period_s)
+    robot.now_s += 6 * period_s
+    robot.digitizer.advance()
+    robot.digitizer.take(1 << 22)
+    frames, truth = robot.frames(RELEASE_S + 0.3), Truth(robot.digitizer)
+    assert {truth[frame.sequence].turn for frame in frames} == set(range(8, 16))
     for frame in frames:
         valid = frame.readings.status & (Status.LOW_SNR | Status.STALE) == 0
         pressed = np.nan_to_num(frame.readings.pressure_pa) > 5e3

@@ -251,7 +251,8 @@ def test_indices_of_any_size_give_the_same_frames(params: dict, begin: int) -> N
         ("order=24", {}, r"order 24 \(parameters: 20\)"),
         ("chip_us=40", {}, r"chip_ns 40000 \(parameters: 50000\)"),
         ("timing=gap", {}, "marks no frame starts"),
-        ("drive=unipolar&bits=8", {}, "bits 8 .*drive"),
+        ("drive=unipolar&bits=8", {}, r"bits 8 .*drive unipolar \(parameters: bipolar\)"),
+        ("scramble=true", {}, r"signs scrambled \(parameters: seeded\)"),
     ],
 )
 def test_a_digitizer_set_otherwise_is_reported_and_not_decoded(

@@ -15,6 +15,7 @@ from tactile_cdma.driver import checkup
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.vitals import Vitals
 from tactile_cdma.framing.sparse_timing import Load, capacity
+from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Start
@@ -98,12 +99,20 @@ def test_what_is_in_doubt_is_no_reading_to_calibrate_by(tmp_path: Path) -> None:
     assert np.isnan(read_recording(capture, SkinConfig.of(SKIN)).voltage_v).all()
 
 
+def test_a_capture_that_begins_before_the_digitizer_was_set_is_decoded(tmp_path: Path) -> None:
+    capture = tmp_path / "touch.raw"
+    capture.write_bytes(stream(SkinConfig.of(SKIN), "sim://?scene=moving", 10))
+    assert len(list(RawCapture(capture, {"amplitude_mv": 300.0}).frames())) >= 9
+
+
 def test_info_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "touch.skin"
     skin = "--codes sparse --nodes 120 --order 32 --samples-per-chip 1 --frame-period-ms 20"
     port = "sim://?scene=all&threshold=0"
     assert main(["record", port, str(path), "--seconds", "0.2", *skin.split()]) == 0
     capsys.readouterr()
-    assert main(["info", str(path), "--amplitude-mv", "300"]) == 0
-    said = re.search(r"at once: (\d+) at most, capacity 13, (\d+) fr", capsys.readouterr().out)
+    assert main(["info", str(path)]) == 0
+    told = capsys.readouterr().out
+    said = re.search(r"at once: (\d+) at most, capacity 13, (\d+) fr", told)
+    assert "50 µs chips, sparse codes" in told
     assert said and 100 < int(said[1]) < 140 and int(said[2]) > 2
