@@ -266,7 +266,8 @@ enum frame_look frame_read(const struct frame_rules *rules, const struct frame_c
     double power = power_of(rules, rest, volts, &found->level);
     if (isnan(power))
         return FRAME_ABSURD;
-    if (power <= rules->silent_power + rules->noise_share * rest->noise) {
+    const double noise = fmin(rules->noise_share * rest->noise, rules->most_silent_noise);
+    if (power <= rules->silent_power + noise) {
         if (rules->integrated && !code->sparse && chip_stands_out(rules, volts, found->level))
             return FRAME_UNEXPLAINED;
         if (code->sparse)

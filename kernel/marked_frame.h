@@ -66,6 +66,7 @@ struct frame_rules {
     bool mean_is_offset; /* of a frame, until a gap has shown it */
     bool scrambled;
     double noise_share;              /* of the noise, which is no node either; see MarkedLine.gate */
+    double most_silent_noise;        /* of that no more, V² */
     double silent_rise, silent_more; /* by which noise may exceed that of the gap, if scrambled; V² */
 };
 

@@ -105,7 +105,7 @@ static const struct field rules_fields[] = {
     FIELD(stream_rules, frame.tail_scatter),        FIELD(stream_rules, frame.tail_level),
     FIELD(stream_rules, frame.least_tail),          FIELD(stream_rules, frame.integrated),
     FIELD(stream_rules, frame.mean_is_offset),      FIELD(stream_rules, frame.scrambled),
-    FIELD(stream_rules, frame.noise_share),
+    FIELD(stream_rules, frame.noise_share),         FIELD(stream_rules, frame.most_silent_noise),
     FIELD(stream_rules, frame.silent_rise),         FIELD(stream_rules, frame.silent_more),
     FIELD(stream_rules, marked),                    FIELD(stream_rules, in_blocks),
     FIELD(stream_rules, heeds_calls),               FIELD(stream_rules, zero_count),

@@ -321,6 +321,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         least_power=line.least_power,
         silent_power=line.silent_power,
         noise_share=line.noise_share,
+        most_silent_noise=line.most_noise,
         most_noise=blinding_noise_v(spec),
         rail_low=rail_low,
         rail_high=rail_high,

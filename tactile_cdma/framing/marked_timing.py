@@ -119,6 +119,7 @@ class MarkedLine:
     and guards have no samples. nominal: timing of an unstretched frame, relative to its mark.
     size: samples of an unstretched frame.
     noise_share: share of the noise that, with silent_power, no frame exceeds in which none speaks.
+    most_noise: of that no more, V²: noise may end as a node begins.
     level_v: of the line at rest, V; the last frame's mean until a gap has shown it (level_known).
     noise: variance of a chip's level in the gap, V²; 0 where unknown.
     """
@@ -137,7 +138,7 @@ class MarkedLine:
         length = spec.chips if self.integrated else spec.span_chips
         self.size = math.ceil(length * self.chip - 0.5)
         self.least_power, self.silent_power = least_power(spec), silent_power(spec)
-        self.noise_share = 0.0
+        self.noise_share = self.most_noise = 0.0
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset. So
         # it is, nearly, where rows are scrambled: off by √(n/kN)·A, of which a row shows a √N-th.
         self.mean_is_offset = (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR
@@ -188,8 +189,8 @@ class MarkedLine:
         if math.isnan(power):
             return Verdict(rejected=ABSURD)
         # Chips are means of samples, so they have no more power than the samples.
-        is_silent = power <= self.silent_power + self.noise_share * self.noise
-        return self.silent(frame, power) if is_silent else None
+        noise = min(self.noise_share * self.noise, self.most_noise)
+        return self.silent(frame, power) if power <= self.silent_power + noise else None
 
     def sample_power(self, volts: Floats) -> float:
         """Mean power of samples, V², without an unknown offset; NaN where one is absurd."""

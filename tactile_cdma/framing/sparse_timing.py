@@ -162,7 +162,7 @@ class SparseRecogniser:
         self._rules = certificate(line.spec)
         self._unlearnt = _Unlearnt(line.spec)
         self.detector = Detector(line.spec, self._rules)
-        line.noise_share = 1 - self._rules.chance
+        line.noise_share, line.most_noise = 1 - self._rules.chance, HIDDEN * self._swing2
         self._products = _products(line.spec)
 
     def open(self, start: int, called: bool, since: int | None) -> int:

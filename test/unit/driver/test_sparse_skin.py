@@ -3,20 +3,25 @@
 """A skin of more nodes than chips, from the digitizer's bytes to words, against what was sent."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tactile_cdma.base.arrays import Floats, Floats32
 from tactile_cdma.commands.calibrate import read_recording
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.vitals import Vitals
 from tactile_cdma.framing.sparse_timing import Load, capacity
 from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.line import Disturbance, Waveform
+from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
@@ -97,6 +102,32 @@ def test_what_is_in_doubt_is_no_reading_to_calibrate_by(tmp_path: Path) -> None:
     capture = tmp_path / "touch.raw"
     capture.write_bytes(stream(SkinConfig.of(SKIN), "sim://?scene=all&threshold=0", 10))
     assert np.isnan(read_recording(capture, SkinConfig.of(SKIN)).voltage_v).all()
+
+
+class NoiseEnds(Disturbance):
+    """Noise of 1.14 amplitudes in the first 40 frames."""
+
+    def added(self, frame: NodeFrame, edges_s: Floats) -> Iterator[Waveform]:
+        return iter(())
+
+    def disturbed(self, frame: NodeFrame, volts: Floats32, t_s: Floats) -> Floats32:
+        noise_v = 0.342 * np.random.default_rng(frame.number).normal(size=volts.shape)
+        return volts + np.float32(noise_v) if frame.number < 40 else volts
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_node_that_speaks_as_noise_ends_is_not_claimed_to_be_silent(compiled: bool) -> None:
+    config, now_s = SkinConfig.of(SKIN | {"nodes": 100}), [0.0]
+    options = SimOptions.from_url("sim://?scene=idle&heartbeat=100&noise=0.005")
+    digitizer = VirtualDigitizer(options, lambda: now_s[0], NoiseEnds())
+    digitizer.receive(Session(config).open())
+    pipeline, truth = Pipeline(config, compiled=compiled), Truth(digitizer)
+    for now_s[0] in np.arange(60) * config.spec.frame_period_s:
+        digitizer.advance()
+        for frame in pipeline.feed(digitizer.take(1 << 20), now_s[0]):
+            sure, active = ~frame.words.doubtful, truth[frame.sequence].active
+            assert np.array_equal(frame.words.active[sure], active[sure])
+    assert sure.all() and pipeline.counters.frames > 55
 
 
 def test_a_capture_that_begins_before_the_digitizer_was_set_is_decoded(tmp_path: Path) -> None:

@@ -310,6 +310,14 @@ def test_noise_that_creeps_up_hides_no_node_that_speaks_afterwards() -> None:
     assert not certain(rig.read(rig.sent(rig.words(range(101, 104))) + strange)).any()
 
 
+def test_a_node_that_begins_as_noise_ends_is_not_taken_for_it() -> None:
+    """Its power is less than that of the noise before."""
+    rig = Rig(rho=8.6)
+    rig.rho = RHO
+    words = rig.some(1)
+    assert told(rig.read(rig.sent(words))) == words
+
+
 def test_silence_is_not_claimed_where_no_row_shows_a_node_that_noise_hides() -> None:
     """Half of a node, which flips its chips otherwise, beside the noise of 9,120 chips."""
     spec = replace(SPEC, nodes=1000, order=912)
