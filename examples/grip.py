@@ -55,8 +55,6 @@ if __name__ == "__main__":
     rclpy.init()
     try:
         rclpy.spin(Grip())
-    except KeyboardInterrupt:
-        pass
-    except BaseException:
-        if rclpy.ok():  # else a signal has ended it, of which a wait hears in many ways
+    except BaseException as end:  # a signal's: a wait hears of it in many ways
+        if rclpy.ok() and not isinstance(end, KeyboardInterrupt):
             raise

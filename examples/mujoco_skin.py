@@ -39,7 +39,7 @@ than MOST_RAYS, from BELOW_M under the skin. Chosen: 0.5 ms of rays."""
 AT_HOME = Pose(np.eye(3), np.zeros(3))
 PLANE_M = (100.0, 100.0, 1.0)
 """A plane is the top of a box of this size, m."""
-Geom = int | str
+Geom = int | np.integer | str
 
 
 class MujocoSkin:
@@ -121,9 +121,9 @@ class MujocoSkin:
                     geoms = [number] if owners is None else self._of_body(int(owners[number]), on)
                     return names, number, frozenset(geoms)
             raise ParameterError(f"the model has no geom, body or site {on!r}")
-        numbers = [self._geom(each) for each in ([on] if isinstance(on, int) else on)]
-        if isinstance(on, int):
-            return ("geom_xpos", "geom_xmat"), on, frozenset(numbers)
+        if isinstance(on, int | np.integer):
+            return ("geom_xpos", "geom_xmat"), self._geom(on), frozenset([int(on)])
+        numbers = [self._geom(each) for each in on]
         bodies = {int(model.geom_bodyid[number]) for number in numbers}
         if len(bodies) != 1:
             raise ParameterError(
@@ -159,6 +159,8 @@ class MujocoSkin:
             normal_n = float(force[0])
             # The normal points from the first geom to the second one.
             theirs, signed_n = (one, normal_n) if other in self._geoms else (other, -normal_n)
+            if theirs < 0:  # not the last one
+                raise ParameterError("a flex touches the skin, which feels geoms only")
             so_far_n, vector_n = found.get(theirs, (0.0, 0.0))
             found[theirs] = so_far_n + normal_n, vector_n + signed_n * normals[number]
         return found

@@ -7,15 +7,24 @@ from __future__ import annotations
 import reprlib
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .base.arrays import Floats32
 from .base.errors import CaptureError, ObservationError, ParameterError
 from .config.parameters import BY_NAME, unknown
-from .config.python_arguments import WHOLE_NS, argument, instance, path_of, seconds
+from .config.python_arguments import (
+    WHOLE_NS,
+    argument,
+    instance,
+    path_of,
+    seconds,
+    unmasked,
+)
 from .config.skin_config import CURVE_PARAMETERS, FRAME_PARAMETERS
 from .datasets.alignment import Present, Tick
 from .datasets.lerobot.features import cells, obstacle
@@ -158,17 +167,14 @@ class LiveObservation:
 
         values: by name, or in the order of names; without names, in the order of the dataset.
         stamp_ns: Unix time at which it was measured; now, unless it is given. Raises
-        ParameterError for other names than the dataset's, or another number of values.
+        ParameterError for other names than the dataset's, another number of values, and NaN.
         """
         key = "observation.state"
         if (stream := self._meta.streams.get(key)) is None:
             raise ParameterError(f"{self._meta.path} has no {key}")
         if isinstance(values, Mapping):
             names, values = tuple(values), list(values.values())
-        try:
-            array = np.asarray(values, dtype=np.float32)
-        except (TypeError, ValueError):
-            raise ParameterError(f"{key} is {reprlib.repr(values)}; it must be numbers") from None
+        array = _numbers(key, values)
         given = tuple(names) or stream.names
         if array.shape != (len(given),) or (found := in_order(array, given, stream.names)) is None:
             raise ParameterError(
@@ -206,9 +212,12 @@ class LiveObservation:
         """Take a frame that the program has read itself; read() does so with all that wait.
 
         patch: its name in the dataset; may be missing where there is one. stamp_ns: Unix time of
-        its middle, if that is not t_host, as in a replay, and what it may be off by, s.
+        its middle, if that is not t_host, as in a replay, and what it may be off by, s. Raises
+        ParameterError for a frame of other taxels.
         """
         patch, frame = _known(patch, self._skins), instance("frame", frame, Frame)
+        if not np.array_equal(frame.positions_m, self._skins[patch].layout.positions_m):
+            raise ParameterError(f"the frame is another skin's than that of patch {patch}")
         if stamp_ns is None:
             uncertainty_s = frame.stamp_uncertainty_s
         stamp_ns = _stamp(stamp_ns, round(frame.t_host * NANO) + self._ahead_ns)
@@ -283,13 +292,24 @@ def _known(patch: str, patches: Iterable[str]) -> str:
     return patch or next(iter(patches))
 
 
+def _numbers(name: str, values: ArrayLike) -> Floats32:
+    """The values, if they are numbers: one that is none would be taken for what was measured."""
+    values, array = unmasked(name, values), None
+    with suppress(TypeError, ValueError), np.errstate(over="ignore"):  # it becomes infinite
+        found = np.asarray(values)
+        array = found.astype(np.float32) if found.dtype.kind in "iuf" else None
+    if array is None or not np.isfinite(array).all():
+        raise ParameterError(f"{name} is {reprlib.repr(values)}; it must be finite numbers")
+    return array
+
+
 def _stamp(stamp_ns: int | None, otherwise_ns: int) -> int:
     return otherwise_ns if stamp_ns is None else argument("stamp_ns", stamp_ns, 0, WHOLE_NS, "ns")
 
 
 def _differences(name: str, skin: Skin, about: Mapping[str, Any]) -> Iterator[str]:
     """How what a skin finds may differ from what it found for a dataset, by about."""
-    mine = patch_info(skin.config, skin.source, name, {}).about
+    mine = patch_info(skin.config, skin.source, name, {"tared": skin.tared}).about
     yield from differences(name, about, mine, "the dataset")
     if (asked := about.get("parameters")) is None:
         return  # of a bag, which does not say

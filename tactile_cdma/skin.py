@@ -200,6 +200,12 @@ class Skin:
         return self._inbox.dropped
 
     @property
+    def tared(self) -> bool:
+        """Whether tare() has taken a zero, which is in force."""
+        driver = self._driver
+        return driver is not None and driver.pipeline.taxels.baseline.tared
+
+    @property
     def problem(self) -> str | None:
         """Why no frames arrive at the moment, in one sentence; None while they do."""
         driver = self._running()

@@ -69,17 +69,24 @@ def instance(name: str, value: T, kind: type[Any]) -> T:
     return value
 
 
+def unmasked(name: str, value: T) -> T:
+    """The value, unless it is one of numpy's masked arrays, whose mask nothing here looks at."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ParameterError(f"{name} is a masked array; fill what is masked, or leave it out")
+    return value
+
+
 def array_of(name: str, value: object, shape: tuple[int | str, ...]) -> NDArray[Any]:
-    """An array of floating numbers; a text in its shape stands for any length."""
-    array: NDArray[Any] = np.asarray(instance(name, value, np.ndarray))
+    """An array of float32 or float64; a text in its shape stands for any length."""
+    array: NDArray[Any] = np.asarray(unmasked(name, instance(name, value, np.ndarray)))
     fits = len(array.shape) == len(shape) and all(
         isinstance(wanted, str) or length == wanted
         for length, wanted in zip(array.shape, shape, strict=True)
     )
-    if not fits or array.dtype.kind != "f":
+    if not fits or array.dtype.char not in "fd":
         sizes = " × ".join(map(str, shape))
         raise ParameterError(
-            f"{name} is {array.shape} of {array.dtype}; it must be {sizes} floating numbers"
+            f"{name} is {array.shape} of {array.dtype}; it must be {sizes} of float32 or float64"
         )
     return array
 

@@ -295,8 +295,9 @@ def differences(
 
     where: the first is.
     """
-    for key in ("origin", "measured_by", "calibration_id"):
-        mine, its = (about.get(key, "unknown") for about in (first, other))
+    unsaid = dict.fromkeys(("origin", "measured_by", "calibration_id"), "unknown")
+    for key, without in (*unsaid.items(), ("tared", False)):
+        mine, its = (about.get(key, without) for about in (first, other))
         if mine != its:
             yield f"{key} of patch {patch} is {its!r}, in {where} {mine!r}"
 

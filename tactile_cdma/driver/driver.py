@@ -195,6 +195,7 @@ class Driver:
         """Start the digitizer and decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
         session = Session(pipeline.config, port.stepped)
+        _tell_of_sensors(port, pipeline.config)
         with self._busy:
             pipeline.reconnected()
         if self.problem in NOT_YET:
@@ -277,3 +278,17 @@ class Driver:
                 self._on_problem(problem)
             except Exception:  # what is told of a fault must not be the end of the thread
                 _log.exception("whoever is to hear of problems failed")
+
+
+def _tell_of_sensors(port: Port, config: SkinConfig) -> None:
+    """Warns where a simulated skin's readings are others than what presses on it.
+
+    Not of calibrated ones, whose calibration is that of these sensors, or should be.
+    """
+    is_read_by = getattr(port.device, "is_read_by", None)
+    if is_read_by and not config.calibration.identity and not is_read_by(config.curve, config.adc):
+        _log.warning(
+            "%s: the simulated sensors have another curve than v0_v, vref_v, knee_kpa, range_kpa "
+            "and sensitivities say, so that pressures are wrong: leave these out",
+            port.url,
+        )

@@ -279,6 +279,11 @@ class Foundation:
         self._normals = array_of("normals", normals, (taxels, 3)).astype(np.float64)
         self.areas_m2 = array_of("areas_m2", areas_m2, (taxels,)).astype(np.float64)
         aspect = argument("aspect", aspect, 1.0, (1e-3, 1e3))
+        sizes = np.linalg.norm(self._normals, axis=1)
+        if not (np.isfinite(self._positions_m).all() and np.isclose(sizes, 1, atol=1e-3).all()):
+            raise ParameterError("positions_m must be finite, and normals of length 1")
+        if not ((self.areas_m2 > 0) & (self.areas_m2 <= MOST_M**2)).all():
+            raise ParameterError("areas_m2 must be above 0 m², and at most 1e6 m²")
         edge_m = np.sqrt(self.areas_m2)[:, None, None]
         wide_m, tall_m = edge_m * math.sqrt(aspect), edge_m / math.sqrt(aspect)
         self._corners_m = np.hypot(wide_m, tall_m).ravel() / 2  # how far they are from the centres

@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 
 from ..places.layout import Layout
+from ..readings.calibration import AdcScale, PressureCurve
 from ..wire.virtual_port import VirtualPort
 from .digitizer import VirtualDigitizer
 from .indenters import Indenter
@@ -34,6 +35,12 @@ class Serial(VirtualPort[VirtualDigitizer]):
         """Whether the scene is that of press()."""
         with self._changed:
             return self._opened().options.scene == EXTERNAL
+
+    def is_read_by(self, curve: PressureCurve, adc: AdcScale) -> bool:
+        """Whether this curve and converter are those of its sensors and nodes."""
+        with self._changed:
+            own = self._opened().options.sensors.curve
+        return curve == own and adc == AdcScale(adc.bits)
 
     def press(self, objects: Sequence[Indenter], frames: int) -> None:
         """As VirtualDigitizer.press; for any thread."""

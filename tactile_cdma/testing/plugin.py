@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 MARKER = "simulated_skin"
 PORT = "sim://?scene=external&speed=0&threshold=0"
 """A skin that a test presses, frame by frame; every node speaks in every frame."""
-_OF_BOTH = {name: name for name in ("nodes", "rows", "columns", "pitch_mm")}
-_OF_BOTH |= {"layout_file": "layout"}
-"""Parameters that the simulated skin needs as options, too, so that it is the same skin."""
 START_S = 120.0
 """Longest wait for a driver's start, s; chosen for a busy computer."""
 ASK_S, LATE_S = 0.5, 5.0
@@ -159,17 +156,12 @@ class SimulatedDriver:
 
 def _parameters(request: pytest.FixtureRequest) -> dict[str, Any]:
     """Of the skin that a test's marker asks for, its port among them."""
+    from ..base.errors import ParameterError
     from ..config.python_arguments import argument, parameters_of
 
     marker = request.node.get_closest_marker(MARKER)
     parameters = dict(marker.kwargs) if marker else {}
     sim = argument("sim", parameters.pop("sim", ""), "")
-    parameters = parameters_of(parameters)
-    options = [
-        f"{own}={str(parameters[name]).strip('()')}"
-        for name, own in _OF_BOTH.items()
-        if name in parameters
-    ]
-    if sim:
-        options.append(sim)
-    return {"port": "&".join([PORT, *options])} | parameters
+    if "port" in parameters:
+        raise ParameterError(f"port is the fixture's, {PORT}; give more options of it as sim")
+    return {"port": f"{PORT}&{sim}".strip("&")} | parameters_of(parameters)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...base.arrays import Floats32
 from ...base.errors import ParameterError, SpecError
-from ...config.python_arguments import argument, instance
+from ...config.python_arguments import argument, instance, unmasked
 from ...config.skin_config import SkinConfig
 from ...readings.baseline import Baseline
 from ...readings.calibration import AdcScale
@@ -129,7 +129,7 @@ class SkinBatch:
     def begin(self, like: Array, heard: bool = True) -> BatchState:
         """The state of untouched skins, and from now on arrays of like's kind, device and type.
 
-        like: any array of real floating numbers; float64 gives the codes of the simulator, float32
+        like: any array of float32 or float64; float64 gives the codes of the simulator, float32
         a few in 10⁵ that differ by one. heard: every node has been heard before, as a second after
         a driver's start. Not to be called inside of jit.
         """
@@ -155,16 +155,21 @@ class SkinBatch:
     ) -> tuple[BatchState, BatchFrame]:
         """One frame later: the state, and the frame that is published by then.
 
-        pressure_pa: (e, t), Pa, on every taxel when the nodes measure; where it is NaN the node is
-        dead in this frame. deviates: (e, t), standard normal, for sensor_noise; drawn by the
-        caller, as each library does that its own way.
+        pressure_pa: (e, t), Pa, on every taxel when the nodes measure. deviates: (e, t), standard
+        normal, for sensor_noise; drawn by the caller, as each library does that its own way. Where
+        one is not finite the node is dead in this frame.
         """
         self._check_state("state", state)
         xp, here, rules = self._xp, self._here, self._rules
         assert here is not None
         self._check_array("pressure_pa", pressure_pa)
-        is_dead = xp.isnan(pressure_pa) | (here.dies <= state.number)
-        pressure_pa = xp.where(pressure_pa > 0, pressure_pa, here.zero)
+        is_known = xp.isfinite(pressure_pa)
+        if deviates is not None:
+            self._check_array("deviates", deviates)
+            is_known = is_known & xp.isfinite(deviates)
+            deviates = xp.where(is_known, deviates, here.zero)
+        is_dead = ~is_known | (here.dies <= state.number)
+        pressure_pa = xp.where(is_known & (pressure_pa > 0), pressure_pa, here.zero)
         lagged_pa, plays = state.lagged_pa, state.plays
         if dynamics := self._sensors.dynamics:
             passed_s = self.config.spec.frame_period_s
@@ -184,7 +189,9 @@ class SkinBatch:
         """The state with the skins that are done, (e,) bool, as in `fresh`, which begin gave."""
         self._check_state("state", state)
         self._check_state("fresh", fresh)
-        if not is_array(done, (self.envs,)) or not self._xp.isdtype(done.dtype, "bool"):
+        if not is_array(unmasked("done", done), (self.envs,)) or not self._xp.isdtype(
+            done.dtype, "bool"
+        ):
             raise ParameterError(f"done is {described(done)}; it must be ({self.envs},) of bool")
         where, done = self._xp.where, done[:, None]
 
@@ -208,7 +215,6 @@ class SkinBatch:
         if noise_v:
             if deviates is None:
                 raise ParameterError(f"sensor_noise is {noise_v:g} V: give `deviates`, too")
-            self._check_array("deviates", deviates)
             voltage_v = voltage_v + noise_v * deviates
         adc = AdcScale(self.config.spec.bits)  # the simulated nodes'
         counts = xp.maximum(xp.floor(voltage_v / adc.lsb_v + 0.5), here.zero)
@@ -235,7 +241,7 @@ class SkinBatch:
         """Raises ParameterError unless it is one of those that begin prepared for."""
         assert self._here is not None
         shape, kind = (self.envs, self.taxels), self._here.zero.dtype
-        same = is_array(array, shape) and (
+        same = is_array(unmasked(name, array), shape) and (
             type(array) is self._kind or array_api().array_namespace(array) is self._xp
         )
         if not same or array.dtype != kind:

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...base.errors import ParameterError
 from ...base.optional import needed_for
+from ...config.python_arguments import unmasked
 
 Array = Any
 """Of a library that follows the standard."""
@@ -26,13 +27,16 @@ def is_array(array: object, shape: tuple[int, ...]) -> bool:
 
 
 def floating(name: str, array: Array) -> Any:
-    """The namespace of an array of real floating numbers; ParameterError: it is none."""
+    """The namespace of an array of float32 or float64; ParameterError: it is none.
+
+    Libraries have shorter ones, too, which end at 65 kPa or have steps of 0.4 kPa there.
+    """
     api = array_api()
-    if api.is_array_api_obj(array):
+    if api.is_array_api_obj(unmasked(name, array)):
         xp = api.array_namespace(array)
-        if xp.isdtype(array.dtype, "real floating"):
+        if xp.isdtype(array.dtype, (xp.float32, xp.float64)):
             return xp
-    raise ParameterError(f"{name} is {described(array)}; it must be an array of floating numbers")
+    raise ParameterError(f"{name} is {described(array)}; it must be an array of float32 or float64")
 
 
 def described(array: object) -> str:

@@ -89,6 +89,14 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
         assert (np.diff(ages_s) < 0).all() and 0 <= ages_s[-1] < 0.1
         assert "amplitude_mv of patch skin is 300.0, in the dataset 0.0" in observation.notes[-1]
         assert without.notes == [], "there is no dataset to differ from"
+        assert not skin.tared and not any("tared" in note for note in observation.notes)
+        skin.tare(force=True, wait_s=5.0)
+        assert (
+            skin.tared and "tared of patch skin is True, in the dataset False" in observation.notes
+        )
+        other = Skin("sim://?scene=external&speed=0&threshold=0", rows=2, columns=8)
+        with other, pytest.raises(ParameterError, match="another skin's than that of patch skin"):
+            observation.take(other.step())
 
 
 def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
@@ -112,6 +120,11 @@ def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
         for wrong in ({"elbow": 1.0}, [0.0] * (len(names) + 1)):
             with pytest.raises(ParameterError, match=f"the dataset's are {names[0]}"):
                 observation.state(wrong)
+        for no_number in (np.nan, np.inf, 1e39, None, True, "1", 1j):
+            with pytest.raises(ParameterError, match=r"observation\.state is .*finite numbers"):
+                observation.state([no_number] * len(names))  # type: ignore[list-item]
+        with pytest.raises(ParameterError, match=r"observation\.state is a masked array"):
+            observation.state(np.ma.masked_array(np.zeros(len(names)), mask=True))
         time.sleep(0.8)
         with pytest.raises(ObservationError, match=r"observation.state .* had stopped"):
             observation.read()

@@ -149,3 +149,20 @@ def test_what_is_not_there_or_not_one_body_is_refused() -> None:
     ):
         with pytest.raises(ParameterError, match=words):
             MujocoSkin(model, on, LAYOUT, TURNED)
+
+
+def test_what_a_flex_presses_is_not_taken_for_another_geom() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.001"/><worldbody>
+        <geom name="pad" type="box" size="0.03 0.03 0.01"/>
+        <flexcomp type="grid" count="4 4 4" spacing="0.005 0.005 0.005" pos="0 0 0.02" name="soft"
+          dim="3" mass="0.1" radius="0.001"><edge equality="true" damping="1"/></flexcomp>
+        <geom name="last" type="sphere" size="0.01" pos="0 0 0.05"/></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 100)
+    assert data.ncon
+    for number in np.int32(0), 0:
+        skin = MujocoSkin(model, number, LAYOUT)
+        with pytest.raises(ParameterError, match="a flex touches the skin"):
+            skin.pressure_pa(data)

@@ -164,6 +164,25 @@ def test_a_dead_node_is_no_zero() -> None:
     assert not frame.active[0, [2, 7]].any()
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_no_word_and_is_forgotten(wrong: float) -> None:
+    """Neither a pressure nor a deviate that is none, of which lag and hysteresis have memories."""
+    config = SkinConfig.of({"stale_after_s": 0.1})
+    batch = SkinBatch(config, 2, "sim://?sensor=paper&sensor_noise=1e-9&threshold=0", 0)
+    good = np.full((2, 16), 20e3), np.zeros((2, 16))
+    for which in range(2):
+        bad = tuple(array.copy() for array in good)
+        bad[which][1, 5] = wrong
+        state = batch.begin(np.zeros(()))
+        for arrays in [good, bad, *[good] * 40]:
+            before = state.codes
+            state, frame = batch.step(state, *arrays)
+            if arrays is bad:
+                assert np.flatnonzero(~frame.active).tolist() == [16 + 5]
+                assert frame.codes[1, 5] == before[1, 5], "what it said last is held"
+        assert np.abs(frame.pressure_pa / 20e3 - 1).max() < 0.02
+
+
 def test_tared_skins_read_nothing_at_rest() -> None:
     options = "sim://?mismatch=0.05&threshold=0"
     idle = np.zeros((1, 16))
@@ -188,7 +207,7 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
     batch = SkinBatch(config, 2, "sim://?sensor_noise=0.01")
     with pytest.raises(ParameterError, match=r"call SkinBatch\.begin first"):
         batch.step(None, np.zeros((2, 16)))  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match=r"like is \(\) of int64; .* floating numbers"):
+    with pytest.raises(ParameterError, match=r"like is \(\) of int64; .* of float32 or float64"):
         batch.begin(np.zeros((), np.int64))
     state = batch.begin(np.zeros(()))
     for wrong in (

@@ -5,6 +5,7 @@
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -297,3 +298,24 @@ def test_steps_give_the_packets_of_the_untouched_skin(query: str) -> None:
     assert running.startswith(stepwise)
     packets = PacketParser().feed(stepwise)
     assert sum(getattr(packet, "sync", False) for packet in packets) == 100
+
+
+@pytest.mark.parametrize(
+    ("options", "parameters", "is_told"),
+    [
+        ("", {}, False),
+        ("&sensor=paper", {"bits": 12, "v0_v": 3.3, "sensitivity1_v_per_kpa": 0.033}, False),
+        ("&sensor=fsr", {}, True),
+        ("", {"vref_v": 5.0}, True),
+        ("", {"sensitivity1_v_per_kpa": 0.01, "sensitivity2_v_per_kpa": 0.002}, True),
+    ],
+)
+def test_sensors_of_another_curve_than_the_driver_s_are_told(
+    options: str, parameters: dict[str, Any], is_told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Skin(f"sim://?scene=external&speed=0&threshold=0{options}", **parameters) as skin:
+        force_n = skin.step(BALL).pressure_pa @ skin.layout.areas_m2
+    assert ("simulated sensors have another curve" in caplog.text) == is_told
+    assert (
+        force_n == pytest.approx(COVER.pressure_pa([BALL]) @ LAYOUT.areas_m2, rel=0.05)
+    ) != is_told

@@ -46,7 +46,8 @@ NO_COUNT = [*NO_WHOLE, -1, np.int64(-3)]
 NO_PLACE = [None, 5, "abc", (0, 0), (0, 0, math.nan), (0, 0, 2e3), (0, 0, "1"), np.zeros((3, 1))]
 NO_ARRAY = [
     *(None, 5, 1.5, "x", [1.0], {}, np.zeros((2, 16), int), np.zeros((2, 16), bool)),
-    *(np.zeros((2, 16), complex), np.zeros((2, 16), object)),
+    *(np.zeros((2, 16), complex), np.zeros((2, 16), object), np.zeros((2, 16), np.float16)),
+    np.ma.masked_array(np.zeros((2, 16)), mask=True),
 ]
 BALL = Sphere(radius_m=0.01, position_m=(0, 0, 0.009))
 AT = {"position_m": (0, 0, 0)}
@@ -144,7 +145,7 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     ),
     "reset": (
         "done",
-        [*NO_ARRAY, np.zeros(3, bool)],
+        [*NO_ARRAY, np.zeros(3, bool), np.ma.zeros(2, bool)],
         lambda g, x: g.begun.reset(*[g.state] * 2, x),
     ),
     "reset other's": (
@@ -155,7 +156,7 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     "BatchCover": ("layout", NO_OBJECT, lambda _, x: BatchCover(x)),
     "BatchCover place": (
         "position_m",
-        [*NO_ARRAY, np.zeros((2, 3), int), np.zeros((0, 3))],
+        [*NO_ARRAY, np.zeros((2, 3), int), np.zeros((0, 3)), np.ma.zeros((2, 3))],
         lambda g, x: g.covers.pressure_pa(BALL, x),
     ),
     "radius": ("radius_m", NO_SIZE, lambda _, x: Sphere(radius_m=x, **AT)),
@@ -179,8 +180,18 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     ),
     "cover": (
         "positions_m|normals|areas_m2",
-        [*NO_ARRAY, np.zeros(3), np.zeros((16, 2)), np.zeros((3, 3))],
+        [*NO_ARRAY, np.zeros(3), np.zeros((16, 2)), np.zeros((3, 3)), np.full((16, 3), math.nan)],
         lambda g, x: Foundation(x, *g.places[1:]),
+    ),
+    "cover's normals": (
+        "normals",
+        [*NO_ARRAY, np.zeros((16, 3)), np.full((16, 3), math.nan), np.full((16, 3), 1.0)],
+        lambda g, x: Foundation(g.places[0], x, g.places[2]),
+    ),
+    "cover's areas": (
+        "areas_m2",
+        [*NO_ARRAY, np.zeros(16), np.full(16, math.nan), np.full(16, -1e-4), np.full(16, math.inf)],
+        lambda g, x: Foundation(*g.places[:2], x),
     ),
     "aspect": ("aspect", [*NO_TIME, 0], lambda g, x: Foundation(*g.places, x)),
     "pressed": ("indenter", [*NO_OBJECT, [BALL, "x"]], lambda g, x: g.cover.pressure_pa(x)),
