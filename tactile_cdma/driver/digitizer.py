@@ -190,10 +190,10 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
             f"but {samples_per_chip:.3g} per chip"
         )
     if config.timing != GAP and info.sync_mode == SyncMode.NONE:
-        return (
-            "the digitizer marks no frame starts but timing is 'line': set timing to 'gap', "
-            "or connect the sync wire"
-        )
+        remedy = "connect the sync wire"
+        if not config.spec.sparse:
+            remedy = f"set timing to 'gap', or {remedy}"
+        return f"the digitizer marks no frame starts but timing is 'line': {remedy}"
     if config.timing == GAP and info.integrated:
         return "the digitizer sends one mean per chip, timing 'gap' needs raw samples"
     if config.spec.amplitude_v is not None and info.quiet_uv > (most_uv := quiet_uv(config.spec)):

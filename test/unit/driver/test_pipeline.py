@@ -250,7 +250,12 @@ def test_indices_of_any_size_give_the_same_frames(params: dict, begin: int) -> N
     [
         ("order=24", {}, r"order 24 \(parameters: 20\)"),
         ("chip_us=40", {}, r"chip_ns 40000 \(parameters: 50000\)"),
-        ("timing=gap", {}, "marks no frame starts"),
+        ("timing=gap", {}, "timing is 'line': set timing to 'gap', or connect the sync wire"),
+        (
+            "timing=gap&samples_per_chip=4",
+            {"codes": "sparse", "order": 32, "samples_per_chip": 1, "frame_period_ms": 20.0},
+            "timing is 'line': connect the sync wire",
+        ),
         ("drive=unipolar&bits=8", {}, r"bits 8 .*drive unipolar \(parameters: bipolar\)"),
         ("scramble=true", {}, r"signs scrambled \(parameters: seeded\)"),
     ],
