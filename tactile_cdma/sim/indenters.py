@@ -71,7 +71,10 @@ class Indenter(ABC):
             raise ParameterError(f"{kind}: {error}") from None
 
     def _checked(self, name: str, like: float | tuple[float, ...], *about: Any) -> Any:
-        return argument(f"{name} of {type(self).__name__}", getattr(self, name), like, *about)
+        """The value, which becomes the object's own: the program may go on changing its list."""
+        value = argument(f"{name} of {type(self).__name__}", getattr(self, name), like, *about)
+        object.__setattr__(self, name, value)
+        return value
 
     @cached_property
     def pose(self) -> Pose:

@@ -247,3 +247,11 @@ def test_what_cannot_have_the_force_stays_where_it_is() -> None:
     way = np.array([0.5, 0, 0]) - normal
     ball = Sphere(radius_m=8e-3, position_m=(bent.positions_m[21] + 8e-3 * normal).tolist())
     assert at_force(cover, ball, 8.0, (way / np.linalg.norm(way)).tolist()) is ball
+
+
+def test_an_object_stays_where_it_was_made_whatever_becomes_of_the_list() -> None:
+    place_m, turned, size_m = [0.0, 0.0, 0.0], np.array([0.0, 0.0, 0.0, 1.0]), [0.01, 0.01, 0.01]
+    thing = Box(size_m=size_m, position_m=place_m, orientation_xyzw=turned)
+    place_m[2], turned[0], size_m[0] = 0.5, 1.0, 9.0
+    assert thing == Box(size_m=(0.01,) * 3, position_m=(0, 0, 0))
+    assert hash(thing) == hash(thing.placed(thing.pose))
