@@ -57,7 +57,7 @@ class Touch:
     """What a skin feels.
 
     problem: why nothing is to be concluded from it, in words; empty if every taxel in service has a
-        certain reading.
+        certain reading, and every amount is known.
     contacts: the newest message, as arrays; None if the skin is silent.
     """
 
@@ -176,6 +176,10 @@ class SkinClient:
         if not found.taxels_valid == found.taxels_in_service > 0:
             valid, of = found.taxels_valid, found.taxels_in_service
             problem = f"blind: {valid} of {of} taxels in service have a certain reading"
+        elif found.absent:  # of a body
+            problem = f"blind: absent patches: {len(found.absent)}"
+        elif not _are_known(found):
+            problem = "uncertain: force, pressure or speed is unknown"
         elif not (found.touched or found.untouched):
             problem = "uncertain: a taxel reads below its zero, so whether it is touched is unknown"
         return Touch(problem, found)
@@ -272,6 +276,13 @@ class SkinClient:
             yield
         except MessageError as error:
             self._fault = str(error)
+
+
+def _are_known(found: Touches) -> bool:
+    """Whether all amounts that a Touch has are numbers."""
+    states = found.states
+    amounts = found.force_n, states["pressure_max"], states["velocity"]
+    return all(np.isfinite(each).all() for each in amounts)
 
 
 def _node_name(name: str) -> str:

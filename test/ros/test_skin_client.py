@@ -2,6 +2,7 @@
 
 """SkinClient beside a real driver: touch and its validity, frames, tare, lifecycle."""
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -13,7 +14,7 @@ from rclpy.node import Node
 
 from tactile_cdma import Refusal
 from tactile_cdma.base.errors import ParameterError, PortError
-from tactile_cdma.msg import TactileContacts
+from tactile_cdma.msg import TactileContact, TactileContacts
 from tactile_cdma.ros import client as client_module
 from tactile_cdma.ros.client import SkinClient, Touch
 from tactile_cdma.ros.driver.node import SkinNode
@@ -77,6 +78,30 @@ def test_a_skin_that_is_blind_in_part_is_not_sure_of_anything() -> None:
         publisher.publish(TactileContacts(touched=True))  # contradicts itself, and ends nobody
         time.sleep(0.1)
         assert skin.touch.touched
+
+
+@pytest.mark.parametrize("wrong", ["force", "pressure", "speed", "absent", ""])
+def test_an_amount_that_is_unknown_is_not_sure(wrong: str) -> None:
+    contact = TactileContact(age=1.0, pressure_max=5e3, taxels=[1])
+    message = TactileContacts(taxels_in_service=16, taxels_valid=16, touched=True)
+    if wrong == "force":
+        message.wrench.force.z = math.nan
+    elif wrong == "pressure":
+        contact.pressure_max = math.nan
+    elif wrong == "speed":
+        contact.velocity.y = math.nan
+    message.contacts, message.absent = [contact], ["palm"] if wrong == "absent" else []
+    node = Node("touched")
+    try:
+        with spinning([node]):
+            skin = SkinClient(node, "/other", silent_after_s=60.0)
+            publisher = node.create_publisher(TactileContacts, "/other/contacts", 10)
+            wait_for(publisher.get_subscription_count)
+            publisher.publish(message)
+            wait_for(lambda: skin.touch.contacts is not None)
+            assert skin.touch.touched and skin.touch.is_sure == (not wrong), skin.touch.problem
+    finally:
+        node.destroy_node()
 
 
 def test_a_tare_waits_for_what_passes_while_the_node_serves_others() -> None:
