@@ -103,11 +103,15 @@ class BitErrors(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """Frames with at least one word, wrong words without a flag, frames not delivered in full."""
+    """Frames with at least one word, and wrong words without a flag in them.
+
+    lost, flagged: frames that were not found, and of which a word that was sent has a flag.
+    """
 
     frames: int
     wrong: int
     lost: int
+    flagged: int
 
 
 def q(rho: float) -> float:
@@ -212,13 +216,14 @@ def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Str
     cut = int(rng.uniform(0, spec.frame_period_s) * rate_hz)
     volts = channel.volts(channel.digitize(np.concatenate(pieces), spec, rng), spec)[cut:]
     whole = [begin_s + i * spec.frame_period_s > (cut + 16) / rate_hz for i in range(frames)]
-    timing, wrong, right = GapTiming(spec, rate_hz), 0, set()
+    timing, wrong, found, right = GapTiming(spec, rate_hz), 0, set[int](), set[int]()
     for at in range(0, volts.size, 1000):
         for frame in timing.feed(SampleBlock(at, volts[at : at + 1000])):
             if frame.levels is None:
                 continue
             start_s = (frame.start + 0.5 + cut) / rate_hz
             number = round((start_s - begin_s) / spec.frame_period_s)
+            found.add(number)
             codes, active = sent[number]
             words = decode(frame.levels, spec)
             guess = False if frame.doubtful is None else frame.doubtful
@@ -227,7 +232,7 @@ def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Str
             if np.array_equal(sure, active):
                 right.add(number)
     asked = {i for i, (_, active) in enumerate(sent) if whole[i] and active.any()}
-    return Streams(len(asked), wrong, len(asked - right))
+    return Streams(len(asked), wrong, len(asked - found), len(asked & found - right))
 
 
 def jobs() -> Iterator[Job]:
@@ -268,7 +273,7 @@ def main() -> None:
     with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
         paper = pool.imap_unordered(paper_stream, range(streams), chunksize=4)
         tallies = pool.map(run, todo, chunksize=1)
-        paper_frames, paper_wrong, paper_lost = map(sum, zip(*paper, strict=True))
+        streams_of_paper = Streams(*map(sum, zip(*paper, strict=True)))
     sums: dict[tuple[str, Condition, float], BitErrors] = {}
     for job, tally in zip(todo, tallies, strict=True):
         key = (job.spec, job.condition, job.rho_db)
@@ -295,9 +300,7 @@ def main() -> None:
     report.finish(
         picture(sums),
         loss_db=round(float(np.max([losses[name, BLIND] for name in SPECS])), 3),
-        paper_frames=paper_frames,
-        paper_wrong=paper_wrong,
-        paper_lost=paper_lost,
+        **{f"paper_{name}": value for name, value in streams_of_paper._asdict().items()},
     )
 
 

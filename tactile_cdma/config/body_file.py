@@ -122,7 +122,7 @@ def read_body(path: Path) -> Body:
         keys = given.mapping("defaults")
         keys.check_keys(_DEFAULT_KEYS)
         defaults = keys.entries
-    entries = _repeated(content["patches"].mapping("patches"))
+    entries = _repeated(content["patches"].mapping("patches"), defaults)
     if not 1 <= len(entries) <= MOST_PATCHES:
         raise content["patches"].refuse(
             f"patches has {len(entries)} entries; it must have 1…{MOST_PATCHES}"
@@ -157,8 +157,8 @@ def _shared(content: Keys, names: list[str]) -> tuple[tuple[str, ...], ...]:
     return tuple(groups)
 
 
-def _repeated(content: Keys) -> dict[str, Marked]:
-    """The patches by name, where those with `repeat` are written out."""
+def _repeated(content: Keys, defaults: dict[str, Marked]) -> dict[str, Marked]:
+    """The patches by name, where those with `repeat` are written out, over the defaults."""
     found: dict[str, Marked] = {}
     for name, value in content.entries.items():
         keys = value.content if isinstance(value.content, dict) else {}
@@ -179,7 +179,8 @@ def _repeated(content: Keys) -> dict[str, Marked]:
             each = name.replace(ITEM, item)
             if each in found or each in content.entries:
                 raise repeat.refuse(f"repeat makes another patch {each!r}")
-            found[each] = _over(replace(rest, content=given), _filled(rest, item).content)
+            merged = _over(_over(replace(rest, content=given), rest.content), defaults)
+            found[each] = _filled(merged, item)
     return found
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..base.arrays import Floats
+from ..base.errors import ParameterError
 from ..config.python_arguments import argument, instance
 from .indenters import Foundation, Indenter, Near, Spans
 
@@ -38,8 +39,7 @@ def at_force(
     along: unit vector into the skin. An object that cannot have the force within DEEPEST_M, as it
     lies beside the skin or goes right through its cover, stays where it is.
     """
-    _check(cover, thing, force_n)
-    way = np.array(argument("along", along, (0.0, 0.0, 0.0), (-1.0, 1.0)))
+    way = _checked(cover, thing, force_n, along)
     near = cover.near(thing)
     if _is_along(near, way):
         shift_m = _flat_shift_m(thing, near, thing.spans_m(near.points_m, near.normals), force_n)
@@ -86,9 +86,9 @@ def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
     """
     pressed = []
     for thing, force_n, along in presses:
-        _check(cover, thing, force_n)
+        way = _checked(cover, thing, force_n, along)
         near = cover.near(thing)
-        if is_along := _is_along(near, np.array(along)):
+        if is_along := _is_along(near, way):
             moved = thing
         else:
             moved = at_force(cover, thing, force_n, along)
@@ -100,10 +100,15 @@ def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
     return cover.mean_pa(pressed)
 
 
-def _check(cover: Foundation, thing: Indenter, force_n: float) -> None:
+def _checked(cover: Foundation, thing: Indenter, force_n: float, along: Sequence[float]) -> Floats:
+    """The direction, (3,); raises ParameterError for wrong arguments."""
     instance("cover", cover, Foundation)
     instance("thing", thing, Indenter)
     argument("force_n", force_n, 0.0, (0.0, math.inf), "N")
+    way = argument("along", along, (0.0, 0.0, 0.0))
+    if not abs(math.hypot(*way) - 1) < 1e-6:
+        raise ParameterError(f"along is {way}; it must be of length 1")
+    return np.array(way)
 
 
 def _is_along(near: Near, way: Floats) -> bool:

@@ -239,6 +239,8 @@ class HeightMap(Indenter):
         super().__post_init__()
         if min(array_of("heights_m", self.heights_m, ("rows", "columns")).shape) < 2:
             raise ParameterError(f"heights_m is {self.heights_m.shape}; it must be 2 × 2 or more")
+        if np.isinf(self.heights_m).any():
+            raise ParameterError("heights_m has infinite ones; NaN stands where there is no object")
 
     @property
     def _reach_m(self) -> float:

@@ -112,7 +112,7 @@ class SkinBatch:
     ) -> None:
         array_api()  # where it is missing this is told first
         spec = instance("config", config, SkinConfig).spec
-        options = SimOptions.from_url(argument("simulator", simulator, ""))
+        options = SimOptions.from_url(argument("simulator", simulator, ""), config.layout)
         _check(config, options)
         least = math.ceil(delay_s(config) / spec.frame_period_s)
         late = least if delay_frames is None else delay_frames

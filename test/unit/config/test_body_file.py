@@ -184,6 +184,21 @@ patches:
     assert groups == [["mf_tip"], ["mf_mid"]]
 
 
+def test_an_item_stands_in_the_texts_of_defaults_and_in_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "body.yaml"
+    path.write_text(
+        """
+defaults: {params_file: "{}.yaml", parameters: {parent_frame: "{}distal"}}
+patches: {"{}_tip": {repeat: {ff: {skin: "{}1"}, mf: {}}}}
+"""
+    )
+    for item in "ff", "mf":
+        (tmp_path / f"{item}.yaml").write_text(f"/**: {{ros__parameters: {{skin: of {item}}}}}")
+    found = {patch.name: patch.values for patch in read_body(path).patches}
+    assert [values["parent_frame"] for values in found.values()] == ["ffdistal", "mfdistal"]
+    assert [values["skin"] for values in found.values()] == ["ff1", "of mf"]
+
+
 def test_more_processes_than_dds_lets_find_each_other_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

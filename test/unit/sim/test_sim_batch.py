@@ -200,6 +200,9 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
         missing.setitem(sys.modules, "array_api_compat", None)
         with pytest.raises(MissingPackageError, match="pip install array_api_compat"):
             SkinBatch(config, 1)
+    for other in ("rows=2&columns=8", "pitch_mm=3", f"layout={LAYOUTS / 'sphere.yaml'}"):
+        with pytest.raises(SpecError, match=r"driver's|nodes"):
+            SkinBatch(config, 1, f"sim://?{other}")
     with pytest.raises(SpecError, match="leave out warming"):
         SkinBatch(config, 1, "sim://?warming=20")
     with pytest.raises(SpecError, match="nodes is 16, but 12 in the options"):

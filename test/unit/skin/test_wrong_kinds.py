@@ -175,7 +175,7 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     ),
     "heights": (
         "heights_m",
-        [*NO_ARRAY, np.zeros((1, 4)), np.zeros(4)],
+        [*NO_ARRAY, np.zeros((1, 4)), np.zeros(4), np.full((4, 4), -math.inf)],
         lambda _, x: HeightMap(heights_m=x, cell_m=0.01, **AT),
     ),
     "cover": (
@@ -197,7 +197,16 @@ CASES: dict[str, tuple[str, list[Any], Callable[[SimpleNamespace, Any], object]]
     "pressed": ("indenter", [*NO_OBJECT, [BALL, "x"]], lambda g, x: g.cover.pressure_pa(x)),
     "at_force": ("force_n", [*NO_TIME, None], lambda g, x: at_force(g.cover, BALL, x)),
     "at_force cover": ("cover", NO_OBJECT, lambda _, x: at_force(x, BALL, 1.0)),
-    "at_force along": ("along", NO_PLACE, lambda g, x: at_force(g.cover, BALL, 1.0, x)),
+    "at_force along": (
+        "along",
+        [*NO_PLACE, (0, 0, 0), (0, 0, -0.5), (0, 0, -2), np.zeros(3)],
+        lambda g, x: at_force(g.cover, BALL, 1.0, x),
+    ),
+    "pressed_pa along": (
+        "along",
+        [*NO_PLACE, (0, 0, 0), (0, 0, -0.5), (0, 0, -2), np.zeros(3)],
+        lambda g, x: pressed_pa(g.cover, [(BALL, 1.0, x)]),
+    ),
     "pressed_pa": ("thing", NO_OBJECT, lambda g, x: pressed_pa(g.cover, [(x, 1.0, (0, 0, -1))])),
 }
 
