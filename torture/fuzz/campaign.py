@@ -27,6 +27,8 @@ from .targets import GROUPS
 
 SLICE_S = {True: 0.12, False: 18.0}
 """Processor time for a target, s."""
+WAITS = 1.5
+"""Time for it, of that: most wait for a disk now and then, beside other campaigns for long."""
 QUICK_BYTES, FULL_BYTES = 2 << 20, 50 << 20
 """Most bytes of each kind of garbage."""
 GARBAGE_S = {True: 0.1, False: 8.0}
@@ -53,16 +55,16 @@ def run(plan: Plan) -> Iterator[Outcome]:
 
 def tried(fault: str, targets: Sequence[Target], plan: Plan) -> Outcome:
     """Run seeds and mutations of each target for a slice of time."""
-    kinds, done = Counter[str](), 0
+    kinds, done, slice_s = Counter[str](), 0, SLICE_S[plan.quick]
     for target in targets:
         with trying(target) as attempt:
-            until_s = time.thread_time() + SLICE_S[plan.quick]
+            until_s, latest_s = time.thread_time() + slice_s, time.monotonic() + WAITS * slice_s
             for data in inputs(target, plan.seed):
                 done += 1
                 if (find := attempt(data)) is not None:
                     print(f"{target.name}, {data!r}: {find.text}", file=sys.stderr)
                     kinds[find.kind] += 1
-                if time.thread_time() > until_s:
+                if time.thread_time() > until_s or time.monotonic() > latest_s:
                     break
     return _outcome(fault, done, kinds, f"{len(targets)} targets")
 

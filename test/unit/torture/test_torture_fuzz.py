@@ -4,6 +4,7 @@
 
 import importlib.util
 import os
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -117,6 +118,11 @@ def kinds_of(target: Target, count: int = 60) -> set[str]:
 
 def planted(run: object, **others: object) -> Target:
     return Target("planted", run, lambda: {"a": b"abc"}, **others)  # type: ignore[arg-type]
+
+
+def test_a_slice_of_fuzzing_ends_while_the_target_waits_for_a_disk() -> None:
+    target = planted(lambda data: time.sleep(0.1))
+    assert campaign.tried("planted", [target], QUICK).times < 5
 
 
 def test_crashes_slowness_and_bad_messages_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
