@@ -234,8 +234,10 @@ class Pipeline:
         words, readings = self._read(heard, stamp.t_middle)
         if (load := self.load) is not None:
             self.groups.take(heard.turn, load.now, words.active, load.crowded)
-        else:
+        elif heard.turn:
             self.groups.hear(heard.turn, words.active)
+        else:
+            self.groups.spoke = words.active
         if heard.turn:
             readings = self.taxels.waiting(readings, out_of_turn(heard.turn, spec.nodes))
         return TactileFrame(*stamp, heard.clipped, words, readings)
