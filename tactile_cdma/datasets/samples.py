@@ -295,8 +295,8 @@ def differences(
 
     where: the first is.
     """
-    unsaid = dict.fromkeys(("origin", "measured_by", "calibration_id"), "unknown")
-    for key, without in (*unsaid.items(), ("tared", False)):
+    for key in ("origin", "measured_by", "calibration_id", "tared"):
+        without = False if key == "tared" else "unknown"
         mine, its = (about.get(key, without) for about in (first, other))
         if mine != its:
             yield f"{key} of patch {patch} is {its!r}, in {where} {mine!r}"

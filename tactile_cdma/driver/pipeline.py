@@ -236,7 +236,7 @@ class Pipeline:
             self.groups.take(heard.turn, load.now, words.active, load.crowded)
         elif heard.turn:
             self.groups.hear(heard.turn, words.active)
-        else:
+        else:  # what hear would do, without a call in every frame
             self.groups.spoke = words.active
         if heard.turn:
             readings = self.taxels.waiting(readings, out_of_turn(heard.turn, spec.nodes))
