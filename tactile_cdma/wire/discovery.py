@@ -13,7 +13,7 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from ..base.errors import PortError
-from ..base.plain_text import plain
+from ..base.text import plain
 
 _log = logging.getLogger(__name__)
 
