@@ -80,12 +80,12 @@ class Numbering:
             return None
         if self._frames < EARLY_FRAMES + TAKEN_FRAMES:
             return self._had_before(self.asked)
-        self._ask(self.asked + 1)
+        self._begin(self.asked + 1)
         return f"node {node + 1} has its number"
 
     def unclear(self) -> str:
         """More than one took the number: they lose it. Returns what to tell."""
-        self._forget(self.asked or 0)
+        self._begin(self.asked, forgets=self.asked or 0)
         return f"node {self.asked} is not clear: several taxels at once? Let go, press only one"
 
     def back(self) -> str:
@@ -93,10 +93,9 @@ class Numbering:
         last = self._nodes if self.asked is None else self.asked - 1
         if not last:
             return "there is no number before 1"
-        self._ask(last)
+        self._begin(last, forgets=last)
         if last in self.skipped:
             self.skipped.remove(last)
-        self._forget(last)
         return f"node {last} has lost its number"
 
     def skip(self) -> str:
@@ -105,8 +104,7 @@ class Numbering:
             return "there is no number left"
         skipped = self.asked
         self.skipped.append(skipped)
-        self._ask(skipped + 1)
-        self._forget(skipped)  # whoever took it meanwhile
+        self._begin(skipped + 1, forgets=skipped)  # whoever took it meanwhile
         return f"node {skipped} is left out"
 
     def _had_before(self, number: int) -> str | None:
@@ -115,16 +113,15 @@ class Numbering:
             self._clear = self._frames = 0
             return None
         self._early = number
-        self._forget(number)
+        self._begin(number, forgets=number)
         return (
             f"node {number} speaks before it is pressed: has it a number of its own? All nodes "
             "take one image (node --any)"
         )
 
-    def _ask(self, number: int) -> None:
-        self.asked = number if number <= self._nodes else None
-        self._clear = self._unclear = self._frames = 0
-
-    def _forget(self, number: int) -> None:
-        self._forgets, self._left = number, FORGET_FRAMES
+    def _begin(self, asked: int | None, forgets: int | None = None) -> None:
+        """Go on with another request, before which nodes may be told to forget a number."""
+        self.asked = asked if asked is not None and asked <= self._nodes else None
+        if forgets is not None:
+            self._forgets, self._left = forgets, FORGET_FRAMES
         self._clear = self._unclear = self._frames = 0

@@ -128,21 +128,15 @@ def _between_is_empty(
     places_m: Floats, first: Indices, second: Indices, distance_m: Floats
 ) -> NDArray[np.bool_]:
     """(p,) whether the ball between two taxels holds none of those near the first one."""
-    counts = np.bincount(first, minlength=len(places_m))
-    begins = np.cumsum(counts) - counts
-    most = int(counts.max(initial=0))
-    column = np.arange(most)
-    empty = np.ones(len(first), dtype=bool)
-    step = max(1, _AT_ONCE // max(1, most))
+    near, empty = table(first, second, len(places_m)), np.ones(len(first), dtype=bool)
+    step = max(1, _AT_ONCE // near.shape[1])
     for begin in range(0, len(first), step):
-        pair = np.arange(begin, min(begin + step, len(first)))
-        one = first[pair]
-        entry = np.minimum(begins[one][:, None] + column, len(first) - 1)
-        third = second[entry]
-        middle_m = (places_m[one] + places_m[second[pair]]) / 2
+        pair = slice(begin, begin + step)
+        one, other, third = first[pair], second[pair], near[first[pair]]
+        middle_m = (places_m[one] + places_m[other]) / 2
         off_m = np.linalg.norm(places_m[third] - middle_m[:, None], axis=2)
-        others = (column < counts[one][:, None]) & (third != second[pair][:, None])
-        inside = others & (off_m < _BALL / 2 * distance_m[pair][:, None])
+        inside = off_m < _BALL / 2 * distance_m[pair, None]
+        inside &= (third != one[:, None]) & (third != other[:, None])
         empty[pair] = ~inside.any(axis=1)
     return empty
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the sensing nodes do: measure, keep time, decide whether to send, and send a word."""
+"""By what the sensing nodes send: clocks, turns, thresholds; and what they sent in a frame."""
 
 from dataclasses import dataclass, field
 from typing import Any
