@@ -34,8 +34,8 @@ _CHANGE = 0.005
 class LoadPoints:
     """m points in the order in which they were taken.
 
-    node: (m,) int64, from 1 on. pressure_pa, voltage_v: (m,) float64. line: (m,) int64, of the
-    file `source` that tells of the load.
+    node, line: (m,) int64, from 1 on; the line is that of the file `source`. pressure_pa,
+    voltage_v: (m,) float64.
     """
 
     node: NDArray[np.int64]

@@ -13,8 +13,7 @@ from ..words.decode import Words
 TAKEN_FRAMES = 5
 """Frames in a row with a clear word of the number's node. Chosen."""
 UNCLEAR_FRAMES = 25
-"""Frames in a row with words that are not clear, as of two nodes at once. Chosen: 0.3 s at 78
-frames/s, more than a disturbance."""
+"""Unclear frames in a row, as of two nodes at once. Chosen: 0.3 s, more than a disturbance."""
 TALKING_FRAMES = 400
 """Frames after which nodes that do not fall silent are told of. Chosen: 5 s at 78 frames/s."""
 EARLY_FRAMES = 50
@@ -27,8 +26,7 @@ FORGET_FRAMES = 40
 class Numbering:
     """Which number is announced, and what is known of those before.
 
-    asked: the number that a pressed node takes next; None: all have theirs. skipped: numbers of
-    nodes that nobody has.
+    asked: the number that a pressed node takes next; None: all have theirs. skipped: nobody's.
     """
 
     def __init__(self, nodes: int) -> None:

@@ -4,8 +4,7 @@
 
 On an irregular skin neighbours are those of a Gabriel graph (Gabriel & Sokal, A new statistical
 approach to geographic variation analysis, 1969): the ball between two of them holds no third one.
-It is part of the Delaunay triangulation, needs no plane to be unrolled on, and so takes closed
-sleeves and fingertips as they are.
+A part of the Delaunay triangulation, it takes closed sleeves and fingertips without a plane.
 """
 
 import numpy as np
@@ -94,8 +93,7 @@ def table(first: Indices, second: Indices, count: int) -> NDArray[np.int32]:
 def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
     """Label the connected components of some taxels: (k,), 0…c − 1 in the order of first taxels.
 
-    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, one column per
-    taxel, padded with the taxel itself.
+    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of each taxel, padded with itself.
 
     Trees of taxels merge along the links between them: in each round every root whose tree touches
     lower ones is attached to the lowest, then the trees are flattened. (A form of Shiloach &

@@ -41,8 +41,7 @@ def truth(
     """What the nodes measure and send in every frame since START, endlessly.
 
     The same arguments give the same frames. roll_calls: may be requested while frames are drawn;
-    each node then sends in its turn only. scene: what touches the skin; None: what the options say,
-    of "external" the untouched skin.
+    each node then sends in its turn only. scene: instead of the options', whose "external" is idle.
     """
     spec, sensors, rules = setup.spec, options.sensors, options.rules(setup.spec)
     skin, roll_calls = options.skin(spec.nodes, spec.first_row), roll_calls or RollCalls()
@@ -85,8 +84,7 @@ def line_counts(
 ) -> Counts:
     """Readings of the converter in one frame period, (m,) int16 counts.
 
-    Raw: all samples from the start of the frame to the start of the next. Integrated: the mean of
-    every coded chip, m = spec.chips.
+    Raw: all samples from the frame's start to the next one's. Integrated: means of the coded chips.
     """
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])

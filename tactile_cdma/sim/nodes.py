@@ -68,10 +68,9 @@ class ClockModel:
 class RollCalls:
     """Who may send in the frames of a stream: one node after the other, or groups by turns.
 
-    starts: numbers of the frames at which roll calls began: in each, every node sends alone once,
-    in n frames. asked: another begins with the next frame.
-    divisions: frame, log2_groups: from this frame on there are so many groups. asked_log2: from the
-    next frame on.
+    starts: numbers of the frames at which roll calls began, in which every node sends alone once,
+    in n frames. asked: another begins with the next frame. divisions: frame, log2_groups: from this
+    frame on there are so many groups. asked_log2: from the next one on.
     """
 
     starts: list[int] = field(default_factory=list)
@@ -103,8 +102,7 @@ class NodeRules:
 
     threshold: LSB. A node talks while its code is farther than this from its code at rest, or
         from the code that it sent last (so a release is told, too). 0: always.
-    heartbeat: frames. A node also talks once in this many frames; the turns of the nodes are
-        spread evenly over them. 0: never.
+    heartbeat: a node also talks once in so many frames, all by evenly spread turns. 0: never.
     """
 
     threshold: int = 1

@@ -53,8 +53,7 @@ class BatchFrame(NamedTuple):
     """One frame of e skins of t taxels, as the driver's; arrays of the kind that was given.
 
     pressure_pa: (e, t) float32, Pa, NaN without a valid reading. status: (e, t) uint8, bits of
-    Status. active: (e, t) bool, whether the taxel's node spoke. codes: (e, t) integers, the word
-    that it sent last.
+    Status. active: (e, t) bool, whose nodes spoke. codes: (e, t) integers, their last words.
     """
 
     pressure_pa: Array
