@@ -17,7 +17,6 @@ from ..base.text import listed
 from ..readings.calibration import MOST_PA
 from .load_table import KIND_OF, UNITS, Table, read_table
 
-_COLUMNS = ("node", "pressure_pa", "voltage_v", "line")
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, MOST_PA)
 """Limits of the largest load, Pa: outside of them its unit is taken to be wrong. The lower one is
@@ -55,8 +54,8 @@ class LoadPoints:
 
     def of_rows(self, rows: Bools) -> Self:
         """Some of the points; rows: (m,) bool."""
-        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        return replace(self, **columns)
+        columns = ("node", "pressure_pa", "voltage_v", "line")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def lines(self, rows: Indices | Bools) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""
