@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Indices
 from .layout_shapes import tangents
-from .proximity import FACING_AWAY, beside
+from .proximity import beside
 
 NEIGHBOUR_PITCHES = 1.5
 """Largest distance between neighbours' centres on a grid, in pitches: between √2 (the diagonal) and
@@ -58,16 +58,10 @@ def on_grid(
         near &= np.abs(column[first] - column[second]) > 2
         near = _both_ways(near, first, second)  # they differ from taxel to taxel on a ball
         first, second = first[near], second[near]
-    beyond = len(places)  # stands for places without a taxel
-    at = np.full((int(row[-1]) + 3, columns + 2), beyond)
-    at[row + 1, column + 1] = np.arange(beyond)
-    steps = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
-    around_it = np.stack([at[row + 1 + down, column + 1 + right] for down, right in steps], axis=1)
-    one, other = np.repeat(np.arange(beyond), len(steps)), around_it.ravel()
-    one, other = one[other < beyond], other[other < beyond]
-    facing = np.einsum("ij,ij->i", normals[one], normals[other]) >= FACING_AWAY
-    pairs = np.concatenate([first * beyond + second, (one * beyond + other)[facing]])
-    return np.divmod(np.unique(pairs), beyond)
+    on_it = np.column_stack([row, column, np.zeros_like(row)]).astype(np.float64)
+    one, other, _ = beside(on_it, normals, NEIGHBOUR_PITCHES)
+    pairs = np.concatenate([first * len(places) + second, one * len(places) + other])
+    return np.divmod(np.unique(pairs), len(places))
 
 
 def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indices, Indices]:
