@@ -91,14 +91,6 @@ class NodeClocks:
         """When the latest node ends its frame, s after the sync edge."""
         return float(spec.chips + self.displacement(spec.chips).max()) * spec.chip_s
 
-    def with_guesses(self) -> NodeClocks:
-        """The same clocks, unknown ones replaced by the median of the known ones."""
-        if not self.known.any():
-            return self
-        delay = np.where(self.known, self.delay_chips, np.median(self.delay_chips[self.known]))
-        rate = np.where(self.known, self.rate_error, np.median(self.rate_error[self.known]))
-        return NodeClocks(delay, rate, self.known)
-
 
 def crosstalk(spec: FrameSpec, clocks: NodeClocks) -> float:
     """What all other nodes add to one correlation of plain decoding, RMS over a node's amplitude.

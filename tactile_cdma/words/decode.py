@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -173,29 +172,41 @@ def decode(
     )
     if uneven:
         doubtful |= _disturbed(frame)
-    for rule in RULES:
-        doubtful |= rule(frame)
-    none, is_tone = _no_words(frame)
+    # Words that their waveforms do not tell from some others', and rows that hold a part of a word,
+    # or more than noise and leakage.
+    unresolved = list(levels.unresolved)
+    doubtful[unresolved] |= active[unresolved]
+    doubtful |= frame.astray | frame.hidden
+    doubtful |= _silent_by_parts(frame) | _silent_elsewhere(frame)
+    # Where somebody is out of place, any silent node may be the one that spoke; and where the level
+    # moves so much that the frame may be somewhere else.
+    moves = bool(_line_levels(frame).std() > MOVED_SHARE * frame.expected_v)
+    doubtful |= ~active & (frame.is_late or moves)
+    tones = toned(levels, measures.amplitude, active, spec) if active.any() else None
+    none = nobody(len(active)) if tones is None else tones
+    if levels.level_unknown and active[0]:
+        none = none | (np.arange(active.size) == 0)
     active = active & ~none
     # A tone that passes for a word may have given the frame its timing, too.
-    doubtful |= none | (~active & is_tone)
+    doubtful |= none | (~active & (tones is not None))
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= measures.amplitude > np.float32(min(active_share, FAINT_SHARE)) * frame.expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = levels.noise_v * math.sqrt(spec.order)
     return Words(
         *(active, codes, measures.amplitude, rho, margin, doubtful, doubled, odd),
-        *(frame.astray | frame.late, frame.hidden, sigma),
+        *(frame.astray, frame.hidden, sigma),
     )
 
 
 class _Frame(NamedTuple):
-    """Who spoke in a frame, which the rules of doubt judge.
+    """Who spoke in a frame, by which doubt is judged.
 
     expected: (n,) V, each node's amplitude; expected_v: the least. is_learnt: it is the frame's
     own. active: (n,) bool, words that count; weak: those of them that are too faint for a sound
-    node. parts: (n,) bool, rows that may hold a part of another's word; late: words that may be
-    those of others; is_late: whether somebody is. hidden: see Words.faint. noise_v: RMS of a level.
+    node. parts: (n,) bool, rows that may hold a part of another's word; astray: those, and words
+    that may be those of others; is_late: whether some may. hidden: see Words.faint. noise_v: RMS of
+    a level.
     """
 
     levels: NodeLevels
@@ -207,15 +218,10 @@ class _Frame(NamedTuple):
     active: Bools
     weak: Bools
     parts: Bools
-    late: Bools
+    astray: Bools
     is_late: bool
     hidden: Bools
     noise_v: float
-
-    @property
-    def astray(self) -> Bools:
-        """See Words."""
-        return self.parts | self.late
 
 
 def _spoken(
@@ -230,49 +236,37 @@ def _spoken(
         *(measures, expected, active_share, noise, spec.line_bits),
         0 if spec.sparse else spec.order,
     )
-    weak, parts, late, hidden = np.zeros((4, len(active)), np.bool_)
+    weak, parts, hidden = np.zeros((3, len(active)), np.bool_)
     if any_faint:
         rest, noise = unexplained(levels, active & ~faint, faint, spec)
-        measures = _without_leakage(measures, rest, faint)
-        spoke = measures.amplitude > np.float32(active_share) * expected
-        parts = _out_of_step(measures.amplitude, active, spoke, expected)
-        hidden = ~spoke & _hides(rest, noise, spoke, expected)
+        # Faint words that louder ones explain have but what is left of them.
+        amplitude, left = measures.amplitude, np.abs(rest).mean(axis=0)
+        amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
+        measures = measures._replace(amplitude=amplitude)
+        spoke = amplitude > np.float32(active_share) * expected
+        parts = _out_of_step(amplitude, active, spoke, expected)
+        squares, bits = np.einsum("kn,kn->n", rest, rest), spec.line_bits
+        in_silence = pooled_noise(noise, squares[~spoke], bits)
+        hidden = ~spoke & rises(squares, expected, in_silence, bits)
         active = spoke & ~parts
         weak = active & faint
-    late[list(levels.late)] = True
     others = None
     if active.any():
         others = out_of_place(levels, measures.amplitude, active, expected_v, spec)
+    astray = parts.copy() if others is None else parts | others
+    astray[list(levels.late)] = True
     return _Frame(
         *(levels, spec, measures, expected, expected_v, is_learnt, active, weak, parts),
-        *(late if others is None else late | others, others is not None, hidden, noise),
+        *(astray, others is not None, hidden, noise),
     )
 
 
-# Rules: each says whose word, or whose silence, is in doubt, (n,) bool.
-
-
-def _one_of_several(frame: _Frame) -> Bools:
-    """Words that their waveforms do not tell from some others'."""
-    nodes = np.zeros_like(frame.active)
-    nodes[list(frame.levels.unresolved)] = True
-    return nodes & frame.active
-
-
-def _more_than_words(frame: _Frame) -> Bools:
-    """Rows that hold a part of a word, or more than noise and leakage."""
-    return frame.astray | frame.hidden
-
-
-def _silent_beside_late(frame: _Frame) -> Bools:
-    """Where somebody is out of place, any silent node may be the one that spoke."""
-    return ~frame.active & frame.is_late
-
-
 def _silent_by_parts(frame: _Frame) -> Bools:
-    """A word that others' rows hold in parts leaves nothing on its own."""
+    """Silent nodes whose word may be on others' rows in parts: it leaves nothing on its own."""
     parts, active = frame.parts & ~frame.active, frame.active
-    said = _either(frame.measures.signs, frame.spec.line_bits)
+    # The same number for a word and its opposite, as parts of one late word are.
+    signs = frame.measures.signs
+    said = np.minimum(signs, signs ^ np.int32((1 << frame.spec.line_bits) - 1))
     words, counts = np.unique(said[parts], return_counts=True)
     if (counts > 1).any() or (frame.is_learnt and parts.any()):
         # Where parts outnumber words, these may be parts, too; so may one that says the same.
@@ -308,21 +302,6 @@ def _silent_elsewhere(frame: _Frame) -> Bools:
     return ~active & is_seen
 
 
-def _silent_on_moving_line(frame: _Frame) -> Bools:
-    """Silent nodes, where the level moves so much that the frame may be somewhere else."""
-    return ~frame.active & bool(_line_levels(frame).std() > MOVED_SHARE * frame.expected_v)
-
-
-RULES: tuple[Callable[[_Frame], Bools], ...] = (
-    _one_of_several,
-    _more_than_words,
-    _silent_beside_late,
-    _silent_by_parts,
-    _silent_elsewhere,
-    _silent_on_moving_line,
-)
-
-
 def _expected(
     amplitude: Floats32,
     noise: float,
@@ -340,13 +319,6 @@ def _expected(
     return np.full(spec.nodes, swing_v, dtype=np.float32)
 
 
-def _without_leakage(measures: Measures, rest: Floats32, faint: Bools) -> Measures:
-    """Faint words that louder ones explain have but what is left of them; rest: (k, n) V."""
-    amplitude, left = measures.amplitude, np.abs(rest).mean(axis=0)
-    amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
-    return measures._replace(amplitude=amplitude)
-
-
 def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Floats32) -> Bools:
     """Nodes on whose rows there may be a part of a word, of which others have the rest, (n,).
 
@@ -360,30 +332,6 @@ def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Flo
         # A line that weakens words weakens faint ones, too.
         astray |= ~spoke & (amplitude > np.float32(FAINT_SHARE) * amplitude.max())
     return astray
-
-
-def _either(signs: NDArray[np.int32], bits: int) -> NDArray[np.int32]:
-    """The same number for a word and its opposite, as parts of one late word are; signs: (m,)."""
-    either: NDArray[np.int32] = np.minimum(signs, signs ^ np.int32((1 << bits) - 1))
-    return either
-
-
-def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bools:
-    """Rows that hold more than noise and leakage, (n,); rest: (k, n) V, without the latter."""
-    squares, bits = np.einsum("kn,kn->n", rest, rest), len(rest)
-    return rises(squares, expected, pooled_noise(noise, squares[~spoke], bits), bits)
-
-
-def _no_words(frame: _Frame) -> tuple[Bools, bool]:
-    """Words that tones explain, or an offset of the line, (n,); whether tones do."""
-    levels, active = frame.levels, frame.active
-    explained = None
-    if active.any():
-        explained = toned(levels, frame.measures.amplitude, active, frame.spec)
-    none = np.zeros_like(active) if explained is None else explained
-    if levels.level_unknown and active[0]:
-        none = none | (np.arange(active.size) == 0)
-    return none, explained is not None
 
 
 def _line_levels(frame: _Frame) -> Floats32:

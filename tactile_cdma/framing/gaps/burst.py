@@ -116,7 +116,7 @@ class BurstSearch:
         self.bit_cells = math.ceil(spec.order * self.chip / cell) + 1
         # Every bit has the same energy, and any two bits' time holds a whole one.
         self.bit_halves = math.ceil(2 * (1 + MAX_STRETCH) * self.bit_cells) * self.group
-        self.least_power = least_power(spec)
+        self.least_power = least_power(spec.node_swing_v)
         self._mean = np.full(self.half, 1 / self.half)
 
     @cached_property
