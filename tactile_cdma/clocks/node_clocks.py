@@ -74,8 +74,7 @@ class NodeClocks:
         """Delay of each node at the begin of a chip: (…) chip numbers to (n, …) chips."""
         at = np.asarray(chip, dtype=np.float64)
         shape = (self.nodes,) + (1,) * at.ndim
-        late: Floats = self.delay_chips.reshape(shape) + self.rate_error.reshape(shape) * at
-        return late
+        return self.delay_chips.reshape(shape) + self.rate_error.reshape(shape) * at
 
     def spread_chips(self, spec: FrameSpec) -> float:
         """Largest difference of two nodes' displacements within a frame, chips."""

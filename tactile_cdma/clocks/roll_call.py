@@ -177,8 +177,7 @@ class RowSearch:
     def energy(self, begin: Floats, end: Floats) -> Floats:
         """Energy that a word of equal amplitudes explains, V²·samples."""
         amplitude, count = self.explained(begin, end)
-        explained: Floats = np.square(amplitude) * count * self.bits
-        return explained
+        return np.square(amplitude) * count * self.bits
 
     def coarse(self) -> Floats:
         """The best pair of displacements on a raster of half chips."""

@@ -69,7 +69,8 @@ class CodeBook:
                 factor = matrix.rows(digit)
             else:  # order 1 or 2
                 factor = np.array([[1, 1], [1, -1]], dtype=np.int8)[digit, :order]
-            rows = (factor[:, :, None] * rows[:, None, :]).reshape(remaining.size, -1)
+            width = rows.shape[1] * order
+            rows = (factor[:, :, None] * rows[:, None, :]).reshape(remaining.size, width)
         return rows
 
 

@@ -90,8 +90,7 @@ class Line:
 
     def sum_before(self, whole: Indices | Int32s, share: Floats) -> Floats:
         """Sum of so many whole samples and a share of the next one, V."""
-        total: Floats = self.sums[whole] + share * self.volts[whole]
-        return total
+        return self.sums[whole] + share * self.volts[whole]
 
 
 class ChipEdges:
@@ -186,8 +185,7 @@ class WordFit:
 
     def signs(self, spec: FrameSpec) -> Floats32:
         """What nodes say: (c, k, n) float32, ±1, 0 where silent."""
-        signs: Floats32 = np.sign(self.rows[..., spec.node_slice]) * (self.amplitude > 0)[:, None]
-        return signs
+        return np.sign(self.rows[..., spec.node_slice]) * (self.amplitude > 0)[:, None]
 
     def chips(self, spec: FrameSpec) -> Floats32:
         """The chips of these words, without the pedestal: (c, k, N) float32, V."""

@@ -58,8 +58,7 @@ class Expected:
         narrow = np.exp(off * (-0.5 / width**2)) * (
             (1 - self.slips) / (math.sqrt(2 * np.pi) * width)
         )
-        density: Floats = np.log(wide + narrow)
-        return density
+        return np.log(wide + narrow)
 
 
 class Raster:

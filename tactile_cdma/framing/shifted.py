@@ -115,8 +115,7 @@ def _rivals(
 def _beside_bit(cut: Floats32, unseen: int, spec: FrameSpec, rival: WordFit) -> Floats32:
     """What is left beside a bit that is a chip off, (k,) V²; unseen: its chip out of view."""
     meant = _meant(rival, np.arange(len(cut)), spec)[:, unseen]
-    beside: Floats32 = cut - np.square(meant)
-    return beside
+    return cut - np.square(meant)
 
 
 def _beside_double(chips: Floats32, rival: WordFit, spec: FrameSpec) -> Floats32:
@@ -143,8 +142,7 @@ def _meant(words: WordFit, bit: Indices, spec: FrameSpec) -> Floats32:
     candidate = np.arange(len(bit))
     rows[:, spec.node_slice] = np.sign(words.rows[candidate, bit, spec.node_slice])
     rows[:, spec.node_slice] *= words.amplitude
-    chips: Floats32 = chips_of(rows, spec) + words.pedestal[:, None]
-    return chips
+    return chips_of(rows, spec) + words.pedestal[:, None]
 
 
 def _move(chips: Floats32, shift: int, moved: Floats32) -> None:

@@ -287,8 +287,7 @@ class SparseRecogniser(Recogniser):
     def _noise_of(self, found: Detected) -> Floats:
         """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
         free = self._spec.chips - int(np.count_nonzero(found.heard)) - 1
-        noise: Floats = found.left * (self._spec.chips / max(free, 1))
-        return noise
+        return found.left * (self._spec.chips / max(free, 1))
 
     def _late(self, found: Detected) -> tuple[int, ...]:
         """Nodes, counted from 0, whose words show in chips that are read that much later."""

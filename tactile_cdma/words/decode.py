@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +18,11 @@ from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
     HIDDEN,
+    LEAST_NOISE,
+    LOW_MARGIN,
     MOVED_SHARE,
     SILENT_RHO,
+    hiding_rho,
     pooled_noise,
     rises,
     usual_amplitude,
@@ -28,8 +31,16 @@ from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .lateness import displaced, out_of_place
 from .leakage import unexplained
-from .limits import CLEAR_RHO, SHARED_SHARE, SOUND_SHARE, UNLIKE
-from .stages import Measures, decide, find_active, measure
+from .limits import (
+    CLEAR_RHO,
+    DOUBLE_SHARE,
+    LOW_RHO,
+    LOWER_SHARE,
+    SHARED_SHARE,
+    SOUND_SHARE,
+    UNLIKE,
+    most_square,
+)
 from .tones import toned
 
 AUTO_FLOOR = 6.0
@@ -166,10 +177,7 @@ def decode(
     levels = levels.whole(spec)
     frame = _spoken(levels, spec, active_share, swing_v)
     measures, active = frame.measures, frame.active
-    codes, rho, margin, doubtful, doubled, odd, uneven = decide(
-        *(measures, active, frame.expected, spec.sign_mask),
-        *(levels.noise_v, spec.line_bits, spec.parity),
-    )
+    codes, rho, margin, doubtful, doubled, odd, uneven = _decide(frame)
     if uneven:
         doubtful |= _disturbed(frame)
     # Words that their waveforms do not tell from some others', and rows that hold a part of a word,
@@ -199,6 +207,40 @@ def decode(
     )
 
 
+class _Measures(NamedTuple):
+    """What k levels r say of each of n nodes.
+
+    amplitude, weakest, strongest: (n,) float32, V: mean, least and greatest |r|.
+    squares: (n,) float32, V²: sum of r². signs: (n,) int32: signs of r as bits, the first highest.
+    weakest_bit: (n,) int32: the first bit of the least |r|.
+    """
+
+    amplitude: Floats32
+    weakest: Floats32
+    strongest: Floats32
+    squares: Floats32
+    signs: NDArray[np.int32]
+    weakest_bit: NDArray[np.int32]
+
+
+class _Decided(NamedTuple):
+    """What words say if each is taken by itself.
+
+    codes: (n,) int32, parity mended and removed. rho, margin: (n,) float32, see Words.
+    doubtful, doubled, odd: (n,) bool, see Words; the latter two of silent nodes, too.
+    uneven: whether a level of any word may be off by more than UNLIKE of it, among more than two
+        nodes.
+    """
+
+    codes: NDArray[np.int32]
+    rho: Floats32
+    margin: Floats32
+    doubtful: Bools
+    doubled: Bools
+    odd: Bools
+    uneven: bool
+
+
 class _Frame(NamedTuple):
     """Who spoke in a frame, by which doubt is judged.
 
@@ -211,7 +253,7 @@ class _Frame(NamedTuple):
 
     levels: NodeLevels
     spec: FrameSpec
-    measures: Measures
+    measures: _Measures
     expected: Floats32
     expected_v: float
     is_learnt: bool
@@ -229,13 +271,10 @@ def _spoken(
 ) -> _Frame:
     """Who spoke: words that are loud enough, and neither leakage nor parts of others."""
     noise, is_learnt = levels.noise_v, swing_v is None and spec.node_swing_v is None
-    measures = measure(levels.values)
+    measures = _measure(levels.values)
     expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
     expected_v = float(expected.min())
-    active, faint, any_faint = find_active(
-        *(measures, expected, active_share, noise, spec.line_bits),
-        0 if spec.sparse else spec.order,
-    )
+    active, faint, any_faint = _find_active(measures, expected, active_share, noise, spec)
     weak, parts, hidden = np.zeros((3, len(active)), np.bool_)
     if any_faint:
         rest, noise = unexplained(levels, active & ~faint, faint, spec)
@@ -259,6 +298,68 @@ def _spoken(
         *(levels, spec, measures, expected, expected_v, is_learnt, active, weak, parts),
         *(astray, others is not None, hidden, noise),
     )
+
+
+def _measure(values: Floats32) -> _Measures:
+    """Measure levels (k, n), V."""
+    level: Floats32 = np.abs(values)
+    bits = len(values)
+    # Sums of powers of two below 2¹⁷ are exact in float32, which is the fastest here.
+    signs = np.einsum("k,kn->n", _weights(bits), values > 0).astype(np.int32)
+    return _Measures(
+        level.sum(axis=0) * np.float32(1 / bits),
+        level.min(axis=0),
+        level.max(axis=0),
+        np.einsum("kn,kn->n", level, level),
+        signs,
+        level.argmin(axis=0).astype(np.int32),
+    )
+
+
+def _find_active(
+    measures: _Measures, expected: Floats32, active_share: float, noise: float, spec: FrameSpec
+) -> tuple[Bools, Bools, bool]:
+    """Words that were spoken; those of a node that is too weak; whether any may be.
+
+    Noise that would hide such a word may be what leaks from neighbours. expected: (n,) V.
+    active_share: part of the expected amplitude of words that count. noise: RMS of a level, V.
+    """
+    amplitude, bits, order = measures.amplitude, spec.line_bits, 0 if spec.sparse else spec.order
+    active = amplitude > np.float32(active_share) * expected
+    sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
+    faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
+    faint |= ~active & rises(measures.squares, expected, noise, bits)
+    rho = expected * np.float32(1 / max(noise, LEAST_NOISE))
+    hiding = rho < np.float32(hiding_rho(bits, order))
+    return active, faint, bool((faint | ~active & hiding).any())
+
+
+def _decide(frame: _Frame) -> _Decided:
+    """Codes, and how sure they are."""
+    measures, active, expected, spec = frame.measures, frame.active, frame.expected, frame.spec
+    amplitude, weakest, noise = measures.amplitude, measures.weakest, frame.levels.noise_v
+    bits = spec.line_bits
+    rho: Floats32 = amplitude * np.float32(1 / max(noise, LEAST_NOISE))
+    above_zero: Floats32 = np.maximum(amplitude, np.float32(1e-30))
+    margin = weakest / above_zero
+    codes = measures.signs ^ spec.sign_mask
+    doubtful = (rho < LOW_RHO) | (margin < LOW_MARGIN)
+    odd = np.zeros_like(active)
+    if spec.parity:
+        odd = _is_odd(codes)
+        turn = np.int32(1) << (bits - 1 - measures.weakest_bit)
+        codes = (codes ^ turn * odd) >> 1
+        doubtful |= odd
+    two = np.float32(DOUBLE_SHARE) * expected
+    cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
+    loud = amplitude > np.float32(SHARED_SHARE) * expected
+    three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(LOWER_SHARE) * measures.strongest)
+    doubled = (cancelling | three) & (measures.strongest > two)
+    doubtful |= doubled | (amplitude > two)
+    doubtful &= active
+    uneven = measures.squares > amplitude * amplitude * np.float32(most_square(bits))
+    is_uneven = active.size > 2 and bool((uneven & active).any())
+    return _Decided(codes, rho, margin, doubtful, doubled, odd, is_uneven)
 
 
 def _silent_by_parts(frame: _Frame) -> Bools:
@@ -339,8 +440,7 @@ def _line_levels(frame: _Frame) -> Floats32:
     levels, spec = frame.levels, frame.spec
     if levels.rows is None or spec.first_row == 0 or spec.scramble:
         return np.zeros(2, np.float32)
-    row: Floats32 = levels.rows[:, 0]
-    return row
+    return levels.rows[:, 0]
 
 
 def _disturbed(frame: _Frame) -> Bools:
@@ -383,3 +483,16 @@ def _middle(values: Floats32) -> np.float32:
     """The upper median; numpy's own takes ten times as long for the few values of a word."""
     middle: np.float32 = np.sort(values)[values.size // 2]
     return middle
+
+
+@cache
+def _weights(bits: int) -> Floats32:
+    """Value of each bit of a word, most significant first, (bits,)."""
+    return np.exp2(np.arange(bits - 1, -1, -1, dtype=np.float32))
+
+
+def _is_odd(words: NDArray[np.int32]) -> Bools:
+    """Whether words of up to 17 bits have an odd number of ones."""
+    for shift in (16, 8, 4, 2, 1):
+        words = words ^ (words >> shift)
+    return (words & 1).astype(bool)

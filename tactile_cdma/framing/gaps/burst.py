@@ -278,5 +278,4 @@ def _windows(off: Floats, width: int) -> tuple[Floats, Floats, Floats]:
 def _window_sums(values: Floats, width: int) -> Floats:
     """Sums of all windows of this many values, (m − width + 1,)."""
     sums = np.concatenate((np.zeros(1), np.cumsum(values)))
-    windows: Floats = np.subtract(sums[width:], sums[:-width])
-    return windows
+    return np.subtract(sums[width:], sums[:-width])

@@ -331,8 +331,7 @@ class GapSearch(BurstSearch):
         """Log-likelihood in white noise, no sharper than distortion allows, (c,)."""
         energy = self.spec.chips * chips * power
         unit = 2 * LIMITS.distortion**2 / self.spec.chips * float(energy.max())
-        score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
-        return score
+        return energy / max(2 * self.half * burst.variance, unit, 1e-30)
 
     @cached_property
     def _tones(self) -> tuple[int, Floats]:
