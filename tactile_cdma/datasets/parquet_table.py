@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.optional import needed_for
+from ..base.errors import needed_for
 from ..base.whole_file import replacing
 from .samples import PatchInfo
 from .tables import COLUMNS, PER_TAXEL, Frames, columns, known, places
