@@ -15,8 +15,8 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import CalibrationError
-from ..base.listing import listed
 from ..base.named_file import naming
+from ..base.text import listed
 from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import CalibrationError, CaptureError
-from ..base.listing import listed
 from ..base.named_file import naming
+from ..base.text import listed
 from ..calibrating import report
 from ..calibrating.load_points import LoadPoints, read_points
 from ..calibrating.load_session import LoadSession

@@ -10,10 +10,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import CaptureError, ParameterError
+from ..base.errors import CaptureError, ParameterError, needed_for
 from ..base.interrupt import terminable
 from ..base.named_file import naming
-from ..base.optional import needed_for
 from ..config.arguments import add_skin_options, finite, given, refuse_given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import Episode, find_episodes, parse_interval
@@ -43,27 +42,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="recordings, raw bytes, or bags")
+    out: dict[str, Any] = {"type": Path, "metavar": "OUT"}
     outputs = parser.add_mutually_exclusive_group(required=True)
-    outputs.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="OUT",
-        help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json; "
-        "OUT.parquet. Several patches: OUT.PATCH.npz, …",
+    text = (
+        "OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json; "
+        "OUT.parquet. Several patches: OUT.PATCH.npz, …"
     )
-    outputs.add_argument(
-        "--lerobot", type=Path, metavar="OUT", help="a new folder: a LeRobotDataset v3"
-    )
+    outputs.add_argument("-o", "--output", **out, help=text)
+    outputs.add_argument("--lerobot", **out, help="a new folder: a LeRobotDataset v3")
     text = "OUT is a new folder: a bag (MCAP) of tactile and info"
     add("--bag", action="store_true", help=text)
     add("--force", action="store_true", help="overwrite existing files")
-    _add_choices(parser)
-    _add_lerobot_options(parser)
-    add_skin_options(parser)
-
-
-def _add_choices(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group("what to export").add_argument
     several: dict[str, Any] = {"action": "append", "default": []}
     add("--topic", **several, help="arrays of a bag; repeat it; default: all")
@@ -75,9 +64,6 @@ def _add_choices(parser: argparse.ArgumentParser) -> None:
     add("--marks", metavar="TOPIC", help="episodes by a topic: Bool, String or Empty")
     text = "leave out what is before every taxel has had a valid reading"
     add("--from-first-complete", action="store_true", help=text)
-
-
-def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("with --lerobot")
     clock = group.add_mutually_exclusive_group()
     clock.add_argument("--fps", type=int, metavar="N", help="rows per s")
@@ -93,6 +79,7 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
         text = f"{column}: joints, or an array; all or those of these names; repeat it"
         add(name, **vector, help=text)
     add("--task", help="what was done, in words")
+    add_skin_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.optional import needed_for
+from ..base.errors import needed_for
 from ..base.whole_file import replacing
 
 GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20

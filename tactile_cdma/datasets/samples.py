@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
-from ..base.listing import listed
+from ..base.text import listed
 from ..readings.status import is_certain, is_in_service
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")

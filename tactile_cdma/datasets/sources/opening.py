@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ...base.errors import CaptureError, ParameterError
-from ...base.optional import needed_for
+from ...base.errors import CaptureError, ParameterError, needed_for
 from ...config.parameters import Value
 from ...recording.recording_file import is_recording
 from ..samples import MOST_SHOWN, SampleSource

@@ -11,7 +11,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from ...base.errors import ParameterError
-from ...base.plain_text import plain
+from ...base.text import plain
 from .failures import FAILURES
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
