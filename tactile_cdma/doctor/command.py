@@ -30,19 +30,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     parser.description = TEXT
-    parser.add_argument(
-        "port",
-        nargs="?",
-        help="a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …",
-    )
-    parser.add_argument(
-        "--params", type=Path, metavar="FILE", help="the driver's ROS 2 parameter file, to compare"
-    )
-    parser.add_argument("--baud", type=int, help="baud rate (as in the parameters)")
-    parser.add_argument(
-        "--seconds", type=_seconds, default=3.0, help="time to listen to the skin [s] (3)"
-    )
-    parser.add_argument("--json", action="store_true", help="as a JSON array")
+    add = parser.add_argument
+    text = "a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …"
+    add("port", nargs="?", help=text)
+    text = "the driver's ROS 2 parameter file, to compare"
+    add("--params", type=Path, metavar="FILE", help=text)
+    add("--baud", type=int, help="baud rate (as in the parameters)")
+    add("--seconds", type=_seconds, default=3.0, help="time to listen to the skin [s] (3)")
+    add("--json", action="store_true", help="as a JSON array")
 
 
 def _seconds(text: str) -> float:

@@ -16,8 +16,7 @@ import serial
 
 from ..base.errors import CaptureError, PortError
 from ..places.layout import Layout
-from .discovery import device_of
-from .latency import held_back
+from .discovery import device_of, held_back
 from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ...base.errors import ParameterError
-from ...base.plain_text import plain
+from ...base.text import plain
 from .failures import FAILURES
 
 TAKEN = SetParametersResult(successful=True)

@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
 from ...base.errors import ParameterError, RestError, TactileError
-from ...base.plain_text import plain
+from ...base.text import plain
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
 from ...config.skin_config import CURVE_PARAMETERS, SkinConfig

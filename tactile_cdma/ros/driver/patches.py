@@ -20,7 +20,7 @@ from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Header
 
 from ...base.errors import TactileError
-from ...base.plain_text import plain
+from ...base.text import plain
 from ...config.body_file import Patch, read_body
 from ..common.convert import diagnostic
 from ..common.failures import FAILURES

@@ -15,8 +15,7 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileContact, TactileContacts
 
-from ...base.listing import listed
-from ...base.plain_text import plain
+from ...base.text import listed, plain
 from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import RELIABLE

@@ -22,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ...base.plain_text import plain
+from ...base.text import plain
 from ...config.arguments import positive
 from ...places.layout import Layout
 from ...readings.status import Status, is_in_service

@@ -17,8 +17,7 @@ import pytest
 
 from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import PortError
-from tactile_cdma.wire.discovery import is_away
-from tactile_cdma.wire.latency import held_back
+from tactile_cdma.wire.discovery import held_back, is_away
 from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.port import HOST_GONE_S, Port
