@@ -15,7 +15,7 @@ from tactile_cdma.base import kernel, shipped
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor import installation
-from tactile_cdma.doctor.report import Grade, exit_code
+from tactile_cdma.doctor.report import Grade
 from tactile_cdma.driver import pipeline
 from tactile_cdma.wire.messages import FrameLayout, Info
 from tactile_cdma.wire.packets import PacketWriter, wrap
@@ -212,8 +212,6 @@ def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.Mo
         Grade.WARNING,
     )
     assert "outside of the tested >=99" in old.text
-    assert exit_code([old]) == 0
-    assert exit_code([old, missing]) == 1
 
 
 @pytest.mark.parametrize(
