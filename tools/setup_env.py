@@ -355,18 +355,23 @@ def imports_rclpy(interpreter: str) -> bool:
 
 def require_tools(interpreter: str, version: tuple[int, int]) -> None:
     """Install missing system packages if that needs no questions; otherwise name them."""
-    packages = missing_packages(interpreter, version)
-    if not packages:
-        return
-    if shutil.which("apt-get") and may_be_root():
-        apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
-        install = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
-        step(0, " ".join(install))
-        subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
-        subprocess.run(install, stdout=subprocess.DEVNULL, check=False)
-        packages = missing_packages(interpreter, version)
-    if packages:
+    install(missing_packages(interpreter, version))
+    if packages := missing_packages(interpreter, version):
         raise SetupError(f"needed on this machine: sudo apt install {' '.join(packages)}")
+
+
+def install(packages: list[str]) -> None:
+    """Install Debian packages, if that needs no question."""
+    if not packages or not shutil.which("apt-get") or not may_be_root():
+        return
+    apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
+    command = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
+    print(" ".join(command), flush=True)
+    subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
+    if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
+        for package in packages:  # apt installs none where one cannot be had
+            one = [*command[: -len(packages)], package]
+            subprocess.run(one, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
 def may_be_root() -> bool:
