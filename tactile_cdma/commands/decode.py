@@ -17,8 +17,8 @@ from ..code.frame import SPARSE
 from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import BY_NAME, GAP, Value
 from ..config.skin_config import SkinConfig
-from ..recording.capture import is_text
 from ..recording.offline import RawCapture, decode_scope
+from ..recording.recording_file import is_text
 from ..recording.scope_csv import read_scope_csv
 from ..words.decode import Words
 
