@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ..base.errors import PortError, RecordingEndError
-from ..base.plain_text import plain_lines
+from ..base.text import plain_lines
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig, fills_period
 from ..readings.stuck import LOOK_S as STUCK_LOOK_S

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.arrays import Bools
 from ..base.errors import Refusal, RestError
-from ..base.listing import listed
+from ..base.text import listed
 from ..places.layout import Layout
 from .baseline import LOOK_S, LOOKS, Baseline
 from .calibration import Curves

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import Refusal, RestError
-from ..base.listing import listed
+from ..base.text import listed
 from ..config.parameters import REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver

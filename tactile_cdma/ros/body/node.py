@@ -37,11 +37,11 @@ from ..common.convert import (
     point_cloud,
     wrench_stamped,
 )
+from ..common.nodes import TAKEN, all_or_nothing, changing
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.touches import Touches
 from ..common.transforms import TransformListener
-from ..common.unchanged import TAKEN, changing
 from .contacts import body_contacts
 from .names import body_names
 from .parameters import body_setup, declared
@@ -62,6 +62,7 @@ REPORT_S = 1.0
 class BodyNode(Node):
     """Combines what the drivers of a body's patches publish."""
 
+    @all_or_nothing
     def __init__(self, **node_options: Any) -> None:
         """Raises TactileError for wrong parameters."""
         super().__init__(NODE_NAME, **node_options)

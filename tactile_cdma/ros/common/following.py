@@ -39,11 +39,11 @@ class Following:
             return
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        topics = self._topics if asked else ()
-        self._subscriptions = [
-            self._node.create_subscription(*topic, callback_group=self._group, raw=self._raw)
-            for topic in topics
-        ]
+        self._subscriptions.clear()
+        for topic in self._topics if asked else ():  # one by one: a later one may raise
+            self._subscriptions.append(
+                self._node.create_subscription(*topic, callback_group=self._group, raw=self._raw)
+            )
 
     def poll(self) -> None:
         """Call back for one message of each topic, if there is one."""

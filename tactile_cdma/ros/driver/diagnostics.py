@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from ...base.listing import listed
+from ...base.text import listed
 from ...driver import checkup
 from ...driver.digitizer import SourceWatch
 from ...driver.driver import NOT_YET, Driver
