@@ -427,24 +427,30 @@ INLINE float sign_of(float level)
     return (float)((level > 0) - (level < 0));
 }
 
-/* Energy per bit of what one offset of all chips leaves over, V²; offset: (k, N), rows of an offset of 1 V;
- * as common_energy in lateness.py. */
-static double common_energy(const struct words_frame *frame, const float *rows, const float *offset,
-                            const float *amplitude, const uint8_t *active, size_t from)
+/* Energy per bit that one offset of all chips explains of what words leave over, V²; offset: (k, N), rows
+ * of an offset of 1 V; as common_energy in lateness.py. */
+VECTORS static double common_energy(const struct words_frame *frame, const float *rows, const float *offset,
+                                    const float *amplitude, const uint8_t *active, size_t from)
 {
+    const size_t bits = frame->bits, order = frame->order;
     double product = 0, norm = 0;
 
-    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order, offset += frame->order) {
-        const float *levels = rows + frame->first, *shares = offset + frame->first;
-        float words[8] = {0};
-        product += dot(rows + from, offset + from, frame->order - from);
-        norm += dot(offset + from, offset + from, frame->order - from);
-        for (size_t i = 0; i < frame->nodes; i++)
-            words[i & 7] += active[i] ? sign_of(levels[i]) * amplitude[i] * shares[i] : 0;
-        for (size_t i = 0; i < 8; i++)
-            product -= (double)words[i];
+    for (size_t at = from; at < bits * order; at += order) {
+        product += dot(rows + at, offset + at, order - from);
+        norm += power_of(offset + at, order - from);
     }
-    return product * product / norm / (double)frame->bits;
+    for (size_t begin = 0; begin < frame->nodes; begin += BLOCK) {
+        size_t size = frame->nodes - begin < BLOCK ? frame->nodes - begin : BLOCK;
+        float along[BLOCK] = {0};
+        for (size_t at = frame->first + begin; at < bits * order; at += order)
+            for (size_t i = 0; i < size; i++)
+                along[i] += sign_of(rows[at + i]) * offset[at + i];
+        for (size_t i = 0; i < size; i++)
+            along[i] = active[begin + i] ? along[i] : 0;
+        product -= dot(along, amplitude + begin, size);
+        norm -= power_of(along, size) / (double)bits;
+    }
+    return product * product / norm / (double)bits;
 }
 
 /* What is left over by words: what out_of_place in lateness.py asks, and toned in tones.py. */
@@ -455,11 +461,11 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
     const size_t from = frame->first > 0, end = frame->first + frame->nodes;
     double sum = 0, moved = 0;
     double total = spoken->rows_power, share = spoken->words <= reading->few ? (double)reading->few_share : 1;
-    double common = offset ? common_energy(frame, rows, offset, amplitude, active, from) : 0;
-    for (size_t bit = 0; bit < frame->bits; bit++, rows += frame->order) {
-        total += power_of(rows + from, frame->first - from) + power_of(rows + end, frame->order - end);
-        sum += (double)rows[0];
-        moved += (double)rows[0] * (double)rows[0];
+    for (size_t bit = 0; bit < frame->bits; bit++) {
+        const float *levels = rows + bit * frame->order;
+        total += power_of(levels + from, frame->first - from) + power_of(levels + end, frame->order - end);
+        sum += (double)levels[0];
+        moved += (double)levels[0] * (double)levels[0];
     }
     total = total / (double)frame->bits - spoken->power;
     sum /= (double)frame->bits;
@@ -471,9 +477,10 @@ static enum words_look look_at_rest(const struct words_frame *frame, const struc
     if (!offset && total + moved >= (double)reading->tone_share * least)
         return WORDS_LEAVE_MUCH;
     float weakest = offset && spoken->expected < spoken->least ? spoken->expected : spoken->least;
-    double most = share * (double)reading->a_chip * (double)weakest;
-    return total - common < most * (double)weakest / (double)frame->order ? WORDS_ARE_PLAIN
-                                                                           : WORDS_LEAVE_ENERGY;
+    double most = share * (double)reading->a_chip * (double)weakest * (double)weakest / (double)frame->order;
+    if (offset && total >= most)
+        total -= common_energy(frame, rows, offset, amplitude, active, from);
+    return total < most ? WORDS_ARE_PLAIN : WORDS_LEAVE_ENERGY;
 }
 
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,

@@ -2,9 +2,11 @@
 
 """The exceptions that misuse raises. Line noise is never an exception: it is counted."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
-from .plain_text import plain
+from .text import plain
 
 
 class TactileError(Exception):
@@ -151,3 +153,22 @@ def check_limits(name: str, value: float, low: float, high: float, cause: str = 
     if not low <= value <= high:
         limits = f"{low:.10g}…{high:.10g}" + (f": {cause}" if cause else "")
         raise SpecError(f"{name} is {value:.10g}; it must lie within {limits}")
+
+
+@contextmanager
+def needed_for(what: str, module: str, package: str = "") -> Iterator[None]:
+    """For the imports of what needs a module of an optional package of PyPI.
+
+    what: the command or option that needs it. package: called as the module unless it is given.
+    Raises MissingPackageError where it is missing.
+    """
+    package = package or module
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != module:
+            raise
+        raise MissingPackageError(
+            f"{what} needs the Python package {package}, which is not installed: pip install "
+            f"{package} (with --break-system-packages where pip refuses the system's Python)"
+        ) from None

@@ -20,7 +20,7 @@ import yaml
 
 from .errors import TactileError
 from .named_file import read_named
-from .suggest import suggestion
+from .text import suggestion
 
 MOST_BYTES = 1 << 24
 """Bytes of a file; chosen."""

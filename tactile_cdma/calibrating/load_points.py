@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Indices
-from ..base.listing import listed
+from ..base.text import listed
 from ..readings.calibration import MOST_PA
 from .load_table import KIND_OF, UNITS, Table, read_table
 

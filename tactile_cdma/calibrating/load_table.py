@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats
 from ..base.errors import CalibrationError
 from ..base.named_file import naming
-from ..base.suggest import suggestion
+from ..base.text import suggestion
 
 MOST_BYTES = 256 << 20
 """Size of a table, bytes; chosen: minutes of a reference at kHz, and far from filling a memory."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import PortError
-from ..base.listing import listed
+from ..base.text import listed
 from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.listing import listed
 from ..base.marked_yaml import Keys, Marked
+from ..base.text import listed
 
 MOST_TAXELS = 65_535
 """Largest count that TactileSkinInfo can hold: 16 bits."""

@@ -117,7 +117,7 @@ class PacketParser:
     ) -> Received | None:
         """The packet of an intact body; Rejected for a command that cannot be used."""
         if isinstance(payload, tuple):
-            return Samples.received(*payload, sequence)
+            return Samples.received(payload, sequence)
         kind = PACKETS.get(type_byte)
         if kind is Info and payload and payload[0] != VERSION:
             return OtherVersion(payload[0], sequence)
@@ -126,7 +126,7 @@ class PacketParser:
             reason = Result.UNKNOWN_COMMAND
         else:
             try:
-                return kind.unpack(payload, sequence)
+                return kind.unpack(payload, sequence=sequence)
             except struct.error:
                 reason = Result.BAD_LENGTH
             except ValueError:  # SpecError, or half a sample

@@ -69,9 +69,10 @@ def out_of_place(
     are_few = spoken.size <= FEW
     weakest, few = float(spoken.min()), few_share(spec) if are_few else 1.0
     if spec.scramble:
-        left -= common_energy(levels.rows, amplitude, active, spec)
         weakest = min(weakest, expected)
     least_v2 = few * least_left(spec) * weakest**2 / spec.order
+    if spec.scramble and left >= least_v2:
+        left -= common_energy(levels.rows, amplitude, active, spec)
     if left < least_v2:
         return None
     if spec.scramble:
@@ -111,19 +112,21 @@ def _leaks(
 
 
 def common_energy(rows: Floats32, amplitude: Floats32, active: Bools, spec: FrameSpec) -> float:
-    """Energy per bit of what one offset of all chips leaves over, V²: no word, late or not, has it.
+    """Energy per bit that one offset of all chips explains of what words leave over, V².
 
-    Of a scrambled frame whose line at rest is unknown, so that its mean is taken for the level.
-    rows: (k, N) V.
+    No word, late or not, has it. Of a scrambled frame whose line at rest is unknown, so that its
+    mean is taken for the level. Least squares for the offset and all amplitudes at once, which hold
+    a part of it: the k-th, and if all nodes speak, that much would be left. rows: (k, N) V.
     """
     begin = 0 if spec.first_row == 0 else 1
     offset = offset_rows(spec).reshape(rows.shape)
     nodes = np.flatnonzero(active)
     signs = np.sign(rows[:, spec.node_slice][:, nodes])
-    words = (signs * offset[:, spec.node_slice][:, nodes]).sum(axis=0) @ amplitude[nodes]
+    along = (signs * offset[:, spec.node_slice][:, nodes]).sum(axis=0)
     offset = offset[:, begin:]
-    product = float(np.einsum("kr,kr->", rows[:, begin:], offset)) - float(words)
-    return product**2 / float(np.einsum("kr,kr->", offset, offset)) / spec.line_bits
+    product = float(np.einsum("kr,kr->", rows[:, begin:], offset)) - float(along @ amplitude[nodes])
+    norm = float(np.einsum("kr,kr->", offset, offset)) - float(along @ along) / spec.line_bits
+    return product**2 / norm / spec.line_bits
 
 
 @lru_cache(maxsize=8)

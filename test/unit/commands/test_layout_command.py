@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.commands.cli import main
-from tactile_cdma.commands.layout_picture import draw_layout
+from tactile_cdma.commands.layout import draw_layout
 from tactile_cdma.places.layout import Layout
 from test.support.command_line import Refused
 

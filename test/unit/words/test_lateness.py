@@ -11,6 +11,7 @@ from tactile_cdma.code.separate import separate
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import Words, decode
+from tactile_cdma.words.lateness import out_of_place
 
 SPEC = FrameSpec()
 
@@ -118,3 +119,19 @@ def test_a_chip_that_was_clipped_is_no_late_word_nor_turns_any(chip: int) -> Non
         assert np.array_equal(words.codes, codes)
         changes = np.bitwise_count((codes ^ codes >> 1) & 0x1FF)
         assert not words.doubtful[changes > 1].any(), "of others only that place tells"
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_an_unknown_offset_of_scrambled_chips_is_nobody_out_of_place(late: int) -> None:
+    """Not even if all speak, whose amplitudes hold a part of it; a node that is late is."""
+    spec = FrameSpec(60, order=64, frame_period_s=0.04, scramble=True)
+    rng, everybody = np.random.default_rng(1), np.arange(spec.nodes)
+    codes = rng.integers(0, 1024, spec.nodes)
+    last = np.roll(line_chips(spec, codes, everybody == 59).ravel(), late)
+    chips = line_chips(spec, codes, everybody < 59)
+    chips = chips + last.reshape(chips.shape) + rng.normal(0, 0.003, chips.shape)
+    chips += 1.2 * DEFAULT_AMPLITUDE_V
+    levels = separate(chips.astype(np.float32), spec)
+    amplitude = np.abs(levels.values).mean(axis=0)
+    found = out_of_place(levels, amplitude, everybody >= 0, DEFAULT_AMPLITUDE_V, spec)
+    assert (found is None) == (not late)
