@@ -17,7 +17,7 @@ struct words_measures {
     int32_t *signs, *weakest_bit;
 };
 
-/* As `Limits` in stages.py. */
+/* Of words/limits.py and code/amplitude.py. */
 struct words_limits {
     float low_rho, low_margin, shared, two, clear_rho, lower;
 };
