@@ -76,7 +76,6 @@ class Message:
 
     @classmethod
     def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
-        """The inverse of _values."""
         fields = {
             wire.name: FrameLayout._of(values) if wire.code == "FrameLayout" else next(values)
             for wire in FIELDS[cls.__name__]
@@ -401,7 +400,6 @@ class Command(Packet):
     """Base of what the host sends; those without content add nothing to it."""
 
     def ack(self, result: Result = Result.OK) -> Ack:
-        """The digitizer's answer to this command."""
         return Ack(self.TYPE, self.sequence, result)
 
 
@@ -496,7 +494,6 @@ class Rejected:
     sequence: int = field(default=0, compare=False)
 
     def ack(self) -> Ack:
-        """The digitizer's answer to this command."""
         return Ack(self.command, self.sequence, self.result)
 
 
