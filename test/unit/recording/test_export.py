@@ -21,9 +21,8 @@ from tactile_cdma.datasets.tables import write_npz
 from tactile_cdma.driver.digitizer import Source
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.recording.bag_export import write_bag
-from tactile_cdma.recording.capture import read_bytes
 from tactile_cdma.recording.offline import RawCapture
-from tactile_cdma.recording.recording_file import Recorder, describe
+from tactile_cdma.recording.recording_file import Recorder, describe, read_bytes
 from tactile_cdma.sim.options import SimOptions
 from test.support.command_line import Refused
 from test.support.simulated import recording

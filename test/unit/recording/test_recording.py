@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.recording.capture import is_text
 from tactile_cdma.recording.container import (
     HEAD_BYTES,
     MAGIC,
@@ -29,6 +28,7 @@ from tactile_cdma.recording.recording_file import (
     Recorder,
     describe,
     is_recording,
+    is_text,
     read_chunks,
     read_end,
     survey,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
-from tactile_cdma.recording.capture import is_text
+from tactile_cdma.recording.recording_file import is_text
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.sim.channel import Channel
 from test.support.command_line import Refused
