@@ -13,7 +13,6 @@ from ..config.arguments import add_skin_options, given
 from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
 from ..framing.sparse_timing import capacity, groups_for_all
-from ..hardware.node_image import node_image
 from ..hardware.node_memory import (
     CRYSTALS_MHZ,
     MCUS,
@@ -28,6 +27,7 @@ from ..hardware.programmer import (
     avrdude,
     burn,
     node_files,
+    node_image,
     read_memory,
     write_image,
     write_memory,
