@@ -32,8 +32,8 @@ placed to a twelfth of a taxel's edge, or better."""
 _STEEP, _MAP_STEPS = 0.2, 3
 """Least slope of a line to a height map's plane, and how often the place where it meets the map is
 looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""
-_LENGTHS: dict[Any, int] = {float: 1, Sequence[float]: 3}
-"""Types of the fields that are lengths, and how many each has."""
+_LENGTHS: dict[Any, Any] = {float: 0.0, Sequence[float]: (0.0,) * 3}
+"""Types of the fields that are lengths, and what a value is like."""
 Spans = tuple[Any, Any]
 """Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
 Axis = tuple[Any, Any]
@@ -57,12 +57,10 @@ class Indenter(ABC):
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
-        amounts = [("stiffness_pa_per_m", 1, MOST_PA_PER_M, "Pa/m")]
-        for own in fields(self)[len(fields(Indenter)) :]:
-            if count := _LENGTHS.get(own.type):
-                amounts.append((own.name, count, MOST_M, "m"))
-        for name, count, most, unit in amounts:
-            like = 0.0 if count == 1 else (0.0,) * count
+        own = [each for each in fields(self)[len(fields(Indenter)) :] if each.type in _LENGTHS]
+        amounts = [("stiffness_pa_per_m", 0.0, MOST_PA_PER_M, "Pa/m")]
+        amounts += [(each.name, _LENGTHS[each.type], MOST_M, "m") for each in own]
+        for name, like, most, unit in amounts:
             if not np.all(found := self._checked(name, like, (0.0, most), unit)):
                 raise ParameterError(f"{name} of {kind} is {found}; it must be above 0")
         self._checked("position_m", (0.0,) * 3, (-MOST_M, MOST_M), "m")
