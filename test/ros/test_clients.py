@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from lifecycle_msgs.msg import Transition
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -99,7 +98,6 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
     thing = GrippedThing()
     monkeypatch.setitem(SCENES, "hand", thing)
     commands_mm: list[float] = []
-    stops: list[bool] = []
 
     def close(message: Float64) -> None:
         thing.closed_mm = message.data
@@ -113,23 +111,21 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
         client,
     ):
         client.create_subscription(Float64, "/gripper/close_mm", close, 10)
-        client.create_subscription(Bool, "/arm/stop", lambda m: stops.append(m.data), 10)
-        claims: list[bool] = []
-        client.create_subscription(Bool, "/gripper/gripped", lambda m: claims.append(m.data), 10)
+        stops, claims = client.heard(Bool, "/arm/stop"), client.heard(Bool, "/gripper/gripped")
         with example("grip"):
-            wait_for(lambda: stops and not stops[-1])
+            wait_for(lambda: stops and not stops[-1].data)
             feeling = len(stops)
             # the taxel nearest to the peak reads a bit less than it
             wait_for(lambda: thing.peak_pa >= 5e3 and held(40))
             assert thing.peak_pa < 10e3
-            assert not any(stops[feeling:])
-            wait_for(lambda: claims[-1])
+            assert not any(stop.data for stop in stops[feeling:])
+            wait_for(lambda: claims[-1].data)
 
             grip_mm, before = commands_mm[-1], len(stops)
             thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
             wait_for(lambda: not thing.slides and held(40))
-            assert any(stops[before:])
-            assert not stops[-1]
+            assert any(stop.data for stop in stops[before:])
+            assert not stops[-1].data
             assert commands_mm[-1] > grip_mm
             assert thing.peak_pa >= thing.needed_pa
     assert np.all(np.diff(commands_mm) >= 0)
@@ -199,7 +195,7 @@ def test_grip_stops_at_its_limit_of_travel_and_without_messages() -> None:
         wait_for(lambda: gripper.stops and not gripper.stops[-1])
         wait_for(lambda: gripper.stops[-1] and gripper.closed_mm[-1] == MOST_MM)
         told = len(gripper.stops)
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         frames = len(client.arrays)
         wait_for(lambda: len(gripper.stops) > told + 5)
         assert len(client.arrays) < frames + 5, "no frames any more"
@@ -246,8 +242,7 @@ def pairs(output: IO[str]) -> list[tuple[int, int, int]]:
 
 def test_taxel_map_gives_force_and_centre_of_the_wrench() -> None:
     with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
-        wrenches: list[WrenchStamped] = []
-        client.create_subscription(WrenchStamped, "/skin/wrench", wrenches.append, 10)
+        wrenches = client.heard(WrenchStamped, "/skin/wrench")
         with example("taxel_map") as output:
             wait_for(lambda: len(forces_and_centres(output)) > 30)
             printed = forces_and_centres(output)
@@ -306,7 +301,7 @@ def test_subscribe_prints_the_hardest_pressed_taxel() -> None:
         for peak_pa, unread in printed_of(output, 5)[-2:]:
             assert peak_pa == pytest.approx(np.nanmax(client.arrays[-1].pressure), abs=1)
             assert unread >= 1
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         wait_for(lambda: text_of(output).endswith("no frame\n"))
 
 

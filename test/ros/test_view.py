@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import State
 
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
 from tactile_cdma.ros.common.process import Running
@@ -179,7 +179,7 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
                 told.append((int(found[1]) > 0, found[2], int(found[3])))
                 was_read = any(frames and valid == 16 for frames, _, valid in told)
                 if was_read and frames_stop and client.state() == State.PRIMARY_STATE_ACTIVE:
-                    assert client.change(Transition.TRANSITION_DEACTIVATE)
+                    assert client.change("deactivate")
                 if was_read and told[-1] == last:
                     break
     finally:
@@ -191,7 +191,7 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
 
 def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
     with running(port="sim://?scene=all&threshold=0") as (_, client):
-        stop = partial(client.change, Transition.TRANSITION_DEACTIVATE)
+        stop = partial(client.change, "deactivate")
         shown = shown_by_the_viewer(
             "no frame for", b"q", (r"force \d+\.\d\d N", stop), TERM="xterm", NO_COLOR="1"
         )
