@@ -31,6 +31,7 @@ from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.programs import run_python
 from test.support.scripts import body_commands
 from test.support.skin_client import Client, running, wait_sending
+from test.support.spinning import living
 from test.support.waiting import wait_for
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -158,9 +159,8 @@ def test_grip_stops_within_stale_after_s_once_all_nodes_have_died() -> None:
     dead_after_s, stale_after_s = 4.0, 1.0
     port = f"sim://?scene=idle&threshold=0&dead={ALL_DEAD}&dead_after={dead_after_s}"
     with example("grip"):
-        observer = rclpy.create_node("observer")
-        wait_for(lambda: observer.count_subscribers("/skin/contacts"))
-        observer.destroy_node()
+        with living(rclpy.create_node("observer")) as observer:
+            wait_for(lambda: observer.count_subscribers("/skin/contacts"))
         with running(port=port, stale_after_s=stale_after_s) as (_, client):
             gripper = Gripper(client)
             wait_for(lambda: len(set(gripper.closed_mm)) > 30)
@@ -334,29 +334,25 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
         f"  one: {{parameters: {{port: {port}, mount_xyz_m: [0, 0, 0]}}}}\n"
         f"  two: {{parameters: {{port: {port}, mount_xyz_m: [1, 0, 0]}}}}\n"
     )
-    with processes(body_commands(path)) as drivers:
-        client = rclpy.create_node("client")
-        try:
-            pressed = []
-            for name, width_m in (("one", 14e-3), ("two", 7e-3)):
-                press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
-                wait_for(press.get_subscription_count)
-                x_m = 0.0 if name == "one" else 3.5e-3
-                box = Box(size_m=(width_m, 14e-3, 0.01), position_m=(x_m, 0, 4.5e-3))
-                pressed.append((press, sim_objects([box])))
-            with example("two_patches", "/one/skin", "/two/skin") as output:
-                both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
-                wait_sending(pressed, lambda: both in text_of(output))
-                # What is none of the body's is unknown, such as a misspelt name.
-                with example("two_patches", "/one/skin", "/tow/skin") as other:
-                    alone = "/one/skin 0.0 0.0 -0.98  /tow/skin nan nan nan  sum nan nan nan"
-                    wait_for(lambda: alone in text_of(other))
-                    assert "/tow/skin 0.0" not in text_of(other)
-                drivers[1].kill()
-                blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
-                wait_for(lambda: blind in text_of(output))
-        finally:
-            client.destroy_node()
+    with processes(body_commands(path)) as drivers, living(rclpy.create_node("client")) as client:
+        pressed = []
+        for name, width_m in (("one", 14e-3), ("two", 7e-3)):
+            press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
+            wait_for(press.get_subscription_count)
+            x_m = 0.0 if name == "one" else 3.5e-3
+            box = Box(size_m=(width_m, 14e-3, 0.01), position_m=(x_m, 0, 4.5e-3))
+            pressed.append((press, sim_objects([box])))
+        with example("two_patches", "/one/skin", "/two/skin") as output:
+            both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
+            wait_sending(pressed, lambda: both in text_of(output))
+            # What is none of the body's is unknown, such as a misspelt name.
+            with example("two_patches", "/one/skin", "/tow/skin") as other:
+                alone = "/one/skin 0.0 0.0 -0.98  /tow/skin nan nan nan  sum nan nan nan"
+                wait_for(lambda: alone in text_of(other))
+                assert "/tow/skin 0.0" not in text_of(other)
+            drivers[1].kill()
+            blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
+            wait_for(lambda: blind in text_of(output))
 
 
 @contextmanager

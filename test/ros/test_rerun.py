@@ -106,9 +106,8 @@ def saving(file: Path) -> Iterator[None]:
         with spinning([view]):
             yield
             view.show()
-    finally:
         view.flush()
-        view.destroy_node()
+    finally:
         recording.flush()
         recording.disconnect()
 

@@ -26,6 +26,7 @@ from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.ros.driver.pictures import TOPICS
 from test.support.skin_client import Client, running
+from test.support.spinning import living
 from test.support.waiting import wait_for
 
 PAST = QoSProfile(depth=100, durability=LATCHED.durability)
@@ -222,11 +223,8 @@ def test_a_parameter_file_says_all_of_it(tmp_path: Path) -> None:
         """
     )
     assert read_file(path)["mount_xyz_m"] == (0.0, 1.0, 2.0)  # and no word of QoS
-    node = SkinNode(cli_args=["--ros-args", "--params-file", str(path)])
-    try:
+    with living(SkinNode(cli_args=["--ros-args", "--params-file", str(path)])) as node:
         assert node._declared.faults == {}
         assert list(node.get_parameter("mount_xyz_m").value) == [0.0, 1.0, 2.0]
         [offer] = node.get_publishers_info_by_topic("/skin/tactile")
         assert offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-    finally:
-        node.destroy_node()

@@ -121,9 +121,5 @@ def running(
     """A driver node and a client, each spinning in a thread of its own."""
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     node, client = make(parameter_overrides=overrides), Client()
-    try:
-        with spinning([node], [client]):
-            yield node, client
-    finally:
-        for member in (node, client):
-            member.destroy_node()
+    with spinning([node], [client]):
+        yield node, client
