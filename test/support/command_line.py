@@ -1,16 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command line, given words that it has to refuse."""
+"""The command line, given words that it has to do or to refuse."""
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import pytest
 
 from tactile_cdma.commands.cli import main
 
+
+class Said(NamedTuple):
+    """What a command has written."""
+
+    out: str
+    err: str
+
+
+Done: TypeAlias = Callable[..., Said]
+"""What `done` is: gives words to `tactile-cdma`, which ends with exit_code, by default 0."""
 Refused: TypeAlias = Callable[..., str]
 """What `refused` is: gives words to `tactile-cdma`, and returns the one line with which it ends."""
+
+
+@pytest.fixture
+def done(capsys: pytest.CaptureFixture[str]) -> Done:
+    def said_of(*words: object, exit_code: int = 0) -> Said:
+        capsys.readouterr()
+        assert main([*map(str, words)]) == exit_code
+        return Said(*capsys.readouterr())
+
+    return said_of
 
 
 @pytest.fixture
