@@ -4,12 +4,13 @@
 
 import argparse
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from .installation import installation
-from .report import Check, exit_code, line, problem, summary
+from .report import Check, Grade, problem
 
 TEXT = (
     "Checks this installation or, if a port is given, the port with its digitizer and skin. "
@@ -54,14 +55,19 @@ def run(arguments: argparse.Namespace) -> int:
         for check in _examination(arguments):
             checks.append(check)
             if not arguments.json:
-                print(line(check), flush=True)
+                print(f"{check.verdict:<8} {check.subject}: {check.text}", flush=True)
     except KeyboardInterrupt:
         checks.append(problem("doctor", "interrupted: what follows was not checked"))
+    number = Counter(check.verdict for check in checks)
     if arguments.json:
         print(json.dumps([asdict(check) for check in checks], indent=2))
     else:
-        print(summary(checks))
-    return exit_code(checks)
+        counted = (
+            f"{number[grade] or 'no'} {grade}{'s' * (number[grade] != 1)}"
+            for grade in (Grade.PROBLEM, Grade.WARNING)
+        )
+        print(f"{', '.join(counted)}, {number[Grade.OK]} ok")
+    return int(number[Grade.PROBLEM] > 0)
 
 
 def _examination(arguments: argparse.Namespace) -> Iterator[Check]:

@@ -422,7 +422,7 @@ class Configure(Command):
     """Sets the frame layout and the way of sampling.
 
     quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
-        Quiet. 0: never. driver/quiet_limit.py computes a safe value.
+        Quiet. 0: never. driver/digitizer.py computes a safe value.
     """
 
     frame: FrameLayout

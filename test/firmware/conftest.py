@@ -78,6 +78,12 @@ def emulator(built: Callable[[str], Path]) -> None:
 
 
 @pytest.fixture(scope="session")
+def node_images(built: Callable[[str], Path], emulator: None) -> None:
+    """The nodes' images, and what emulates them."""
+    built("node")
+
+
+@pytest.fixture(scope="session")
 def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specimen:
     """Compiles a program of specimens.c for an MCU; returns the node that runs it."""
     folder = tmp_path_factory.mktemp("avr")

@@ -3,7 +3,7 @@
 """Firmware to topic: images of 16 nodes, a digitizer and the driver node, pressed and read."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,10 +26,10 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
-from test.support.firmware import need
 from test.support.skin_client import Client, running
 from test.support.waiting import PATIENCE_S, wait_for
 
+pytestmark = pytest.mark.usefixtures("node_images")
 ROOT = Path(__file__).resolve().parents[2]
 PARAMETERS = read_file(ROOT / "config" / "wired_skin.yaml")
 CONFIG = SkinConfig.of(PARAMETERS)
@@ -41,12 +41,6 @@ def ros() -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.shutdown()
-
-
-@pytest.fixture(scope="module", autouse=True)
-def images(built: Callable[[str], Path], emulator: None) -> None:
-    need("avr-gcc")
-    built("node")
 
 
 def wired(nodes: list[Node], **board: Any) -> EmulatedSkin:

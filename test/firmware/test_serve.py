@@ -2,7 +2,6 @@
 
 """The emulated skin in real time."""
 
-from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
@@ -43,10 +42,7 @@ def test_an_emulation_that_falls_behind_says_so_once(
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_nodes_that_are_not_wired_are_not_heard(
-    first: int, emulator: None, built: Callable[[str], Path]
-) -> None:
-    built("node")
+def test_nodes_that_are_not_wired_are_not_heard(first: int, node_images: None) -> None:
     config = SkinConfig.of({"nodes": 4, "rows": 2, "columns": 2, "amplitude_mv": 97.06})
     nodes = reference_nodes(config, threshold=0)[:first]
     with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
@@ -58,10 +54,9 @@ def test_nodes_that_are_not_wired_are_not_heard(
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("file", ["wired_skin.yaml", "wired_64.yaml", "thousand_skin.yaml"])
 def test_first_node_of_every_skin_that_can_be_built_is_heard(
-    file: str, first: int, emulator: None, built: Callable[[str], Path]
+    file: str, first: int, node_images: None
 ) -> None:
     """At its heartbeat, once a second: bring-up can be rehearsed with this parameter file."""
-    built("node")
     config = SkinConfig.of(read_file(CONFIG / file))
     with EmulatedSkin(nodes_for(config)[:first], reference_amplifier(config)) as skin:
         pressed = PressedSkin(config, SCENES["idle"], skin, skin)

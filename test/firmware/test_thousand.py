@@ -2,7 +2,7 @@
 
 """`make firmware-thousand`: fast nodes on one wire; it must be able to fail. 900 on a topic."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ from emulated import Node
 from skin import CRYSTALS, Spread, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.readings.status import Status
-from test.support.firmware import need
 from thousand import AMPLITUDE, FRAMES, PARAMS, QUICK, SPARSE_PARAMS, on_one_wire
 
+pytestmark = pytest.mark.usefixtures("node_images", "rp2040_image")
 VALUES = read_file(PARAMS)
 FEW = VALUES | QUICK | {"nodes": 20, "rows": 4, "columns": 5}
 SPARSE = read_file(SPARSE_PARAMS) | AMPLITUDE
@@ -26,12 +26,6 @@ CROWD = SPARSE | {"nodes": 80, "rows": 8, "columns": 10, "order": 80, "resync_ch
 """40 may speak in a frame, so of a hug none is told, and all are by turns."""
 USB_BYTES_PER_S = 19 * 64 * 1000
 """What full-speed USB can carry in bulk: 19 packets of 64 bytes in a millisecond."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def images(built: Callable[[str], Path], emulator: None, rp2040_image: Path) -> None:
-    need("avr-gcc")
-    built("node")
 
 
 def test_every_word_of_128_nodes_is_right() -> None:

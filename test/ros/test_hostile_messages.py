@@ -133,7 +133,7 @@ def test_a_body_goes_on_and_never_claims_touched_and_untouched() -> None:
     [feed] = body._feeds.values()
     taken: list[tuple[Callable[[Any], object], Any]] = [
         (lambda message: feed._take_contacts(serialize_message(message), RECEIVED), CONTACTS),
-        (lambda message: feed._take_array(message, RECEIVED), ARRAY),
+        (lambda message: feed._take_array(serialize_message(message), RECEIVED), ARRAY),
         (feed._take_info, info()),
         (body._transforms._take, POSES),
     ]

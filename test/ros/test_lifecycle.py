@@ -6,6 +6,7 @@ import gc
 import os
 import tempfile
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,15 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
+from tactile_cdma.config.body_file import Patch
 from tactile_cdma.driver.driver import CONNECTING
+from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.failures import FAILURES
+from tactile_cdma.ros.driver import patches
 from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.ros.driver.patches import PatchesNode
+from tactile_cdma.ros.viewers.body_view import BodyViewer
+from tactile_cdma.ros.viewers.view import Viewer
 from tactile_cdma.wire.port import Port
 from test.support.boards import Board, plugged
 from test.support.mute_host import mute_host
@@ -258,6 +265,47 @@ def test_a_destroyed_node_leaves_no_services_behind() -> None:
     finally:
         watcher.destroy_node()
         gc.enable()
+
+
+class Unstarted(SkinNode):
+    """Raises when all of it is there, and streams."""
+
+    def _start(self) -> None:
+        super()._start()
+        raise ArithmeticError
+
+
+NO_BOOL = Parameter("start_type_description_service", value="x")  # the last that rclpy looks at
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        Unstarted,
+        lambda: SkinNode(parameter_overrides=[Parameter("port")]),
+        BodyNode,
+        lambda: BodyNode(parameter_overrides=[NO_BOOL]),
+        lambda: PatchesNode([Patch("palm", None, {}, {})]),
+        lambda: Viewer("a b/tactile"),
+        lambda: BodyViewer("a b"),
+    ],
+)
+def test_a_node_whose_constructor_raises_leaves_nothing_behind(
+    make: Callable[[], rclpy.node.Node], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though the exception is kept, whose traceback refers to the node."""
+    monkeypatch.setattr(patches, "LOOK_S", "no time")
+    watcher, others = rclpy.create_node("watcher"), open_ports()
+    try:
+        with pytest.raises(Exception) as kept:
+            make()
+        publishers = watcher.get_publishers_info_by_topic("/parameter_events")
+        assert [publisher.node_name for publisher in publishers] == ["watcher"]
+        assert watcher.get_node_names() == ["watcher"]
+        assert readers() == [] and open_ports() == others
+        assert kept.tb is not None
+    finally:
+        watcher.destroy_node()
 
 
 def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:

@@ -62,10 +62,12 @@ def test_touch_is_sure_while_it_is_felt_and_never_while_the_skin_is_silent() -> 
             ("wait_s", lambda x: skin.tare_async(wait_s=x), (-1.0, np.nan, np.inf, "1", 1e300)),
             ("transition", skin.change, (None, [], 3, "start")),
         )
+        subscriptions = list(node.subscriptions)
         for name, call, values in wrong:
             for value in values:
                 with pytest.raises(ParameterError, match=name):
                     call(value)
+        assert list(node.subscriptions) == subscriptions, "of no client that was refused"
 
 
 def test_a_skin_that_is_blind_in_part_is_not_sure_of_anything() -> None:

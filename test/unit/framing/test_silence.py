@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import QuietBlock, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer

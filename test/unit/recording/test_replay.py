@@ -18,8 +18,7 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.recording.recording_file import Recorder, describe, read_bytes, survey
-from tactile_cdma.replay.options import ReplayOptions
-from tactile_cdma.replay.player import Player
+from tactile_cdma.replay.player import Player, ReplayOptions
 from tactile_cdma.wire.port import Port
 from test.support.command_line import Done, Refused
 from test.support.same_frames import assert_same
