@@ -9,7 +9,7 @@ import pytest
 
 from tactile_cdma.sim.options import SimOptions
 from test.support.bags import PERIOD_S, BagMaker
-from test.support.command_line import Done, Refused
+from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
 pytestmark = pytest.mark.xdist_group("datasets")
@@ -25,16 +25,16 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return maker.write(tmp_path_factory.mktemp("contents") / "session")
 
 
-def said(path: Path, done: Done) -> dict[str, str]:
-    return dict(line.partition(": ")[::2] for line in done("info", path).out.splitlines())
+def said(path: Path, printed: Printed) -> dict[str, str]:
+    return dict(line.partition(": ")[::2] for line in printed("info", path).out.splitlines())
 
 
 def test_rate_gaps_invalid_readings_and_where_they_come_from(
-    bag: Path, tmp_path: Path, done: Done
+    bag: Path, tmp_path: Path, printed: Printed
 ) -> None:
-    out = done("export", bag, "-o", tmp_path / "out.npz").out
+    out = printed("export", bag, "-o", tmp_path / "out.npz").out
     assert "frames=146 missing_frames=10 taxels=16" in out
-    lines = said(bag, done)
+    lines = said(bag, printed)
     length_s = 155 * PERIOD_S
     assert lines["frames"] == f"146 in {length_s:.3f} s, {145 / length_s:.2f} Hz"
     assert lines["gaps"] == (
@@ -49,24 +49,26 @@ def test_rate_gaps_invalid_readings_and_where_they_come_from(
     assert lines["measured by"] == "simulated 73696D0002000000: nothing was touched"
 
 
-def test_a_recording_and_a_bag_of_it_say_the_same(tmp_path: Path, done: Done) -> None:
+def test_a_recording_and_a_bag_of_it_say_the_same(tmp_path: Path, printed: Printed) -> None:
     of_all = SimOptions(scene="moving", dead="5", threshold=0)  # who is alive speaks in every frame
     whole, bag = recording(tmp_path / "touch.skin", of_all, 0.5), tmp_path / "touch"
-    done("export", whole, "-o", bag, "--bag")
+    printed("export", whole, "-o", bag, "--bag")
     for path, word in ((whole, "lost"), (bag, "missing")):
-        out = done("export", path, "-o", tmp_path / f"{word}.npz").out
+        out = printed("export", path, "-o", tmp_path / f"{word}.npz").out
         assert f" {word}_frames=0 taxels=16 file=" in out
-    of_recording, of_bag = said(whole, done), said(bag, done)
+    of_recording, of_bag = said(whole, printed), said(bag, printed)
     for name in ("gaps", "readings", "complete"):
         assert of_recording[name] == of_bag[name]
     assert of_recording["complete"] == "never: no valid reading of taxel 4"
     assert "/skin/tactile" in of_bag and "measured by" in of_bag
 
 
-def test_nothing_is_said_of_gaps_and_readings_without_a_frame(tmp_path: Path, done: Done) -> None:
+def test_nothing_is_said_of_gaps_and_readings_without_a_frame(
+    tmp_path: Path, printed: Printed
+) -> None:
     path = recording(tmp_path / "touch.skin", SimOptions(scene="moving"), 0.4)
-    assert said(path, done)["frames"].endswith(", lost 0")
-    blind = done("info", path, "--order", 24).out
+    assert said(path, printed)["frames"].endswith(", lost 0")
+    blind = printed("info", path, "--order", 24).out
     assert "frames: none" in blind and "packets: " in blind
     assert "gaps" not in blind and "readings" not in blind and "complete" not in blind
     assert "samples: none" in blind
@@ -74,7 +76,7 @@ def test_nothing_is_said_of_gaps_and_readings_without_a_frame(tmp_path: Path, do
 
 @pytest.mark.parametrize("again_s", [30.0, 1.0])
 def test_a_driver_that_restarted_is_told_with_its_gap(
-    tmp_path: Path, done: Done, again_s: float
+    tmp_path: Path, printed: Printed, again_s: float
 ) -> None:
     """1 s of frames, and as many from another run; by chance a frame is missing in the second."""
     maker, later = BagMaker(), BagMaker()
@@ -91,36 +93,38 @@ def test_a_driver_that_restarted_is_told_with_its_gap(
         f"{again_s + 1 + 49 * PERIOD_S:.3f} s; 1 where the sequence begins anew (did the driver "
         f"restart?), the longest {pause_s:.3f} s after {77 * PERIOD_S:.3f} s"
     )
-    assert said(bag, done)["gaps"] == told
-    output = done("export", bag, "-o", table)
+    assert said(bag, printed)["gaps"] == told
+    output = printed("export", bag, "-o", table)
     assert "frames=155 missing_frames=1 " in output.out
     assert f"{bag}: skin: 1 where the sequence begins anew" in output.err
     assert f"missing in the {pause_s:.3f} s" in output.err
 
 
-def test_frames_that_were_never_published_are_not_called_lost(tmp_path: Path, done: Done) -> None:
+def test_frames_that_were_never_published_are_not_called_lost(
+    tmp_path: Path, printed: Printed
+) -> None:
     """As of a skin at rest with idle_rate_hz."""
     maker = BagMaker().skin("/skin", 1.0)
     maker.without("/skin/tactile", *(i for i in range(78) if i % 8))
-    output = done("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").out
+    output = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").out
     assert "frames=10 missing_frames=63 " in output and "lost" not in output
 
 
-def test_a_bag_without_a_skin_is_not_deserialised(tmp_path: Path, done: Done) -> None:
+def test_a_bag_without_a_skin_is_not_deserialised(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().joints("/joint_states", 0.1).spoilt("/joint_states", 3)
-    lines = said(maker.write(tmp_path / "bag"), done)
+    lines = said(maker.write(tmp_path / "bag"), printed)
     assert lines["/joint_states"].startswith("sensor_msgs/msg/JointState, 10 messages")
 
 
 def test_tables_are_not_taken_for_captures(
-    bag: Path, tmp_path: Path, done: Done, refused: Refused
+    bag: Path, tmp_path: Path, printed: Printed, refused: Refused
 ) -> None:
     kinds = {"npz": "NPZ", "csv": "CSV"}
     if find_spec("pyarrow"):
         kinds["parquet"] = "Parquet"
     for suffix, kind in kinds.items():
         table = tmp_path / f"out.{suffix}"
-        assert f"file={table}" in done("export", bag, "-o", table).out
+        assert f"file={table}" in printed("export", bag, "-o", table).out
         for words in (["export", table, "-o", tmp_path / "y.csv"], ["decode", table]):
             assert f"{table}: {kind}, such as export writes" in refused(*words)
     said = refused("info", tmp_path / "out.csv")
@@ -136,11 +140,11 @@ def test_text_is_told_whatever_the_output(tmp_path: Path, refused: Refused) -> N
 
 
 @pytest.mark.parametrize("scramble", ["--scramble", "--no-scramble"])
-def test_a_recording_s_chips(tmp_path: Path, done: Done, scramble: str) -> None:
+def test_a_recording_s_chips(tmp_path: Path, printed: Printed, scramble: str) -> None:
     path = tmp_path / "touch.skin"
-    done("record", "sim://?scene=moving", path, "--seconds", 0.5, scramble)
+    printed("record", "sim://?scene=moving", path, "--seconds", 0.5, scramble)
     expected = ", scrambled" if scramble == "--scramble" else ""
-    assert f", 50 µs chips{expected}, a frame every 12.8 ms" in said(path, done)["skin"]
+    assert f", 50 µs chips{expected}, a frame every 12.8 ms" in said(path, printed)["skin"]
 
 
 @pytest.mark.parametrize("name", ["none.npz", "some.npz", "some.parquet", "some.txt", "folder"])

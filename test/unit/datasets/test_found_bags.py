@@ -12,7 +12,7 @@ import pytest
 
 from tactile_cdma.datasets.lerobot import export
 from test.support.bags import BEGIN_NS, TAXELS, BagMaker
-from test.support.command_line import Done, Refused
+from test.support.command_line import Printed, Refused
 
 parquet = pytest.importorskip("pyarrow.parquet")
 pytestmark = pytest.mark.xdist_group("datasets")
@@ -38,12 +38,12 @@ def robot(maker: BagMaker, seconds: float, gripper_end_s: float) -> None:
     maker.joints("/joint_states", gripper_end_s, 20, finger=lambda t_s: 10 + t_s)
 
 
-def test_two_publishers_of_joints_are_one_state_or_chosen(tmp_path: Path, done: Done) -> None:
+def test_two_publishers_of_joints_are_one_state_or_chosen(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().skin("/skin", 2.0)
     robot(maker, 2.0, 2.0)
     bag = maker.write(tmp_path / "bag")
     words, joints = ("export", bag, *DATASET), "/joint_states"
-    said = done(*words, tmp_path / "all", "--state", joints, "--action", joints).err
+    said = printed(*words, tmp_path / "all", "--state", joints, "--action", joints).err
     found = rows(tmp_path / "all")
     state = np.array(found["observation.state"])
     assert (state == np.array(found["action"])).all() and len(state) > 50
@@ -53,25 +53,25 @@ def test_two_publishers_of_joints_are_one_state_or_chosen(tmp_path: Path, done: 
     assert (wrist == -elbow).all() and (np.abs(elbow - t_s) < 0.011).all()
     assert ((t_s - (finger - 10) >= -1e-6) & (t_s - (finger - 10) < 0.051)).all()
 
-    said += done(*words, tmp_path / "some", "--state", f"{joints}:finger,wrist").err
+    said += printed(*words, tmp_path / "some", "--state", f"{joints}:finger,wrist").err
     some = rows(tmp_path / "some")
     assert sorted(names(tmp_path / "some", "observation.state")) == ["finger", "wrist"]
     assert np.array(some["observation.state"]).shape == (len(state), 2)
     assert not said
 
 
-def test_one_of_two_publishers_that_stops_is_told(tmp_path: Path, done: Done) -> None:
+def test_one_of_two_publishers_that_stops_is_told(tmp_path: Path, printed: Printed) -> None:
     """The arm goes on: the gripper's last position must not be taken for the present one."""
     maker = BagMaker().skin("/skin", 3.0)
     robot(maker, 3.0, 1.0)
     words = maker.write(tmp_path / "bag"), *DATASET, tmp_path / "out", "--state", "/joint_states"
-    assert "(/joint_states) had stopped, first at 0.9" in done("export", *words).err
+    assert "(/joint_states) had stopped, first at 0.9" in printed("export", *words).err
     t_s = (np.array(rows(tmp_path / "out")["unix_time_ns"]) - BEGIN_NS) * 1e-9
     assert 1.3 < t_s[-1] < 1.55
 
 
 @pytest.mark.parametrize("arm_first", [False, True])
-def test_files_agree_on_joints_by_name(tmp_path: Path, done: Done, arm_first: bool) -> None:
+def test_files_agree_on_joints_by_name(tmp_path: Path, printed: Printed, arm_first: bool) -> None:
     """Whoever publishes first, and in whatever order: a column is one joint in all files."""
     bags = []
     for file in range(2):
@@ -82,7 +82,7 @@ def test_files_agree_on_joints_by_name(tmp_path: Path, done: Done, arm_first: bo
             for message in maker.without("/joint_states", *first_of_each).of("/joint_states"):
                 message.name, message.position = message.name[::-1], message.position[::-1].copy()
         bags.append(maker.write(tmp_path / f"bag_{file}"))
-    done("export", *bags, *DATASET, tmp_path / "out", "--state", "/joint_states")
+    printed("export", *bags, *DATASET, tmp_path / "out", "--state", "/joint_states")
     found = rows(tmp_path / "out")
     state = np.array(found["observation.state"])
     order = names(tmp_path / "out", "observation.state")
@@ -92,14 +92,14 @@ def test_files_agree_on_joints_by_name(tmp_path: Path, done: Done, arm_first: bo
 
 
 def test_two_topics_with_the_same_elements_are_refused(
-    tmp_path: Path, done: Done, refused: Refused
+    tmp_path: Path, printed: Printed, refused: Refused
 ) -> None:
     maker = BagMaker().skin("/skin", 0.5).joints("/left", 0.5).joints("/right", 0.5)
     bag = maker.write(tmp_path / "bag")
     words = "export", bag, *DATASET, tmp_path / "out"
     said = refused(*words, "--state", "/left", "--state", "/right")
     assert "state: /right has finger, wrist, as another topic does" in said
-    done(*words, "--state", "/left:finger", "--state", "/right:wrist")
+    printed(*words, "--state", "/left:finger", "--state", "/right:wrist")
     assert names(tmp_path / "out", "observation.state") == ["finger", "wrist"]
 
 
@@ -132,7 +132,7 @@ def with_channels(bag: Path, *channels: tuple[str, str, str, str, str]) -> Path:
 
 
 def test_channels_that_cannot_be_read_are_left_out_by_name(
-    tmp_path: Path, done: Done, refused: Refused
+    tmp_path: Path, printed: Printed, refused: Refused
 ) -> None:
     maker = BagMaker().skin("/skin", 1.0).camera("/front/image_raw", 1.0, 30)
     event = "example_interfaces/srv/AddTwoInts_Event"
@@ -145,7 +145,7 @@ def test_channels_that_cannot_be_read_are_left_out_by_name(
         ("/skin/contacts", "tactile_cdma/msg/TactileContacts", "ros2msg", "Nothing here", "cdr"),
         ("/top/image", "sensor_msgs/msg/Image", "", "", "cdr"),
     )
-    said = done("export", bag, *DATASET, tmp_path / "out").err
+    said = printed("export", bag, *DATASET, tmp_path / "out").err
     found = rows(tmp_path / "out")
     assert len(found["observation.images.front"]) > 25
     assert {name.split(".")[1] for name in found if "." in name} == {"tactile", "images"}
@@ -157,20 +157,20 @@ def test_channels_that_cannot_be_read_are_left_out_by_name(
         ("/top/image", "none of its 1 messages can be read"),
     ):
         assert f"{topic} is left out: {reason}" in said
-    assert "/boxes: foxglove.SceneUpdate, 1 message" in done("info", bag).out
+    assert "/boxes: foxglove.SceneUpdate, 1 message" in printed("info", bag).out
     words = "export", bag, *DATASET, tmp_path / "none"
     assert "/wrist/image: the definition" in refused(*words, "--image", "/wrist/image")
     assert "/log is log; state takes" in refused(*words, "--state", "/log")
 
 
-def test_messages_that_do_not_fit_are_counted(tmp_path: Path, done: Done) -> None:
+def test_messages_that_do_not_fit_are_counted(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().skin("/skin", 1.0).spoilt("/skin/tactile", 5, 6, 7)
-    output = done("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz")
+    output = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz")
     assert "frames=75 missing_frames=3 " in output.out
     assert "/skin/tactile: 3 of 78 messages do not fit their definition" in output.err
 
 
-def test_the_info_of_a_split_bag_is_in_its_first_file(tmp_path: Path, done: Done) -> None:
+def test_the_info_of_a_split_bag_is_in_its_first_file(tmp_path: Path, printed: Printed) -> None:
     first, later = (BagMaker().skin("/skin", 0.5) for _ in range(2))
     later.without("/skin/info")
     folder = tmp_path / "session"
@@ -188,7 +188,7 @@ def test_the_info_of_a_split_bag_is_in_its_first_file(tmp_path: Path, done: Done
         ([moved, "--info", folder / "session_0.mcap"], True),
         ([moved, "--info", moved], False),
     ):
-        said = done("export", *words, "-o", out, "--force").err
+        said = printed("export", *words, "-o", out, "--force").err
         assert ("/skin/info is that of" in said) == known
         assert ("no info, so places" in said) != known
         with np.load(out) as found:
@@ -198,10 +198,10 @@ def test_the_info_of_a_split_bag_is_in_its_first_file(tmp_path: Path, done: Done
 @pytest.mark.parametrize("compressed", ["file", "message"])
 @pytest.mark.parametrize("sqlite", [False, True], ids=["mcap", "sqlite"])
 def test_compressed_bags_are_read(
-    tmp_path: Path, done: Done, sqlite: bool, compressed: str
+    tmp_path: Path, printed: Printed, sqlite: bool, compressed: str
 ) -> None:
     bag = BagMaker().skin("/skin", 0.5).write(tmp_path / "bag", sqlite, compressed)
-    said = done("export", bag, "-o", tmp_path / "out.npz").out
+    said = printed("export", bag, "-o", tmp_path / "out.npz").out
     assert f"frames=39 missing_frames=0 taxels={TAXELS} " in said
 
 
@@ -212,7 +212,7 @@ def test_a_compressed_file_by_itself_is_told(tmp_path: Path, refused: Refused) -
 
 
 def test_long_sessions_keep_lerobot_s_tolerance(
-    tmp_path: Path, done: Done, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, printed: Printed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps of float32 timestamps within an episode differ from 1 / fps by less than 100 µs."""
     steps_s = np.diff(np.arange(export.LONGEST_S * 30).astype(np.float32) / np.float32(30))
@@ -221,7 +221,7 @@ def test_long_sessions_keep_lerobot_s_tolerance(
     assert np.abs(later_s - 1 / 30).max() > 1e-4  # else there were nothing to do
     monkeypatch.setattr(export, "LONGEST_S", 1)
     bag = BagMaker().skin("/skin", 2.5).write(tmp_path / "bag")
-    said = done("export", bag, *DATASET, tmp_path / "out").err
+    said = printed("export", bag, *DATASET, tmp_path / "out").err
     assert "2 episodes begin only because the one before is 1 s long" in said
     found = rows(tmp_path / "out")
     lengths = np.bincount(found["episode_index"]).tolist()

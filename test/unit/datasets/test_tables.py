@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
-from test.support.command_line import Done, Refused
+from test.support.command_line import Printed, Refused
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.6
@@ -40,8 +40,10 @@ def t_of(table: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     return np.asarray(table["wall_time_s"] - BEGIN_NS * 1e-9)
 
 
-def test_every_patch_has_a_file_of_all_its_frames(bag: Path, tmp_path: Path, done: Done) -> None:
-    done("export", bag, "-o", tmp_path / "out.npz")
+def test_every_patch_has_a_file_of_all_its_frames(
+    bag: Path, tmp_path: Path, printed: Printed
+) -> None:
+    printed("export", bag, "-o", tmp_path / "out.npz")
     assert {path.name for path in tmp_path.iterdir()} == {"out.skin.npz", "out.left_palm.npz"}
     table = read(tmp_path / "out.skin.npz")
     frames = round(SECONDS / PERIOD_S)
@@ -61,9 +63,9 @@ def test_every_patch_has_a_file_of_all_its_frames(bag: Path, tmp_path: Path, don
     assert about | said | {"topic": "/skin/tactile", "frame_id": "palm", "tared": False} == about
 
 
-def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path, done: Done) -> None:
+def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path, printed: Printed) -> None:
     def chosen(name: str, *options: str) -> dict[str, NDArray[Any]]:
-        done("export", bag, "-o", tmp_path / name, "--topic", "/skin/tactile", *options)
+        printed("export", bag, "-o", tmp_path / name, "--topic", "/skin/tactile", *options)
         return read(tmp_path / name)
 
     part = chosen("part.npz", "--start", "0.5", "--end", "1.1")
@@ -79,18 +81,18 @@ def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path, done: Done) ->
     assert np.bincount(given["episode"]).tolist() == [8, 8]
 
 
-def test_a_bag_s_file_alone_and_many_files(bag: Path, tmp_path: Path, done: Done) -> None:
+def test_a_bag_s_file_alone_and_many_files(bag: Path, tmp_path: Path, printed: Printed) -> None:
     [file] = [path for path in bag.iterdir() if path.suffix in (".mcap", ".db3")]
-    done("export", file, bag, "-o", tmp_path / "two.npz", "--topic", "/skin/tactile")
+    printed("export", file, bag, "-o", tmp_path / "two.npz", "--topic", "/skin/tactile")
     table = read(tmp_path / "two.npz")
     assert np.bincount(table["episode"]).tolist() == [round(SECONDS / PERIOD_S)] * 2
     assert json.loads(str(table["about"]))["files"] == [file.name, bag.name]
 
 
-def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, done: Done) -> None:
+def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, printed: Printed) -> None:
     words = "export", bag, "--topic", "/skin/tactile", "-o"
-    done(*words, tmp_path / "out.npz")
-    done(*words, tmp_path / "out.csv")
+    printed(*words, tmp_path / "out.npz")
+    printed(*words, tmp_path / "out.csv")
     expected = read(tmp_path / "out.npz")
     with (tmp_path / "out.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -98,7 +100,7 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, done: D
     assert np.array(cells, dtype=np.float32).tobytes() == expected["pressure_pa"].tobytes()
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    done(*words, tmp_path / "out.parquet")
+    printed(*words, tmp_path / "out.parquet")
     frames = pandas.read_parquet(tmp_path / "out.parquet")
     for name in ("pressure_pa", "status"):
         assert np.stack(frames[name].to_numpy()).tobytes() == expected[name].tobytes()
@@ -106,9 +108,9 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, done: D
         assert frames[name].to_numpy().tobytes() == expected[name].tobytes()
 
 
-def test_a_patch_without_info_has_unknown_places(tmp_path: Path, done: Done) -> None:
+def test_a_patch_without_info_has_unknown_places(tmp_path: Path, printed: Printed) -> None:
     bag = BagMaker().skin("/skin", 0.3).without("/skin/info").write(tmp_path / "bag")
-    said = done("export", bag, "-o", tmp_path / "out.npz").err
+    said = printed("export", bag, "-o", tmp_path / "out.npz").err
     assert "no info, so places and calibration are unknown" in said
     table = read(tmp_path / "out.npz")
     assert np.isnan(table["position_m"]).all() and not table["node"].any()
@@ -181,15 +183,15 @@ def test_rows_and_columns_of_files_must_agree(tmp_path: Path, refused: Refused) 
     assert problem in refused(*words, "--lerobot", tmp_path / "out", "--fps", "30")
 
 
-def test_an_info_of_another_type_is_none(tmp_path: Path, done: Done) -> None:
+def test_an_info_of_another_type_is_none(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().skin("/skin", 0.3).without("/skin/info")
     maker.add(0.0, "/skin/info", "std_msgs/msg/String", data="left palm")
-    said = done("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
+    said = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
     assert "no info, so places and calibration are unknown" in said
 
 
 @pytest.mark.parametrize("begins_tared", [False, True])
-def test_a_tare_within_a_bag_is_told(tmp_path: Path, done: Done, begins_tared: bool) -> None:
+def test_a_tare_within_a_bag_is_told(tmp_path: Path, printed: Printed, begins_tared: bool) -> None:
     tares = [np.full(TAXELS, 300.0, dtype=np.float32), np.full(TAXELS, 500.0, dtype=np.float32)]
     if not begins_tared:
         tares[0] = np.zeros(0, dtype=np.float32)
@@ -202,23 +204,23 @@ def test_a_tare_within_a_bag_is_told(tmp_path: Path, done: Done, begins_tared: b
         info.tare = tare
         maker.messages.append((time_ns + round(seen_s * 1e9), *rest, info))
     bag, note = maker.write(tmp_path / "bag"), "/skin/tactile: the tare changes within the bag"
-    said = done("export", bag, "-o", tmp_path / "out.npz").err
+    said = printed("export", bag, "-o", tmp_path / "out.npz").err
     assert f"tactile-cdma: {bag}: {note}" in said
-    assert done("info", bag).out.count(note) == 1
+    assert printed("info", bag).out.count(note) == 1
     assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] == "changes"
 
 
-def test_the_same_tare_again_is_no_change(tmp_path: Path, done: Done) -> None:
+def test_the_same_tare_again_is_no_change(tmp_path: Path, printed: Printed) -> None:
     maker, again = BagMaker(), BagMaker()
     for one, seconds in ((maker, 0.3), (again, 0.0)):
         one.skin("/skin", seconds)
         one.messages[0][3].tare = np.full(TAXELS, 300.0, dtype=np.float32)
     maker.messages += again.messages
-    assert not done("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
+    assert not printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
     assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] is True
 
 
-def test_a_bag_whose_info_changes_says_so(tmp_path: Path, done: Done) -> None:
+def test_a_bag_whose_info_changes_says_so(tmp_path: Path, printed: Printed) -> None:
     maker, real = BagMaker(), BagMaker()
     maker.skin("/skin", 1.0)
     real.skin("/skin", 0.0, simulated=False)
@@ -226,11 +228,11 @@ def test_a_bag_whose_info_changes_says_so(tmp_path: Path, done: Done) -> None:
     info.calibration_id, info.node = "other", info.node[::-1].copy()
     maker.messages.append((time_ns + 500_000_000, *rest, info))
     bag = maker.write(tmp_path / "bag")
-    said = done("info", bag).out
+    said = printed("info", bag).out
     assert "measured by: simulated, then board" in said and "nothing was touched" not in said
     assert "calibration: abcd1234, then other" in said
     assert "note: /skin/tactile: its taxels change within the bag" in said
-    said = done("export", bag, "-o", tmp_path / "out.npz").err
+    said = printed("export", bag, "-o", tmp_path / "out.npz").err
     assert "measured_by changes within the bag" in said
     about = json.loads(str(read(tmp_path / "out.npz")["about"]))
     assert about["origin"] == "simulated, then board" and about["skin"] == "palm-1"

@@ -25,7 +25,7 @@ from tactile_cdma.recording.bag_export import write_bag
 from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.recording.recording_file import Recorder, describe, read_bytes
 from tactile_cdma.sim.options import SimOptions
-from test.support.command_line import Done, Refused
+from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
 pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
@@ -110,7 +110,9 @@ def test_a_bag_holds_the_same_and_its_definitions(skin: Recorded, tmp_path: Path
         assert message.status.tobytes() == frame.readings.status.tobytes()
 
 
-def test_every_export_says_what_was_recorded(skin: Recorded, tmp_path: Path, done: Done) -> None:
+def test_every_export_says_what_was_recorded(
+    skin: Recorded, tmp_path: Path, printed: Printed
+) -> None:
     path, _ = skin
     said = {"origin": "replayed", "measured_by": "simulated", "digitizer_id": "73696D0002000000"}
     exported(path, tmp_path / "out.csv")
@@ -124,7 +126,7 @@ def test_every_export_says_what_was_recorded(skin: Recorded, tmp_path: Path, don
         info = reader.deserialize(raw, connection.msgtype)
     assert (info.origin, info.measured_by) == (info.ORIGIN_REPLAYED, info.ORIGIN_SIMULATED)
     assert info.digitizer_id == said["digitizer_id"]
-    assert "digitizer: simulated, 73696D0002000000" in done("info", path).out
+    assert "digitizer: simulated, 73696D0002000000" in printed("info", path).out
 
 
 def test_options_of_decoding_count(skin: Recorded, tmp_path: Path) -> None:

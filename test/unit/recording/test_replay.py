@@ -20,7 +20,7 @@ from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.recording.recording_file import Recorder, describe, read_bytes, survey
 from tactile_cdma.replay.player import Player, ReplayOptions
 from tactile_cdma.wire.port import Port
-from test.support.command_line import Done, Refused
+from test.support.command_line import Printed, Refused
 from test.support.same_frames import assert_same
 from test.support.waiting import PATIENCE_S
 
@@ -203,18 +203,20 @@ def test_what_cannot_be_replayed_is_one_clear_error(
     assert "\n" not in str(caught.value)
 
 
-def test_a_replay_can_be_recorded_and_inspected(live: Live, tmp_path: Path, done: Done) -> None:
+def test_a_replay_can_be_recorded_and_inspected(
+    live: Live, tmp_path: Path, printed: Printed
+) -> None:
     path, frames = live
     copy = tmp_path / "copy.skin"
-    done("record", url_of(path, "speed=0"), copy)
+    printed("record", url_of(path, "speed=0"), copy)
     again, original = (b"".join(d for d, _ in read_bytes(file)) for file in (copy, path))
     assert again == original != b""
-    said = done("info", copy).out
+    said = printed("info", copy).out
     assert "16 nodes" in said and "checksum: right" in said
     counted = re.search(r"frames: (\d+), lost", said)
     assert counted and int(counted[1]) - len(frames) in (0, 1)
     copy.write_bytes(copy.read_bytes()[:-1000])
-    assert "cut short" in done("info", copy, exit_code=1).out
+    assert "cut short" in printed("info", copy, code=1).out
 
 
 def test_a_replay_is_never_recorded_over_what_it_replays(

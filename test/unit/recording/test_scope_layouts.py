@@ -19,7 +19,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.recording.recording_file import is_text
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.sim.channel import Channel
-from test.support.command_line import Done, Refused
+from test.support.command_line import Printed, Refused
 from test.support.simulated import scope_capture
 
 RATE_HZ = 160e3
@@ -218,9 +218,9 @@ def write(path: Path, content: str, encoding: str = "utf-8") -> Path:
     return path
 
 
-def decoded(path: Path, done: Done, *options: str) -> tuple[list, str]:
+def decoded(path: Path, printed: Printed, *options: str) -> tuple[list, str]:
     """Codes and start of each frame, and what was said."""
-    out, err = done("decode", path, "--timing", "gap", "--json", *options)
+    out, err = printed("decode", path, "--timing", "gap", "--json", *options)
     frames = [json.loads(row) for row in out.splitlines()]
     return [([node["code"] for node in f["nodes"]], f["t"]) for f in frames], err
 
@@ -233,10 +233,10 @@ def check(frames: list, start_s: float = START_S) -> None:
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_the_words_in_every_makers_file_are_those_on_the_line(
-    tmp_path: Path, done: Done, line: Line, name: str
+    tmp_path: Path, printed: Printed, line: Line, name: str
 ) -> None:
     writer, taken = LAYOUTS[name]
-    frames, said = decoded(write(tmp_path / "scope.csv", writer(line)), done)
+    frames, said = decoded(write(tmp_path / "scope.csv", writer(line)), printed)
     check(frames, 0 if name in WITHOUT_START else START_S)
     assert f"scope.csv: {taken}\n" in said
 
@@ -251,7 +251,7 @@ def test_the_words_in_every_makers_file_are_those_on_the_line(
 )
 def test_encodings_zeros_and_lines_at_the_end_do_not_matter(
     tmp_path: Path,
-    done: Done,
+    printed: Printed,
     line: Line,
     writer: Writer,
     encoding: str,
@@ -259,24 +259,24 @@ def test_encodings_zeros_and_lines_at_the_end_do_not_matter(
 ) -> None:
     content = writer(line).replace("\n", f"{zeros}\n") + "\n;;\nEnde der Messung: 100 %\n"
     path = write(tmp_path / "scope.csv", content + 5000 * zeros, encoding)
-    check(decoded(path, done)[0])
+    check(decoded(path, printed)[0])
 
 
 @pytest.mark.parametrize("form", ["{v:.6f}", "{v:.6f},{w:.6f}", "{i},{v:.6f}"])
 def test_a_file_of_values_needs_a_rate_from_the_user_or_the_file_beside_it(
-    tmp_path: Path, done: Done, refused: Refused, line: Line, form: str
+    tmp_path: Path, printed: Printed, refused: Refused, line: Line, form: str
 ) -> None:
     path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows(form)))
     assert "no rate in the header: tell it by --rate" in refused("decode", path)
     check(decoded(path, done, "--rate", "160e3")[0], 0)
     beside = f"XStart:{START_S}:\nSignalResolution:{1 / RATE_HZ:.6e}:\n"
     write(tmp_path / "touch.csv", beside)
-    check(decoded(path, done)[0])
+    check(decoded(path, printed)[0])
 
 
 @pytest.mark.parametrize("channel", ["2", "CH2", "ch2 volt"])
 def test_a_channel_is_chosen_by_number_or_heading(
-    tmp_path: Path, done: Done, line: Line, channel: str
+    tmp_path: Path, printed: Printed, line: Line, channel: str
 ) -> None:
     path = write(tmp_path / "scope.csv", rigol_old(Line(line.t, line.w, line.v)))
     frames, said = decoded(path, done, "--channel", channel)
@@ -290,7 +290,7 @@ def test_a_heading_counts_more_than_a_number(tmp_path: Path, line: Line) -> None
 
 
 def test_times_of_whole_microseconds_are_refused_until_the_rate_is_told(
-    tmp_path: Path, done: Done, refused: Refused, line: Line
+    tmp_path: Path, printed: Printed, refused: Refused, line: Line
 ) -> None:
     rows = [f"{6 * i},{v:g}" for i, v in enumerate(line.v)]  # sigrok rounds 6.25 down
     del rows[3000:3020]
@@ -320,7 +320,7 @@ def test_times_of_whole_microseconds_are_refused_until_the_rate_is_told(
 )
 def test_a_wrong_guess_is_refused(
     tmp_path: Path,
-    done: Done,
+    printed: Printed,
     line: Line,
     header: str,
     form: str,
@@ -328,26 +328,26 @@ def test_a_wrong_guess_is_refused(
     message: str,
 ) -> None:
     path = write(tmp_path / "scope.csv", text(header, rows=line.rows(form)))
-    out, err = done("decode", path, *options, exit_code=1)
+    out, err = printed("decode", path, *options, code=1)
     assert out == ""
     assert message in err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("options", [[], ["--rate", "160e3"]])
 def test_commas_that_separate_and_are_decimal_are_refused(
-    tmp_path: Path, done: Done, line: Line, options: list[str]
+    tmp_path: Path, printed: Printed, line: Line, options: list[str]
 ) -> None:
     rows = Line(line.t * 1e3, line.v, line.w).rows("{t:.6f},{v:.5f}")
     content = text("Time (ms),CH1 (V)", rows=[row.replace(".", ",") for row in rows])
     path = write(tmp_path / "scope.csv", content)
-    assert done("decode", path, *options, exit_code=1).out == ""
+    assert printed("decode", path, *options, code=1).out == ""
 
 
 def test_options_for_scopes_are_refused_for_recordings(
-    tmp_path: Path, done: Done, refused: Refused
+    tmp_path: Path, printed: Printed, refused: Refused
 ) -> None:
     path = tmp_path / "touch.skin"
-    done("record", "sim://?speed=2", path, "--seconds", 0.2)
+    printed("record", "sim://?speed=2", path, "--seconds", 0.2)
     assert "are for an oscilloscope's CSV" in refused("decode", path, "--rate", "1e6")
 
 
