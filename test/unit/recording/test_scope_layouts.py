@@ -268,7 +268,7 @@ def test_a_file_of_values_needs_a_rate_from_the_user_or_the_file_beside_it(
 ) -> None:
     path = write(tmp_path / "touch.Wfm.csv", text(rows=line.rows(form)))
     assert "no rate in the header: tell it by --rate" in refused("decode", path)
-    check(decoded(path, done, "--rate", "160e3")[0], 0)
+    check(decoded(path, printed, "--rate", "160e3")[0], 0)
     beside = f"XStart:{START_S}:\nSignalResolution:{1 / RATE_HZ:.6e}:\n"
     write(tmp_path / "touch.csv", beside)
     check(decoded(path, printed)[0])
@@ -279,7 +279,7 @@ def test_a_channel_is_chosen_by_number_or_heading(
     tmp_path: Path, printed: Printed, line: Line, channel: str
 ) -> None:
     path = write(tmp_path / "scope.csv", rigol_old(Line(line.t, line.w, line.v)))
-    frames, said = decoded(path, done, "--channel", channel)
+    frames, said = decoded(path, printed, "--channel", channel)
     check(frames)
     assert "channel 2 of 2 (CH2 Volt)" in said
 
@@ -297,7 +297,7 @@ def test_times_of_whole_microseconds_are_refused_until_the_rate_is_told(
     content = text("; Samplerate: 160 kHz", "microseconds,V DC", rows=rows)
     path = write(tmp_path / "scope.csv", content)
     assert "166.7 kS/s by its times, 160 kS/s by its header" in refused("decode", path)
-    frames, said = decoded(path, done, "--rate", "160000")
+    frames, said = decoded(path, printed, "--rate", "160000")
     assert frames == [(CODES.tolist(), pytest.approx(t, abs=1e-5)) for t in (1e-3, 26.6e-3)]
     assert "160 kS/s" in said and "samples are missing in 1 places" in said
 
