@@ -193,13 +193,6 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(refused: Refused) -> No
     assert "moving" in refused("simulate", "--pty", "sim://?scene=dance")
 
 
-@pytest.mark.parametrize("command", ["decode", "record", "info", "export", "simulate", "node"])
-def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main([command, "--help"])
-    assert end.value.code == 0 and command in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("line", "completions"),
     [("tactile-cdma de", {"decode"}), ("tactile-cdma export t.skin --b", {"--bag", "--bits"})],
