@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.commands.cli import main
+from tactile_cdma.commands.cli import SUBCOMMANDS, main
 from tactile_cdma.sim.channel import Channel
 from tactile_cdma.sim.options import SimOptions
 from test.support import simulated
@@ -191,6 +191,13 @@ def test_simulate_ends_by_itself_and_refuses_bad_options(refused: Refused) -> No
     assert main(["simulate", "--pty", "--seconds", "0.3"]) == 0
     assert "nobody presses" in refused("simulate", "--pty", "sim://?scene=external")
     assert "moving" in refused("simulate", "--pty", "sim://?scene=dance")
+
+
+@pytest.mark.parametrize("command", SUBCOMMANDS)
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main([command, "--help"])
+    assert command in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
