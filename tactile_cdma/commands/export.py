@@ -151,7 +151,6 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
 def _episodes(
     arguments: argparse.Namespace, task: str
 ) -> Callable[[SampleSource], Sequence[Episode]]:
-    """Finds the episodes that are asked for in a file."""
     return partial(
         find_episodes,
         task=task,
@@ -216,7 +215,6 @@ def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> 
 
 
 def _bag(arguments: argparse.Namespace) -> int:
-    """A recording as a bag."""
     with needed_for("--bag", "rosbags"):
         from ..recording.bag_export import write_bag  # slow to load, and needed here only
 

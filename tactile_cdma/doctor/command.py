@@ -5,32 +5,23 @@
 import argparse
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 from .installation import installation
 from .report import Check, Grade, problem
 
-TEXT = (
-    "Checks this installation or, if a port is given, the port with its digitizer and skin. "
-    "Exit code 1 if there is a problem."
-)
-
 MOST_SECONDS = 600.0
 """Longest examination, s; chosen, its bytes are held in memory."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The doctor by itself; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor")
-    add_arguments(parser)
-    return run(parser.parse_args(argv))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.description = TEXT
+    parser.description = (
+        "Checks this installation or, if a port is given, the port with its digitizer and skin. "
+        "Exit code 1 if there is a problem."
+    )
     add = parser.add_argument
     text = "a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …"
     add("port", nargs="?", help=text)

@@ -101,7 +101,6 @@ class Port:
 
     @property
     def device(self) -> serial.SerialBase:
-        """What pyserial has open."""
         return self._serial
 
     def read(self) -> tuple[bytes, float]:
@@ -162,7 +161,6 @@ class Port:
         return skipped
 
     def write(self, data: bytes) -> None:
-        """Send bytes."""
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
