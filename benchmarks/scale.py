@@ -287,13 +287,20 @@ def streaming(config: SkinConfig, path: str) -> Iterator[tuple[int, select.poll]
         os.close(port)
 
 
-def replay(config: SkinConfig, recorded: list[tuple[bytes, float]]) -> float:
-    """CPU time per frame of feeding the recorded chunks to a new pipeline, s."""
-    pipeline = Pipeline(config)
-    begin_s = time.thread_time()
-    for data, t_host in recorded:
+def replay(
+    config: SkinConfig, recorded: list[tuple[bytes, float]], unmeasured: float = 0.0
+) -> float:
+    """CPU time per frame of feeding the recorded chunks to a new pipeline, s.
+
+    unmeasured: share of them, from the first one on, that the time is not of.
+    """
+    pipeline, first = Pipeline(config), int(unmeasured * len(recorded))
+    for data, t_host in recorded[:first]:
         pipeline.feed(data, t_host)
-    return (time.thread_time() - begin_s) / max(1, pipeline.counters.frames)
+    frames, begin_s = pipeline.counters.frames, time.thread_time()
+    for data, t_host in recorded[first:]:
+        pipeline.feed(data, t_host)
+    return (time.thread_time() - begin_s) / max(1, pipeline.counters.frames - frames)
 
 
 def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:

@@ -234,39 +234,6 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
     return errors | {"crosstalk": crosstalk(spec, clocks)}
 
 
-def sampling_rows() -> list[list[object]]:
-    """Noise and bit errors by samples per chip, at 0.5 % clock error and half a chip of delay."""
-    rows: list[list[object]] = []
-    for nodes in NODES[:2] if QUICK else NODES:
-        rng = np.random.default_rng(3)
-        clocks = NodeClocks(
-            rng.uniform(0, 0.5, nodes), rng.uniform(-0.005, 0.005, nodes), np.ones(nodes, bool)
-        )
-        for scramble in (False, True):
-            spec = frame_spec(nodes, scramble)
-            for per_chip in (2.0, 4.0):
-                decorrelator = Decorrelator(spec, clocks, per_chip)
-                noise, share = noise_of(spec, per_chip), 0.0
-                for _ in range(FRAMES[nodes]):
-                    bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
-                    line = decorrelator.line(bits)
-                    line += np.float32(noise) * rng.normal(size=line.size).astype(np.float32)
-                    share += wrong(decorrelator.estimate(line), bits) / FRAMES[nodes]
-                rows.append(
-                    [
-                        nodes,
-                        spec.order,
-                        "yes" if scramble else "no",
-                        f"{per_chip:g}",
-                        float(np.median(decorrelator.gain)),
-                        float(decorrelator.gain.max()),
-                        int(decorrelator.unresolved.size),
-                        share,
-                    ]
-                )
-    return rows
-
-
 def plainly(line: np.ndarray, spec: FrameSpec) -> NodeLevels:
     """Plain correlation of a frame at 2 samples per chip."""
     chips = integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)
@@ -509,8 +476,6 @@ def main() -> None:
         scale=1.0,
     )
     axes[0].set_ylabel("bit error rate; 1e-5: none")
-    headers = "nodes,order,scrambled,samples/chip,median gain,worst gain,unresolved,BER"
-    report.table(headers.split(","), sampling_rows(), keep=False)
     decorrelate_ms = costs(report)
     scrambling = scrambling_costs(report)
     live = line_and_gap(report)

@@ -2,7 +2,6 @@
 
 """Firmware to topic: images of 16 nodes, a digitizer and the driver node, pressed and read."""
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,10 +23,10 @@ from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.status import Status
-from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
+from test.support.boards import plugged
 from test.support.skin_client import Client, running
-from test.support.waiting import PATIENCE_S, wait_for
+from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("node_images")
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,19 +50,10 @@ def wired(nodes: list[Node], **board: Any) -> EmulatedSkin:
 @contextmanager
 def live(port: Path, emulated: EmulatedSkin) -> Iterator[PressedSkin]:
     """An emulated skin on a tty of this path, in the host's time as far as it can follow."""
-    stop, ready = threading.Event(), threading.Event()
     with emulated:
         skin = PressedSkin(CONFIG, SCENES["moving"], emulated, emulated)
-        server = threading.Thread(
-            target=serve, args=(lambda: LiveSkin(skin), port, stop, lambda _: ready.set())
-        )
-        server.start()
-        try:
-            assert ready.wait(PATIENCE_S)
+        with plugged(lambda: LiveSkin(skin), port):
             yield skin
-        finally:
-            stop.set()
-            server.join()
 
 
 @contextmanager
