@@ -45,9 +45,10 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.reader import READ_SIZE
+from test.support.simulated import configuration
 
 ALL = "scene=all&threshold=0&seed=1"
 SILENT = "scene=idle&heartbeat=0&seed=1"
@@ -274,10 +275,8 @@ def read_only(config: SkinConfig, path: str) -> float:
 @contextmanager
 def streaming(config: SkinConfig, path: str) -> Iterator[tuple[int, select.poll]]:
     """The port of a digitizer that was set and started, and what waits for its bytes."""
-    integrated = config.samples_per_chip == 1
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
     writer, poll = PacketWriter(), select.poll()
-    setting = Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
+    setting = configuration(config, quiet_uv(config.spec))
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         os.write(port, writer.encode(setting) + writer.encode(Start()))

@@ -51,9 +51,9 @@ from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.simulated import configuration
 
 RHO = 15.0
 CHIP_S = 10e-6
@@ -305,12 +305,8 @@ def live_reads(config: SkinConfig, stretch: float) -> list[tuple[float, bytes]]:
     now_s, reads, writer = [0.0], list[tuple[float, bytes]](), PacketWriter()
     options = SimOptions.from_url(f"sim://?scene=all&threshold=0&seed=1&stretch={stretch}")
     digitizer = VirtualDigitizer(options, lambda: now_s[0])
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
-    if config.timing == GAP:
-        configure = Configure(layout, SyncMode.NONE)
-    else:
-        configure = Configure(layout, SyncMode.DRIVE, quiet_uv=quiet_uv(config.spec))
-    for command in (configure, Start()):
+    quiet = 0 if config.timing == GAP else quiet_uv(config.spec)
+    for command in (configuration(config, quiet), Start()):
         digitizer.receive(writer.encode(command))
     for number in range(int(LIVE_FRAMES * config.spec.frame_period_s / POLL_S)):
         now_s[0] = number * POLL_S
