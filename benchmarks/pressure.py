@@ -164,7 +164,7 @@ def read(chain: PressureChain, voltage_v: Floats, tare_s: float = math.inf) -> F
     rows = []
     for i, v in enumerate(voltage_v.astype(np.float32)):
         rows.append(chain.update(v, valid, i * PERIOD_S)[0])
-        if i >= tare_frame and chain.tracker and not chain.baseline.tared:
+        if i >= tare_frame and chain.tracker.rules.drift_pa_per_min and not chain.baseline.tared:
             take_tare(chain.baseline, curves, layout, ADC.lsb_v, RULES.contact_pa, ~valid, True)
     return np.array(rows)
 
@@ -233,9 +233,9 @@ def chain_of(
     layout = layout or Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
     if name == CURVE:
         calibration = Calibration.default(PressureCurve.two_stage(), nodes)
-    tracker = None
-    if name == TARED:
-        tracker = DriftTracker(ADC, nodes_beside(layout, nodes), rules)
+    if name != TARED:  # no reading is off rest, either
+        rules = replace(rules, drift_pa_per_min=0.0, contact_pa=math.inf)
+    tracker = DriftTracker(ADC, nodes_beside(layout, nodes), rules)
     return PressureChain(calibration, Baseline(nodes), tracker)
 
 

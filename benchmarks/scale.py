@@ -36,9 +36,9 @@ from benchmarks.skip import record
 from tactile_cdma.base.kernel import VARIABLE, compiled
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.driver.stream import Decisions
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry

@@ -43,8 +43,8 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, separate
 from tactile_cdma.config.parameters import GAP, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.framing.fit import Line, integrate
 from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming

@@ -34,8 +34,8 @@ from ..readings.calibration_file import (
     seal_calibration,
     write_content,
 )
-from ..recording.capture import capture_notes
 from ..recording.offline import described_parameters, raw_frames
+from ..recording.recording_file import capture_notes
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""

@@ -16,15 +16,20 @@ from ..base.named_file import naming
 from ..config.arguments import add_skin_options, finite, given, refuse_given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import Episode, find_episodes, parse_interval
-from ..datasets.frames import PatchFrames, paths_of
 from ..datasets.lerobot import INFO
 from ..datasets.lerobot.export import Plan, write_lerobot
-from ..datasets.parquet_table import write_parquet
 from ..datasets.progress import Progress
-from ..datasets.samples import SampleSource, patches_of
+from ..datasets.samples import PatchInfo, SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
-from ..datasets.tables import about_path, taxels_path, write_csv, write_npz
+from ..datasets.tables import (
+    PatchFrames,
+    about_path,
+    taxels_path,
+    write_csv,
+    write_npz,
+    write_parquet,
+)
 from ..datasets.touch import HOLD, MODES, POLICIES, WINDOW
 
 _WRITERS = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
@@ -146,7 +151,6 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
 def _episodes(
     arguments: argparse.Namespace, task: str
 ) -> Callable[[SampleSource], Sequence[Episode]]:
-    """Finds the episodes that are asked for in a file."""
     return partial(
         find_episodes,
         task=task,
@@ -170,7 +174,9 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     names = [patch.name for patch in patches_of(sources[0].streams).values()]
     if not names:
         raise CaptureError(f"{arguments.files[0]}: no frames of a skin in this bag")
-    paths = paths_of(output, names)
+    paths = {name: output.with_name(f"{output.stem}.{name}{output.suffix}") for name in names}
+    if len(names) == 1:
+        paths = {names[0]: output}
     for path in paths.values():
         beside = [taxels_path(path), about_path(path)] if path.suffix == ".csv" else []
         for file in [path, *beside]:
@@ -182,12 +188,12 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     notes: list[str] = []
     for name, path in paths.items():
         frames = PatchFrames(sources, name, episodes, progress, arguments.from_first_complete)
-        count, taxels = _write(frames, sources, path)
+        taxels = len(_write(frames, sources, path))
         patch = "" if len(names) == 1 else f"patch={name} "
         left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
         print(
-            f"{patch}frames={count} {missing}_frames={frames.missing} taxels={taxels}{left_out} "
-            f"file={path}"
+            f"{patch}frames={frames.given} {missing}_frames={frames.missing} "
+            f"taxels={taxels}{left_out} file={path}"
         )
         notes += frames.notes
         notes += [f"{source.path}: {note}" for source in sources for note in source.notes]
@@ -195,8 +201,8 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     return 0
 
 
-def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> tuple[int, int]:
-    """Write one patch; returns how many frames and taxels. Raises CaptureError for no frame."""
+def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> PatchInfo:
+    """Write one patch; returns it. Raises CaptureError for no frame."""
     with naming(path, CaptureError):
         rows = iter(frames)
         if (first := next(rows, None)) is None or (patch := frames.patch) is None:
@@ -204,12 +210,11 @@ def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> 
         about = dict(patch.about)
         if len(sources) > 1:
             about["files"] = [source.path.name for source in sources]
-        count = _WRITERS[path.suffix](path, chain([first], rows), patch, about)
-    return count, len(patch)
+        _WRITERS[path.suffix](path, chain([first], rows), patch, about)
+    return patch
 
 
 def _bag(arguments: argparse.Namespace) -> int:
-    """A recording as a bag."""
     with needed_for("--bag", "rosbags"):
         from ..recording.bag_export import write_bag  # slow to load, and needed here only
 

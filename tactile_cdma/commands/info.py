@@ -110,7 +110,6 @@ def _recording_lines(path: Path, asked: dict[str, Value], found: Survey) -> Line
 
 
 def _frame_lines(capture: RawCapture) -> Lines:
-    """What decoding finds."""
     frames = FrameSurvey()
     for frame, wall_s in capture.timed_frames():
         frames.take(skin_frame(frame, wall_s))

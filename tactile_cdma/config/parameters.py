@@ -59,7 +59,6 @@ class Parameter:
 
     @property
     def description(self) -> str:
-        """The text with the unit."""
         return self.text + (f" [{self.unit}]" if self.unit else "")
 
     def check(self, value: object) -> Value:

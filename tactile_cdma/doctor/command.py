@@ -4,32 +4,24 @@
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 from .installation import installation
-from .report import Check, exit_code, line, problem, summary
-
-TEXT = (
-    "Checks this installation or, if a port is given, the port with its digitizer and skin. "
-    "Exit code 1 if there is a problem."
-)
+from .report import Check, Grade, problem
 
 MOST_SECONDS = 600.0
 """Longest examination, s; chosen, its bytes are held in memory."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The doctor by itself; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor")
-    add_arguments(parser)
-    return run(parser.parse_args(argv))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.description = TEXT
+    parser.description = (
+        "Checks this installation or, if a port is given, the port with its digitizer and skin. "
+        "Exit code 1 if there is a problem."
+    )
     add = parser.add_argument
     text = "a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …"
     add("port", nargs="?", help=text)
@@ -54,14 +46,19 @@ def run(arguments: argparse.Namespace) -> int:
         for check in _examination(arguments):
             checks.append(check)
             if not arguments.json:
-                print(line(check), flush=True)
+                print(f"{check.verdict:<8} {check.subject}: {check.text}", flush=True)
     except KeyboardInterrupt:
         checks.append(problem("doctor", "interrupted: what follows was not checked"))
+    number = Counter(check.verdict for check in checks)
     if arguments.json:
         print(json.dumps([asdict(check) for check in checks], indent=2))
     else:
-        print(summary(checks))
-    return exit_code(checks)
+        counted = (
+            f"{number[grade] or 'no'} {grade}{'s' * (number[grade] != 1)}"
+            for grade in (Grade.PROBLEM, Grade.WARNING)
+        )
+        print(f"{', '.join(counted)}, {number[Grade.OK]} ok")
+    return int(number[Grade.PROBLEM] > 0)
 
 
 def _examination(arguments: argparse.Namespace) -> Iterator[Check]:

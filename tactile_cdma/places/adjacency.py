@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which taxels are neighbours, and the cells that divide the skin among them.
+"""Which taxels are neighbours, the pieces they make, and the cells that divide the skin.
 
 On an irregular skin neighbours are those of a Gabriel graph (Gabriel & Sokal, A new statistical
 approach to geographic variation analysis, 1969): the ball between two of them holds no third one.
@@ -91,6 +91,39 @@ def table(first: Indices, second: Indices, count: int) -> NDArray[np.int32]:
     return result
 
 
+def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
+    """Label the connected components of some taxels: (k,), 0…c − 1 in the order of first taxels.
+
+    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, one column per
+    taxel, padded with the taxel itself.
+
+    Trees of taxels merge along the links between them: in each round every root whose tree touches
+    lower ones is attached to the lowest, then the trees are flattened. (A form of Shiloach &
+    Vishkin, An O(log n) parallel connectivity algorithm, 1982. scipy's connected_components would
+    do it too, but the core does without scipy.)
+    """
+    count = len(taxels)
+    own = np.arange(count + 1)  # the last entry stands for all other taxels
+    among = np.full(beside.shape[1], count)
+    among[taxels] = own[:-1]
+    near = among[beside.take(taxels, axis=1)]
+    root, lowest = own, _lowest(own, near)
+    while True:
+        above = root.copy()
+        np.minimum.at(above, root[:-1], lowest)
+        while (root != above).any():
+            root, above = above, above[above]
+        lowest = _lowest(root, near)
+        if not (lowest < root[:-1]).any():
+            return np.asarray(((root == own).cumsum() - 1)[root[:-1]])
+
+
+def _lowest(root: Indices, near: Indices) -> Indices:
+    """(k,) int, the lowest root near each taxel."""
+    # Of int32, numpy finds the minimum 30 times as fast as of int64.
+    return np.asarray(root.astype(np.int32)[near].min(axis=0).astype(np.intp))
+
+
 def _between_is_empty(
     places_m: Floats, first: Indices, second: Indices, distance_m: Floats
 ) -> NDArray[np.bool_]:
@@ -156,7 +189,8 @@ def cells(
 
 def polygon_areas_m2(polygons: list[Floats]) -> Floats:
     """Areas of polygons that turn left, (t,), m²."""
-    return np.array([_cross(p, np.roll(p, -1, axis=0)).sum() / 2 for p in polygons])
+    sides = ((p, np.roll(p, -1, axis=0)) for p in polygons)  # by the shoelace formula
+    return np.array([(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2 for p, q in sides])
 
 
 def _beyond(flat_m: Floats, pitch_m: float) -> Floats:
@@ -200,7 +234,3 @@ def _cell(flat_m: Floats) -> Floats:
     edge = edge[once]
     edge = edge[np.argsort(np.arctan2(normal[edge, 1], normal[edge, 0]))]
     return np.asarray(height_m[edge, None] * normal[edge] + high_m[edge, None] * along[edge])
-
-
-def _cross(one: Floats, other: Floats) -> Floats:
-    return np.asarray(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])

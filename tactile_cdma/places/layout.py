@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Indices
 from ..base.errors import SpecError
-from .adjacency import around, cells, on_grid, polygon_areas_m2, table
-from .components import connected
+from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table
 from .layout_shapes import Pitch, Surface, across_and_down, plane
 
 COVER_PITCHES = 0.75

@@ -210,7 +210,8 @@ class VirtualDigitizer:
         )
 
     def _obey(self, command: Command) -> None:
-        result = Result.OK
+        result, spec = Result.OK, self.setup.spec
+        is_marked = self.streaming and self.setup.sync != SyncMode.NONE
         match command:
             case Start():
                 self.roll_calls = RollCalls()
@@ -221,19 +222,12 @@ class VirtualDigitizer:
                 self.frames_lost, self._overrun = 0, False
             case Stop():
                 self._schedule.stop()
-            case RollCall():
-                marked = self.setup.sync != SyncMode.NONE and not self.setup.integrated
-                if self.streaming and marked:
-                    self.roll_calls.asked = True
-                else:
-                    result = Result.UNSUPPORTED
-            case Groups():
-                spec = self.setup.spec
-                marked = self.setup.sync != SyncMode.NONE
-                if self.streaming and marked and spec.frame_period_s - spec.frame_s >= TURN_S:
-                    self.roll_calls.asked_log2 = command.log2_groups
-                else:
-                    result = Result.UNSUPPORTED
+            case RollCall() if is_marked and not self.setup.integrated:
+                self.roll_calls.asked = True
+            case Groups() if is_marked and spec.frame_period_s - spec.frame_s >= TURN_S:
+                self.roll_calls.asked_log2 = command.log2_groups
+            case RollCall() | Groups():
+                result = Result.UNSUPPORTED
             case Pack():
                 self._packs = True
             case Configure():

@@ -76,7 +76,6 @@ class Message:
 
     @classmethod
     def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
-        """The inverse of _values."""
         fields = {
             wire.name: FrameLayout._of(values) if wire.code == "FrameLayout" else next(values)
             for wire in FIELDS[cls.__name__]
@@ -110,11 +109,12 @@ class FrameLayout(Message):
     @classmethod
     def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
         """The layout of a spec. Raises SpecError where the wire's integers cannot express it."""
+        seeded = Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
         return cls(
             chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
             frame_period_us=_whole("frame_period_s", spec.frame_period_s, 10**6, "microseconds"),
             sign_seed=spec.sign_seed or 0,
-            signs=_signs(spec),
+            signs=Signs.SPARSE if spec.sparse else Signs.SCRAMBLED if spec.scramble else seeded,
             drive=Drive[spec.drive.upper()],
             polarity=Polarity(spec.polarity),
             samples_per_chip=samples_per_chip,
@@ -401,7 +401,6 @@ class Command(Packet):
     """Base of what the host sends; those without content add nothing to it."""
 
     def ack(self, result: Result = Result.OK) -> Ack:
-        """The digitizer's answer to this command."""
         return Ack(self.TYPE, self.sequence, result)
 
 
@@ -422,7 +421,7 @@ class Configure(Command):
     """Sets the frame layout and the way of sampling.
 
     quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
-        Quiet. 0: never. driver/quiet_limit.py computes a safe value.
+        Quiet. 0: never. driver/digitizer.py computes a safe value.
     """
 
     frame: FrameLayout
@@ -496,7 +495,6 @@ class Rejected:
     sequence: int = field(default=0, compare=False)
 
     def ack(self) -> Ack:
-        """The digitizer's answer to this command."""
         return Ack(self.command, self.sequence, self.result)
 
 
@@ -528,14 +526,6 @@ def _checked(wire: Field, value: Any) -> Any:
     if not good:
         raise SpecError(f"{wire.name} is {value!r}; the wire cannot carry that")
     return value
-
-
-def _signs(spec: FrameSpec) -> Signs:
-    if spec.sparse:
-        return Signs.SPARSE
-    if spec.scramble:
-        return Signs.SCRAMBLED
-    return Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
 
 
 def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:

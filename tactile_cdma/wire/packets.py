@@ -152,7 +152,6 @@ class Scanner:
         self._seen = Counters()
 
     def counts(self) -> dict[str, int]:
-        """Counters so far, by name."""
         seen = replace(self._seen)
         if not seen.packets:
             seen.text_bytes += _text(self._partial)
@@ -192,7 +191,6 @@ class Scanner:
         self._skipping = True
 
     def _parse(self, run: bytes) -> Found | None:
-        """The packet between two delimiters, if there is one."""
         if len(run) > _MAX_RUN:
             self._seen.resyncs += 1
             self._no_packet(run)
@@ -277,7 +275,6 @@ def wrap(body: bytes) -> bytes:
 
 
 def _text(run: bytes | bytearray) -> int:
-    """Number of printable ASCII bytes."""
     return len(run) - len(run.translate(None, _TEXT))
 
 

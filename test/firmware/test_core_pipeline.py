@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.sim.channel import point_samples
 from tactile_cdma.wire.messages import GetInfo, Start
 from test.support.core_digitizer import Board, CoreDigitizer

@@ -259,7 +259,6 @@ class LoadedSkin:
             with spinning([self.node]):
                 yield
         finally:
-            self.node.destroy_node()
             rclpy.shutdown(context=context)
 
     def _watch(self) -> None:

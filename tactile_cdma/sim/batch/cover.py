@@ -40,14 +40,13 @@ class BatchCover:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self.areas_m2 = instance("layout", layout, Layout).areas_m2.astype(np.float64)
-        places = layout.positions_m, layout.normals, layout.areas_m2
-        points_m = Foundation(*places, layout.aspect).points_m
-        self._per_taxel = points_m.shape[1]
-        self._points_m = points_m.reshape(-1, 3)
+        places = instance("layout", layout, Layout).positions_m, layout.normals, layout.areas_m2
+        cover = Foundation(*places, layout.aspect)
+        self.areas_m2, self._is_flat = cover.areas_m2, cover.is_flat
+        self._per_taxel = cover.points_m.shape[1]
+        self._points_m = cover.points_m.reshape(-1, 3)
         self._normals = layout.normals.astype(np.float64).repeat(self._per_taxel, axis=0)
         self._point_m2 = (self.areas_m2 / self._per_taxel).repeat(self._per_taxel)
-        self._is_flat = bool((np.ptp(self._normals, axis=0) == 0).all())
         self._is_even = bool(np.allclose(self.areas_m2, self.areas_m2[0], rtol=1e-6))
 
     def pressure_pa(

@@ -114,7 +114,9 @@ class SkinBatch:
         spec = instance("config", config, SkinConfig).spec
         options = SimOptions.from_url(argument("simulator", simulator, ""), config.layout)
         _check(config, options)
-        least = math.ceil(delay_s(config) / spec.frame_period_s)
+        # From the moment when the nodes measure until the frame is published.
+        delay_s = spec.frame_s + TAIL_CHIPS * spec.chip_s + PUBLISHING_S
+        least = math.ceil(delay_s / spec.frame_period_s)
         late = least if delay_frames is None else delay_frames
         self.delay_frames: int = argument("delay_frames", late, 0, (0, MOST_DELAY_FRAMES))
         self.envs: int = argument("envs", envs, 1, (1, MOST_ENVS))
@@ -260,12 +262,6 @@ class SkinBatch:
             raise ParameterError(
                 f"{name} is {len(state.late)} frames late, and this batch {self.delay_frames}"
             )
-
-
-def delay_s(config: SkinConfig) -> float:
-    """From the moment when the nodes measure until the frame is published, s."""
-    spec = config.spec
-    return spec.frame_s + TAIL_CHIPS * spec.chip_s + PUBLISHING_S
 
 
 class _Tables(NamedTuple):

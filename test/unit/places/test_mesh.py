@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere, tangents
-from tactile_cdma.places.mesh import CORNERS, taxel_squares
+from tactile_cdma.places.mesh import taxel_squares
 
 PITCH_M = 7e-3
 ROWS, COLUMNS = 6, 9
@@ -83,9 +83,3 @@ def test_tangents_and_normal_are_right_handed_wherever_the_normal_points(
     frame = np.stack([right, up, normal])
     assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-6)
     assert np.linalg.det(frame) == pytest.approx(1)
-
-
-def test_corners_are_two_triangles_of_one_square() -> None:
-    first, second = set(CORNERS[:3]), set(CORNERS[3:])
-    assert first | second == {(-1, -1), (1, -1), (1, 1), (-1, 1)}
-    assert len(first & second) == 2

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tactile_cdma.sim.sensor import PAPER_DYNAMICS, SCALE_PA, Dynamics, Hysteresis, Lag
+from tactile_cdma.sim.sensor import PAPER_DYNAMICS, SCALE_PA, Dynamics, delayed, followed
 
 RANGE_PA = 140e3
 
@@ -31,15 +31,20 @@ def any_dynamics(draw: st.DrawFn) -> Dynamics:
     )
 
 
-def run(operator: Hysteresis, path_pa: np.ndarray) -> np.ndarray:
-    return np.array([operator.update(pressure_pa) for pressure_pa in path_pa])
+def run(dynamics: Dynamics, path_pa: np.ndarray) -> np.ndarray:
+    """Apparent pressures along a path of pressures of sensors, both (steps, n), Pa."""
+    plays, apparent_pa = (np.zeros(path_pa.shape[1]),) * len(dynamics.widths), []
+    for pressure_pa in path_pa:
+        plays, felt_pa = followed(plays, pressure_pa, dynamics, np)
+        apparent_pa.append(felt_pa)
+    return np.array(apparent_pa)
 
 
 @given(any_dynamics(), paths_pa)
 def test_rising_loads_read_what_the_curve_says_and_falling_ones_no_less(
     dynamics: Dynamics, path_pa: np.ndarray
 ) -> None:
-    apparent_pa = run(Hysteresis(dynamics, 3), path_pa)
+    apparent_pa = run(dynamics, path_pa)
     assert np.all(apparent_pa >= path_pa * (1 - 1e-9) - 1e-6)
     highest = path_pa >= np.maximum.accumulate(path_pa, axis=0)
     np.testing.assert_allclose(apparent_pa[highest], path_pa[highest], rtol=1e-9, atol=1e-6)
@@ -53,22 +58,19 @@ def test_hysteresis_depends_on_turns_but_not_on_time(
     middles_pa = path_pa.copy()
     middles_pa[1:] = (path_pa[1:] + path_pa[:-1]) / 2
     finer = np.stack((middles_pa, path_pa, path_pa), axis=1).reshape(-1, 3)
-    whole = run(Hysteresis(dynamics, 3), path_pa)
-    split = run(Hysteresis(dynamics, 3), finer)
+    whole, split = run(dynamics, path_pa), run(dynamics, finer)
     np.testing.assert_allclose(split[1::3], whole, rtol=1e-9, atol=1e-6)
     assert np.array_equal(split[2::3], split[1::3])
 
 
 def test_loops_open_with_the_load() -> None:
     """The gap after a full turn is (P + scale)·(e^Σw·width − 1), proportional to the load."""
-    hysteresis = Hysteresis(PAPER_DYNAMICS, 3)
     loads_pa = np.array([20e3, 40e3, 60e3])
-    hysteresis.update(3 * loads_pa)
+    _, back_pa, released_pa = run(PAPER_DYNAMICS, np.array([3 * loads_pa, loads_pa, 0 * loads_pa]))
     opened = math.exp(np.dot(PAPER_DYNAMICS.widths, PAPER_DYNAMICS.weights)) - 1
-    gap_pa = hysteresis.update(loads_pa) - loads_pa
-    np.testing.assert_allclose(gap_pa, (loads_pa + SCALE_PA) * opened, rtol=1e-9)
+    np.testing.assert_allclose(back_pa - loads_pa, (loads_pa + SCALE_PA) * opened, rtol=1e-9)
     # The remainder at zero is at most about two counts of a 10-bit ADC, 98 Pa each.
-    assert np.all(hysteresis.update(np.zeros(3)) < 200)
+    assert np.all(released_pa < 200)
 
 
 @given(
@@ -80,18 +82,17 @@ def test_loops_open_with_the_load() -> None:
 def test_the_lag_is_the_same_in_steps_of_any_size(
     rise_s: float, fall_s: float, path_pa: np.ndarray, passed_s: np.ndarray
 ) -> None:
-    whole, split = (Lag(Dynamics(rise_s, fall_s)) for _ in range(2))
+    dynamics = Dynamics(rise_s, fall_s)
+    whole_pa = split_pa = path_pa[0]
     for pressure_pa, step_s in zip(path_pa, passed_s, strict=True):
-        expected = whole.update(pressure_pa, step_s)
-        split.update(pressure_pa, 0.3 * step_s)
-        np.testing.assert_allclose(split.update(pressure_pa, 0.7 * step_s), expected, atol=1e-4)
+        whole_pa = delayed(whole_pa, pressure_pa, step_s, dynamics, np)
+        for share in (0.3, 0.7):
+            split_pa = delayed(split_pa, pressure_pa, share * step_s, dynamics, np)
+        np.testing.assert_allclose(split_pa, whole_pa, atol=1e-4)
 
 
 def test_the_lag_is_an_exponential_of_either_kind() -> None:
-    lag = Lag(PAPER_DYNAMICS)
-    assert np.all(lag.update(np.zeros(3), 0.0) == 0)
-    assert lag.update(np.full(3, 1e3), PAPER_DYNAMICS.rise_s) == pytest.approx(
-        1e3 * (1 - math.exp(-1))
-    )
-    lag.update(np.full(3, 1e3), 100.0)
-    assert lag.update(np.zeros(3), PAPER_DYNAMICS.fall_s) == pytest.approx(1e3 * math.exp(-1))
+    rise_s, fall_s = PAPER_DYNAMICS.rise_s, PAPER_DYNAMICS.fall_s
+    left = math.exp(-1)
+    assert delayed(0.0, 1e3, rise_s, PAPER_DYNAMICS, np) == pytest.approx(1e3 * (1 - left))
+    assert delayed(1e3, 0.0, fall_s, PAPER_DYNAMICS, np) == pytest.approx(1e3 * left)
