@@ -119,10 +119,18 @@ def test_what_make_run_does_not_know_is_refused(arguments: list[str], said: str)
     assert f"make run: error: {said}" in done.stderr
 
 
-def test_a_missing_parameter_file_is_one_clear_error() -> None:
-    done = run_program(*DRIVER, "--params-file", "/nowhere.yaml")
-    assert done.returncode == 1
-    assert done.stderr == "skin_driver: no parameter file /nowhere.yaml\n"
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--params-file", "/nowhere.yaml"], "no parameter file /nowhere.yaml"),
+        (["-x"], "unknown arguments: ['-x']"),
+    ],
+)
+def test_what_the_driver_cannot_start_with_is_one_clear_error(
+    arguments: list[str], said: str
+) -> None:
+    done = run_program(*DRIVER, *arguments)
+    assert (done.returncode, done.stderr) == (1, f"skin_driver: {said}\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -180,11 +188,6 @@ def test_a_parameter_file_that_is_none_is_one_error(tmp_path: Path, text: str, s
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert str(path) in done.stderr and said in done.stderr
-
-
-def test_an_argument_that_ros_does_not_know_is_one_error() -> None:
-    done = run_program(*DRIVER, "-x")
-    assert (done.returncode, done.stderr) == (1, "skin_driver: unknown arguments: ['-x']\n")
 
 
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:
