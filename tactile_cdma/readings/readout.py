@@ -27,7 +27,7 @@ from .calibration import Calibration
 from .stages import Bounds, Kept, Trust
 from .status import Status
 
-ODD, LEFT, DOUBTFUL = 0, 1, 2
+ODD, LEFT, FEW, DOUBTFUL = 0, 1, 2, 3
 """As enum readout_look of the kernel."""
 NOBODY = np.empty(0, np.int32)
 """The kernel's list of those who spoke, where nothing is known of that."""
