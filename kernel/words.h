@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Levels of nodes → words: the stages of tactile_cdma/words/stages.py and framing/fit.py that pass over
+/* Levels of nodes → words: the stages of tactile_cdma/words/decode.py and framing/fit.py that pass over
  * all levels or all nodes. Arithmetic is that of numpy in float32, per node in the same order. Flags are
  * bytes, 0 or 1. */
 #ifndef TACTILE_WORDS_H
@@ -17,7 +17,7 @@ struct words_measures {
     int32_t *signs, *weakest_bit;
 };
 
-/* As `Limits` in stages.py. */
+/* Of words/limits.py and code/amplitude.py. */
 struct words_limits {
     float low_rho, low_margin, shared, two, clear_rho, lower;
 };
@@ -50,7 +50,7 @@ double words_most_left(const struct words_frame *frame, const float *rows, const
  * than two rows are spare; see node_levels in separate.py. */
 double words_noise(const struct words_frame *frame, const float *rows, size_t spare, size_t count);
 
-/* What words are read by, besides: see decode.py and stages.py. a_chip, few, few_share: lateness.py. */
+/* What words are read by, besides: see decode.py. a_chip, few, few_share: lateness.py. */
 struct words_reading {
     float threshold, faint_share, sound_share, most_square, a_chip, few_share, tone_share, moved_share;
     /* A silent row's squares over expected² and noise², and expected over noise: see find_active. */

@@ -39,7 +39,7 @@ from .datasets.samples import (
     feature_name,
     in_order,
 )
-from .datasets.skin_samples import patch_info, samples_of
+from .datasets.sources.recording_source import patch_info, samples_of
 from .datasets.touch import HOLD, LAST, TouchStream
 from .skin import Frame, Skin
 
@@ -176,7 +176,8 @@ class LiveObservation:
             names, values = tuple(values), list(values.values())
         array = _numbers(key, values)
         given = tuple(names) or stream.names
-        if array.shape != (len(given),) or (found := in_order(array, given, stream.names)) is None:
+        fits = array.shape == (len(given),) == stream.shape
+        if not fits or (found := in_order(array, given, stream.names)) is None:
             raise ParameterError(
                 f"{key} has {array.size} values of {', '.join(given)}; the dataset's are "
                 f"{', '.join(stream.names)}"

@@ -32,7 +32,7 @@ from .driver.driver import NOT_YET, Driver
 from .driver.pipeline import Pipeline, TactileFrame
 from .places.layout import Layout
 from .readings.contact import Contacts, ContactTracker
-from .recording.capture import read_bytes
+from .recording.recording_file import read_bytes
 from .sim.indenters import Indenter
 from .sim.pressing import press
 from .wire.port import Port

@@ -11,14 +11,13 @@ without --require, what `make test` will skip tests for.
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from setup_env import CHECKOUT, may_be_root
+from setup_env import CHECKOUT, install
 
 SIM = CHECKOUT / "firmware" / "sim"
 NODE_VERSION = 18
@@ -86,20 +85,6 @@ def missing() -> list[str]:
 def present(sign: str) -> bool:
     """Tell whether a file, or a program of this name, is there."""
     return Path(sign).exists() if sign.startswith("/") else shutil.which(sign) is not None
-
-
-def install(packages: list[str]) -> None:
-    """Install Debian packages, if that needs no question."""
-    if not packages or not shutil.which("apt-get") or not may_be_root():
-        return
-    apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
-    command = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
-    print(f"firmware: {' '.join(command)}", flush=True)
-    subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
-    if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
-        for package in packages:  # apt installs none where one cannot be had
-            one = [*command[: -len(packages)], package]
-            subprocess.run(one, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
 def install_libfuzzer() -> None:

@@ -168,7 +168,7 @@ def create_venv(venv: Path, state: State, interpreter: str, version: str, source
     sourced: the ROS 2 installation whose packages it sees; "": none.
     """
     ros = f" on ROS 2 {sourced}" if sourced else ""
-    step(1, f"creating {relative(venv)} with Python {version}{ros}")
+    step(1, f"creating {os.path.relpath(venv)} with Python {version}{ros}")
     shutil.rmtree(venv, ignore_errors=True)
     state.put("base", None)  # marks the directory as ours from now on
     options = ["--system-site-packages"] if sourced else []
@@ -204,14 +204,8 @@ def adapt_venv(venv: Path) -> None:
     """Make the wheels usable for building, and the venv's Python find the checkout."""
     step(3, "adapting the environment")
     python = venv / "bin" / "python"
-    answer = output(
-        [
-            str(python),
-            "-c",
-            "import sysconfig as s; print(s.get_path('include'));print(s.get_path('purelib'))",
-        ]
-    )
-    include, site_packages = answer.splitlines()
+    program = "import sysconfig as s; print(s.get_path('include'));print(s.get_path('purelib'))"
+    include, site_packages = output([str(python), "-c", program]).splitlines()
 
     # The wheels' CMake exports name directories of the machine they were built on.
     prefix = r"/opt/python/cp3\d+-cp3\d+"
@@ -257,31 +251,14 @@ def build_messages(venv: Path, use_installation: bool) -> None:
         # Without a ROS installation nothing else is a ROS prefix, whatever the variables say.
         others = os.environ.get(variable, "") if use_installation else ""
         environment[variable] = os.pathsep.join(filter(None, [str(venv), others]))
-    run(
-        [
-            "colcon",
-            "--log-base",
-            str(venv / "log"),
-            "build",
-            "--paths",
-            *map(str, packages),
-            "--build-base",
-            str(venv / "build"),
-            "--install-base",
-            str(venv),
-            "--merge-install",
-            "--symlink-install",
-            *("--event-handlers", "console_direct+"),  # make's percentages, for the terminal
-            "--cmake-args",
-            "-DBUILD_TESTING=OFF",
-            "-DCMAKE_C_FLAGS=-O2",
-            "-DCMAKE_CXX_FLAGS=-O2",
-            f"-DPython3_EXECUTABLE={venv / 'bin' / 'python'}",
-            "--no-warn-unused-cli",
-        ],
-        venv / "setup.log",
-        environment,
-    )
+    build = ["colcon", "--log-base", str(venv / "log"), "build", "--paths", *map(str, packages)]
+    build += ["--build-base", str(venv / "build"), "--install-base", str(venv)]
+    build += ["--merge-install", "--symlink-install"]
+    build += ["--event-handlers", "console_direct+"]  # make's percentages, for the terminal
+    build += ["--cmake-args", "-DBUILD_TESTING=OFF", "--no-warn-unused-cli"]
+    build += ["-DCMAKE_C_FLAGS=-O2", "-DCMAKE_CXX_FLAGS=-O2"]
+    build += [f"-DPython3_EXECUTABLE={venv / 'bin' / 'python'}"]
+    run(build, venv / "setup.log", environment)
     # A run that failed here must not be mistaken for a good one.
     run([str(venv / "bin" / "python"), "-c", "import rclpy, tactile_cdma.msg"], venv / "setup.log")
 
@@ -378,18 +355,23 @@ def imports_rclpy(interpreter: str) -> bool:
 
 def require_tools(interpreter: str, version: tuple[int, int]) -> None:
     """Install missing system packages if that needs no questions; otherwise name them."""
-    packages = missing_packages(interpreter, version)
-    if not packages:
-        return
-    if shutil.which("apt-get") and may_be_root():
-        apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
-        install = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
-        step(0, " ".join(install))
-        subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
-        subprocess.run(install, stdout=subprocess.DEVNULL, check=False)
-        packages = missing_packages(interpreter, version)
-    if packages:
+    install(missing_packages(interpreter, version))
+    if packages := missing_packages(interpreter, version):
         raise SetupError(f"needed on this machine: sudo apt install {' '.join(packages)}")
+
+
+def install(packages: list[str]) -> None:
+    """Install Debian packages, if that needs no question."""
+    if not packages or not shutil.which("apt-get") or not may_be_root():
+        return
+    apt_get = ["apt-get"] if os.geteuid() == 0 else ["sudo", "apt-get"]
+    command = [*apt_get, "install", "-y", "--no-install-recommends", *packages]
+    print(" ".join(command), flush=True)
+    subprocess.run([*apt_get, "update"], stdout=subprocess.DEVNULL, check=False)
+    if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
+        for package in packages:  # apt installs none where one cannot be had
+            one = [*command[: -len(packages)], package]
+            subprocess.run(one, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
 
 
 def may_be_root() -> bool:
@@ -519,11 +501,6 @@ def version_of(version: str) -> tuple[int, int]:
     """Return (3, 11) for "3.11.7"."""
     major, minor = version.split(".")[:2]
     return int(major), int(minor)
-
-
-def relative(path: Path) -> str:
-    """Name a path as seen from here."""
-    return os.path.relpath(path)
 
 
 def step(number: int, text: str) -> None:

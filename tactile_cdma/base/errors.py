@@ -2,9 +2,11 @@
 
 """The exceptions that misuse raises. Line noise is never an exception: it is counted."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
-from .plain_text import plain
+from .text import plain
 
 
 class TactileError(Exception):
@@ -19,73 +21,43 @@ class TactileError(Exception):
 
 
 class SpecError(TactileError, ValueError):
-    """A parameter, or a combination of parameters, that cannot work.
-
-    Example: frame_period_ms=5 for 16 nodes of 50 µs chips, whose frames last 10 ms.
-    """
+    """A combination of parameters that cannot work: frame_period_ms=5 for frames of 10 ms, say."""
 
 
 class LayoutError(SpecError):
-    """A layout file that is not one, or that contradicts itself or the skin's parameters.
-
-    Example: two taxels of the file have node 7.
-    """
+    """A layout file that is none, or contradicts itself or the skin: two taxels of node 7, say."""
 
 
 class BodyError(SpecError):
-    """A body file that is not one, or that contradicts itself.
-
-    Example: two of its patches have the same port.
-    """
+    """A body file that is none, or contradicts itself: two of its patches have one port, say."""
 
 
 class ParameterError(TactileError, ValueError):
-    """An unknown parameter name, a value of the wrong type, or a value out of range.
-
-    Example: Skin("sim://", nodez=16), or bits=99.
-    """
+    """An unknown parameter, or a value of the wrong type or out of range: nodez=16, or bits=99."""
 
 
 class PortError(TactileError, OSError):
-    """The port cannot be opened, was lost, or carries something other than packets.
-
-    Example: /dev/ttyACM0 is held by another program, or its cable is pulled.
-    """
+    """The port does not open, was lost (its cable is pulled, say), or carries no packets."""
 
 
 class RecordingEndError(PortError):
-    """The end of a recording that is replayed: opening the port again would not help.
-
-    Example: read() after the last frame of replay://touch.skin.
-    """
+    """The end of a recording that is replayed: opening the port again would not help."""
 
 
 class ProtocolError(TactileError):
-    """The digitizer speaks another protocol version, or refuses what was asked of it.
-
-    Example: its firmware is of an older protocol than this package.
-    """
+    """The digitizer speaks another protocol version, or refuses what was asked of it."""
 
 
 class CaptureError(TactileError):
-    """A capture or recording that is empty, truncated or of another format.
-
-    Example: the time in an oscilloscope's CSV does not rise.
-    """
+    """A capture or recording that is empty, truncated or of another format."""
 
 
 class CalibrationError(TactileError, ValueError):
-    """A calibration file, or recorded loads to calibrate from, that cannot be used.
-
-    Example: calibration_file is that of another skin.
-    """
+    """A calibration file (of another skin, say), or loads to calibrate from, of no use."""
 
 
 class NodeMemoryError(TactileError, ValueError):
-    """A node's memory that is blank, damaged or not for this firmware.
-
-    Example: `tactile-cdma node --read` of a chip that was never programmed.
-    """
+    """A node's memory that is blank, damaged or not for this firmware."""
 
 
 class ObservationError(TactileError):
@@ -96,10 +68,7 @@ class ObservationError(TactileError):
 
 
 class MissingPackageError(TactileError, ImportError):
-    """An optional package that a command needs is not installed.
-
-    Example: `tactile-cdma export` to Parquet without pyarrow.
-    """
+    """An optional package that a command needs is not installed: pyarrow for Parquet, say."""
 
 
 class Refusal(IntEnum):
@@ -124,7 +93,7 @@ class Refusal(IntEnum):
 class RestError(TactileError):
     """A tare that cannot be taken now, or a file of tare and drift that cannot be used.
 
-    Example: tare() while something touches the skin; reason is Refusal.LOADED then.
+    reason: Refusal.LOADED where something touches the skin, say.
     """
 
     def __init__(self, text: str, reason: Refusal = Refusal.OTHER) -> None:
@@ -133,17 +102,11 @@ class RestError(TactileError):
 
 
 class MessageError(TactileError, ValueError):
-    """A message whose fields contradict each other, or that is none of its type.
-
-    Example: 16 pressures, and the status of 15 taxels.
-    """
+    """A message that is none of its type, or contradicts itself: 16 pressures, but 15 statuses."""
 
 
 class TransformError(TactileError, LookupError):
-    """Coordinate frames that are not connected, or that form a cycle.
-
-    Example: nobody publishes the transform from a patch to the frame of the body.
-    """
+    """Coordinate frames that are not connected (nobody publishes a transform), or form a cycle."""
 
 
 def check_limits(name: str, value: float, low: float, high: float, cause: str = "") -> None:
@@ -151,3 +114,22 @@ def check_limits(name: str, value: float, low: float, high: float, cause: str = 
     if not low <= value <= high:
         limits = f"{low:.10g}…{high:.10g}" + (f": {cause}" if cause else "")
         raise SpecError(f"{name} is {value:.10g}; it must lie within {limits}")
+
+
+@contextmanager
+def needed_for(what: str, module: str, package: str = "") -> Iterator[None]:
+    """For the imports of what needs a module of an optional package of PyPI.
+
+    what: the command or option that needs it. package: called as the module unless it is given.
+    Raises MissingPackageError where it is missing.
+    """
+    package = package or module
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != module:
+            raise
+        raise MissingPackageError(
+            f"{what} needs the Python package {package}, which is not installed: pip install "
+            f"{package} (with --break-system-packages where pip refuses the system's Python)"
+        ) from None

@@ -22,11 +22,9 @@ class Stop:
         self._is_set = False
 
     def set(self) -> None:
-        """Stop."""
         self._is_set = True
 
     def is_set(self) -> bool:
-        """Whether it was told to."""
         return self._is_set
 
 

@@ -20,7 +20,7 @@ import yaml
 
 from .errors import TactileError
 from .named_file import read_named
-from .suggest import suggestion
+from .text import suggestion
 
 MOST_BYTES = 1 << 24
 """Bytes of a file; chosen."""
@@ -50,7 +50,10 @@ class MarkedFile:
 
 @dataclass(frozen=True, slots=True)
 class Marked:
-    """A value of the file: a scalar's text, a list or a mapping, and the line where it begins."""
+    """A value of the file: a scalar's text, a list or a mapping, and the line where it begins.
+
+    Limits of numbers and of lengths are inclusive.
+    """
 
     content: str | list[Marked] | dict[str, Marked]
     line: int
@@ -58,7 +61,6 @@ class Marked:
     file: MarkedFile
 
     def refuse(self, text: str) -> TactileError:
-        """The error to raise about this value."""
         return self.file.refuse(text, self.line)
 
     @contextmanager
@@ -75,13 +77,11 @@ class Marked:
         return self.content in ("", "~", "null") and not self.quoted
 
     def mapping(self, what: str) -> Keys:
-        """Keys with values."""
         if not isinstance(self.content, dict):
             raise self.refuse(f"{what} is {self._kind}; it must be keys with values")
         return Keys(what, self, self.content)
 
     def items(self, what: str, least: int = 0, most: int = MOST_EVENTS) -> list[Marked]:
-        """A list, of least to most entries."""
         if not isinstance(self.content, list):
             raise self.refuse(f"{what} is {self._kind}; it must be a list")
         if not least <= (count := len(self.content)) <= most:
@@ -92,18 +92,16 @@ class Marked:
     def numbers(
         self, what: str, low: float, high: float, unit: str = "", least: int = 0, most: int = 64
     ) -> list[float]:
-        """A list of least to most finite numbers, each within low…high, both inclusive."""
+        """A list of least to most finite numbers, each within low…high."""
         entries = enumerate(self.items(what, least, most), 1)
         return [entry.number(f"number {i} of {what}", low, high, unit) for i, entry in entries]
 
     def text(self, what: str) -> str:
-        """A scalar's text."""
         if not isinstance(self.content, str) or self.is_null:
             raise self.refuse(f"{what} is {self._kind}; it must be text")
         return self.content
 
     def number(self, what: str, low: float, high: float, unit: str = "") -> float:
-        """A finite number within limits, both inclusive."""
         try:
             value = float(self._plain.lower().replace(".nan", "nan").replace(".inf", "inf"))
         except ValueError:
@@ -113,7 +111,6 @@ class Marked:
         return self._within(what, value, low, high, unit)
 
     def whole(self, what: str, low: int, high: int) -> int:
-        """A whole number within limits, both inclusive."""
         # Leading zeros are refused: 010 is 8 in YAML 1.1, and 07 would be another key than 7.
         if not _WHOLE.fullmatch(self._plain):
             raise self.refuse(f"{what} is {self._kind}; it must be a whole number")
@@ -147,7 +144,6 @@ class Keys:
     entries: dict[str, Marked]
 
     def check_keys(self, known: Collection[str]) -> None:
-        """Refuse a key that is not known."""
         for name, value in self.entries.items():
             if name not in known:
                 hint = suggestion(name, known, f"known: {', '.join(known)}")
@@ -170,15 +166,12 @@ class Keys:
         return self[key].text(key)
 
     def number(self, key: str, low: float, high: float, unit: str = "") -> float:
-        """The number under a key, within low…high, both inclusive."""
         return self[key].number(key, low, high, unit)
 
     def whole(self, key: str, low: int, high: int) -> int:
-        """The whole number under a key, within low…high, both inclusive."""
         return self[key].whole(key, low, high)
 
     def get(self, key: str) -> Marked | None:
-        """The value, or None where the key is missing."""
         return self.entries.get(key)
 
     def __getitem__(self, key: str) -> Marked:

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from .errors import ParameterError, TactileError
 from .shipped import shipped
-from .suggest import closest
+from .text import closest
 
 _log = logging.getLogger(__name__)
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..base.arrays import Floats, Floats32
 from ..base.errors import CalibrationError, PortError
-from ..base.listing import listed
 from ..base.named_file import naming
+from ..base.text import listed
 from ..driver.driver import Driver
 from ..driver.pipeline import TactileFrame
 from .load_points import HEADING, point_lines

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..base.arrays import Floats
 from ..base.errors import CalibrationError
 from ..base.named_file import naming
-from ..base.suggest import suggestion
+from ..base.text import suggestion
 
 MOST_BYTES = 256 << 20
 """Size of a table, bytes; chosen: minutes of a reference at kHz, and far from filling a memory."""
@@ -66,8 +66,7 @@ class LoadFile:
 class Table(LoadFile):
     """Columns by quantity in SI units, (m,) float64 each.
 
-    headings: of each quantity, as the file has it. units: of each, in small letters. factors: SI
-    units that one of the file's is.
+    headings: as the file has them. units: in small letters. factors: a unit of the file in SI's.
     """
 
     columns: dict[str, Floats]

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..base.arrays import Floats
 from ..base.errors import CalibrationError
-from ..base.listing import listed
 from ..base.named_file import naming
+from ..base.text import listed
 from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
@@ -70,9 +70,10 @@ def stages(fit: SkinFit) -> list[Stage]:
 
 def describe(fit: SkinFit) -> str:
     """The report for people, several lines."""
+    kind = "power laws" if fit.pieces == POWER_LAW else f"curves of {fit.pieces} pieces"
     lines = [
-        f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, "
-        f"{_named(fit.pieces)}; {np.count_nonzero(fit.outlier)} outliers left out"
+        f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, {kind}; "
+        f"{np.count_nonzero(fit.outlier)} outliers left out"
     ]
     lines += _refusals(fit.refused)
     if not fit.curves:
@@ -161,10 +162,6 @@ def _mean_error_pa(fit: SkinFit) -> float:
     off_pa = np.abs(fit.residual_pa[np.isfinite(fit.residual_pa)])
     free = len(off_pa) - 2 * max(fit.pieces, 1) * len(fit.curves)
     return float(off_pa.mean() * math.sqrt(len(off_pa) / max(free, 1))) if len(off_pa) else math.inf
-
-
-def _named(pieces: int) -> str:
-    return "power laws" if pieces == POWER_LAW else f"curves of {pieces} pieces"
 
 
 def difference_pa(curve: PressureCurve, other: PressureCurve) -> float:

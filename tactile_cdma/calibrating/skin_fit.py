@@ -114,13 +114,6 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
         result.loop[node] = loop_v / abs(float(corner_v[0] - corner_v[-1]))
 
 
-def _change_v(points: LoadPoints, own: Indices) -> float:
-    """Between the lighter and the heavier half of a node's loads, by medians, V."""
-    pressure_pa, voltage_v = points.pressure_pa[own], points.voltage_v[own]
-    heavy = pressure_pa > 0.5 * (pressure_pa.min() + pressure_pa.max())
-    return abs(float(np.median(voltage_v[~heavy]) - np.median(voltage_v[heavy])))
-
-
 def _unfit(
     points: LoadPoints, own: Indices, usable: Bools, adc: AdcScale, pieces: int
 ) -> str | None:
@@ -152,7 +145,9 @@ def _unfit(
             f"no load between {levels_pa[gap] / 1e3:g} and {levels_pa[gap + 1] / 1e3:g} kPa: "
             "add some there"
         )
-    if (change_v := _change_v(points, own)) < LEAST_FALL * adc.lsb_v:
+    heavy, voltage_v = load_pa > 0.5 * (load_pa.min() + largest_pa), points.voltage_v[own]
+    change_v = abs(np.median(voltage_v[~heavy]) - np.median(voltage_v[heavy]))
+    if change_v < LEAST_FALL * adc.lsb_v:
         return (
             f"the voltage changes by {change_v * 1e3:.0f} mV only, between loads below and above "
             f"{largest_pa / 2e3:g} kPa: was the load on this node?"

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.arrays import Floats32
 from ..base.errors import TactileError
-from ..base.listing import listed
+from ..base.text import listed
 from ..code.frame import FrameSpec
 from .clock_tracking import REBUILD, ClockTracker
 from .decorrelate import Decorrelator

@@ -74,8 +74,7 @@ class NodeClocks:
         """Delay of each node at the begin of a chip: (…) chip numbers to (n, …) chips."""
         at = np.asarray(chip, dtype=np.float64)
         shape = (self.nodes,) + (1,) * at.ndim
-        late: Floats = self.delay_chips.reshape(shape) + self.rate_error.reshape(shape) * at
-        return late
+        return self.delay_chips.reshape(shape) + self.rate_error.reshape(shape) * at
 
     def spread_chips(self, spec: FrameSpec) -> float:
         """Largest difference of two nodes' displacements within a frame, chips."""
@@ -90,14 +89,6 @@ class NodeClocks:
     def end_s(self, spec: FrameSpec) -> float:
         """When the latest node ends its frame, s after the sync edge."""
         return float(spec.chips + self.displacement(spec.chips).max()) * spec.chip_s
-
-    def with_guesses(self) -> NodeClocks:
-        """The same clocks, unknown ones replaced by the median of the known ones."""
-        if not self.known.any():
-            return self
-        delay = np.where(self.known, self.delay_chips, np.median(self.delay_chips[self.known]))
-        rate = np.where(self.known, self.rate_error, np.median(self.rate_error[self.known]))
-        return NodeClocks(delay, rate, self.known)
 
 
 def crosstalk(spec: FrameSpec, clocks: NodeClocks) -> float:

@@ -18,7 +18,14 @@ from ..code.separate import NodeLevels
 from ..framing.fit import word_floor
 from ..framing.limits import LIMITS
 from ..framing.line_timing import LineRecogniser
-from ..framing.marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from ..framing.marked_timing import (
+    CarriedTiming,
+    MarkedFrame,
+    MarkedLine,
+    MarkedTiming,
+    Recogniser,
+    Verdict,
+)
 from ..framing.timing import ABSURD, INCOMPLETE, MISFIT, Rails
 from .clock_keeper import ClockKeeper
 from .decorrelate import Decorrelator
@@ -46,12 +53,12 @@ class NodeTiming(MarkedTiming):
         super().__init__(line, NodeRecogniser(line, self.clocks))
 
 
-class NodeRecogniser:
-    """A Recogniser that listens to roll calls and takes frames apart by the nodes' clocks."""
+class NodeRecogniser(Recogniser):
+    """Listens to roll calls, and takes frames apart by the nodes' clocks."""
 
     def __init__(self, line: MarkedLine, clocks: ClockKeeper) -> None:
-        """line: shared with the stream."""
-        self._line, self._clocks = line, clocks
+        super().__init__(line)
+        self._clocks = clocks
         self._common = LineRecogniser(line)  # while correlation does
         self._period = line.spec.frame_period_s / line.spec.chip_s * line.chip
         self._called = False

@@ -52,19 +52,13 @@ Chosen: bounds what a line without noise tells apart."""
 class HeardClock:
     """A node's clock as one roll-call frame shows it.
 
-    delay_chips, rate_error: as in NodeClocks. delay_std: likely error of the former.
-    amplitude_v: of its ± code on the line, V, regardless of sign.
-    rho: amplitude over the noise of one bit's correlation.
-    left: power that it leaves unexplained beyond noise, relative to its own.
-    refusal: why this is no node speaking alone; empty if it is one.
+    delay_chips, rate_error: as in NodeClocks. rho: amplitude over the noise of one bit's
+    correlation. refusal: why this is no node speaking alone; empty if it is one.
     """
 
     delay_chips: float
     rate_error: float
-    delay_std: float
-    amplitude_v: float
     rho: float
-    left: float
     refusal: str
 
 
@@ -114,13 +108,15 @@ class RollCallListener:
         delay, rate, known = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes, bool)
         for node, clock in self.heard.items():
             delay[node], rate[node], known[node] = clock.delay_chips, clock.rate_error, True
-        return NodeClocks(delay, rate, known).with_guesses()
+        if known.any():
+            delay[~known], rate[~known] = np.median(delay[known]), np.median(rate[known])
+        return NodeClocks(delay, rate, known)
 
 
 def hear_node(
     line: Floats, row: NDArray[np.int8], spec: FrameSpec, per_chip: float, noise_rms_v: float
 ) -> HeardClock:
-    """Delay, clock error and amplitude of the one node that speaks in a frame.
+    """Delay and clock error of the one node that speaks in a frame.
 
     line: (m,) float64, V, from the sync edge on, gap level removed. row: (N,) of ±1, the node's.
     noise_rms_v: of one sample in the gap.
@@ -143,7 +139,7 @@ def hear_node(
         mean = np.array([weight @ begins, weight @ ends])
         std = np.sqrt([weight @ np.square(begins - mean[0]), weight @ np.square(ends - mean[1])])
         if std.max() < 0.8 * step or step > _WIDEST:
-            return _judged(search, line, mean, np.maximum(std, step / 2), noise_rms_v)
+            return _judged(search, line, mean, noise_rms_v)
         step *= 1.5
 
 
@@ -181,8 +177,7 @@ class RowSearch:
     def energy(self, begin: Floats, end: Floats) -> Floats:
         """Energy that a word of equal amplitudes explains, V²·samples."""
         amplitude, count = self.explained(begin, end)
-        explained: Floats = np.square(amplitude) * count * self.bits
-        return explained
+        return np.square(amplitude) * count * self.bits
 
     def coarse(self) -> Floats:
         """The best pair of displacements on a raster of half chips."""
@@ -208,12 +203,10 @@ class RowSearch:
         return np.array([begin[best], end[best]])
 
 
-def _judged(
-    search: RowSearch, line: Floats, late: Floats, std: Floats, noise_rms_v: float
-) -> HeardClock:
+def _judged(search: RowSearch, line: Floats, late: Floats, noise_rms_v: float) -> HeardClock:
     """The result of a search, with a refusal where the samples are not those of a lone node.
 
-    late, std: (2,) displacements of begin and end, chips, and their deviations.
+    late: (2,) displacements of begin and end, chips.
     """
     amplitude, count = (float(value[0]) for value in search.explained(late[:1], late[1:]))
     rho = amplitude / max(noise_rms_v / sqrt(count), 1e-12)
@@ -236,4 +229,4 @@ def _judged(
             f"{left:.0%} of a node's power is left over: another one spoke, too, or the code row "
             "is a different one"
         )
-    return HeardClock(delay, rate, float(std[0]), amplitude, rho, left, refusal)
+    return HeardClock(delay, rate, rho, refusal)

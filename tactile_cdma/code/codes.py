@@ -65,8 +65,11 @@ class CodeBook:
         rows = np.ones((remaining.size, 1), dtype=np.int8)
         for order in reversed(self.plan):
             remaining, digit = np.divmod(remaining, order)
+            if matrix := paley(order):
+                factor = matrix.rows(digit)
+            else:  # order 1 or 2
+                factor = np.array([[1, 1], [1, -1]], dtype=np.int8)[digit, :order]
             width = rows.shape[1] * order
-            factor = _factor_rows(order, digit)
             rows = (factor[:, :, None] * rows[:, None, :]).reshape(remaining.size, width)
         return rows
 
@@ -184,12 +187,3 @@ def _plan(order: int) -> tuple[int, ...] | None:
         if left and right:
             plans.append(tuple(sorted(left + right)))
     return min(plans, key=lambda plan: (sum(plan), plan), default=None)
-
-
-def _factor_rows(order: int, indices: Indices) -> NDArray[np.int8]:
-    """Rows of a factor of order 1, 2 or a Paley order."""
-    if order <= 2:
-        return np.array([[1, 1], [1, -1]], dtype=np.int8)[indices, :order]
-    matrix = paley(order)
-    assert matrix is not None, "a plan holds no other orders"
-    return matrix.rows(indices)

@@ -15,6 +15,7 @@ The level of the line is one unknown more. The result is a claim that whoever as
 what is left says how good it is.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -71,29 +72,6 @@ class Detected(NamedTuple):
     settled: bool
 
 
-class Certificate(NamedTuple):
-    """What the kernel certifies frames by; explained in framing/sparse_timing.py.
-
-    capacity: most nodes that speak. most_noise, hiding: V², of chips. more: amplitudes squared.
-    tolerance: share of a word. faintest: V. chance, chance_of_bit: share of noise. weight: of the
-    newest frame. silent_square, V², silent_power: of a silent row's levels, and of those in that of
-    noise. alike: whether codes of those who speak may add up to nothing.
-    """
-
-    capacity: int
-    most_noise: float
-    more: float
-    tolerance: float
-    faintest: float
-    chance: float
-    chance_of_bit: float
-    hiding: float
-    weight: float
-    silent_square: float
-    silent_power: float
-    alike: bool
-
-
 class Before(NamedTuple):
     """What the last frame that settled tells of the next one; changed by each of these.
 
@@ -110,7 +88,8 @@ class Detector:
     kernel: what does it there.
     """
 
-    def __init__(self, spec: FrameSpec, certificate: Certificate) -> None:
+    def __init__(self, spec: FrameSpec, certificate: Mapping[str, float]) -> None:
+        """certificate: what the kernel certifies frames by; see framing/sparse_timing.py."""
         assert spec.flips is not None, "sparse codes are scrambled"
         self._spec = spec
         self.kernel = None
@@ -133,7 +112,7 @@ class Detector:
                     negligible=NEGLIGIBLE * swing**2,
                     stalled=STALLED,
                     turns=MOST_TURNS,
-                    **certificate._asdict(),
+                    **certificate,
                 ),
                 compiled_transform(spec.book.plan, spreading=True),
                 np.ascontiguousarray(spec.flips),

@@ -187,8 +187,7 @@ class FrameSpec:
     def code_places(self) -> Indices:
         """Where the chips of sparse codes are in a frame's 2^m places, (k·N,) into (k, 2^m)."""
         bit = np.arange(self.line_bits)[:, None] * self.row_count
-        own: Indices = (bit + code_places(self.nodes, self.line_bits, self.order)).ravel()
-        return own
+        return (bit + code_places(self.nodes, self.line_bits, self.order)).ravel()
 
     @cached_property
     def code_numbers(self) -> Indices:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import CalibrationError, CaptureError
-from ..base.listing import listed
 from ..base.named_file import naming
+from ..base.text import listed
 from ..calibrating import report
 from ..calibrating.load_points import LoadPoints, read_points
 from ..calibrating.load_session import LoadSession
@@ -34,8 +34,8 @@ from ..readings.calibration_file import (
     seal_calibration,
     write_content,
 )
-from ..recording.capture import capture_notes
 from ..recording.offline import described_parameters, raw_frames
+from ..recording.recording_file import capture_notes
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""

@@ -57,19 +57,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except (TactileError, OSError) as error:  # a full disk behind our output, for one
         print(f"tactile-cdma: {error}", file=sys.stderr)
-        _let_go_of_output()
+        try:
+            sys.stdout.flush()
+        except OSError:  # discard what cannot be written; Python would try once more when it ends
+            with open(os.devnull, "w") as nowhere:
+                os.dup2(nowhere.fileno(), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt:
         return INTERRUPTED
-
-
-def _let_go_of_output() -> None:
-    """Discard output that cannot be written; Python would try once more when it ends."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def make_parser() -> argparse.ArgumentParser:

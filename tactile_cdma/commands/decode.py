@@ -17,8 +17,8 @@ from ..code.frame import SPARSE
 from ..config.arguments import add_skin_options, given, positive
 from ..config.parameters import BY_NAME, GAP, Value
 from ..config.skin_config import SkinConfig
-from ..recording.capture import is_text
 from ..recording.offline import RawCapture, decode_scope
+from ..recording.recording_file import is_text
 from ..recording.scope_csv import read_scope_csv
 from ..words.decode import Words
 
@@ -108,12 +108,10 @@ def _scope_config(asked: dict[str, Value]) -> SkinConfig:
 
 
 def _line(frame: dict[str, Any]) -> str:
-    return f"{frame['t']:.6f} s  {'  '.join(map(_word, frame['nodes'])) or 'all silent'}"
-
-
-def _word(node: dict[str, Any]) -> str:
-    doubt = ", doubtful" if node["doubtful"] else ""
-    return (
+    words = (
         f"{node['node']}: {node['bits']} {node['voltage']:.2f} V "
-        f"{node['pressure_pa'] / 1e3:.1f} kPa ({node['snr_db']:.0f} dB{doubt})"
+        f"{node['pressure_pa'] / 1e3:.1f} kPa ({node['snr_db']:.0f} dB"
+        f"{', doubtful' if node['doubtful'] else ''})"
+        for node in frame["nodes"]
     )
+    return f"{frame['t']:.6f} s  {'  '.join(words) or 'all silent'}"

@@ -10,22 +10,26 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import CaptureError, ParameterError
+from ..base.errors import CaptureError, ParameterError, needed_for
 from ..base.interrupt import terminable
 from ..base.named_file import naming
-from ..base.optional import needed_for
 from ..config.arguments import add_skin_options, finite, given, refuse_given
 from ..config.parameters import BY_NAME
 from ..datasets.episodes import Episode, find_episodes, parse_interval
-from ..datasets.frames import PatchFrames, paths_of
 from ..datasets.lerobot import INFO
 from ..datasets.lerobot.export import Plan, write_lerobot
-from ..datasets.parquet_table import write_parquet
 from ..datasets.progress import Progress
-from ..datasets.samples import SampleSource, patches_of
+from ..datasets.samples import PatchInfo, SampleSource, patches_of
 from ..datasets.sources.opening import Wanted, has_times, is_bag, open_source
 from ..datasets.sources.recording_source import RecordingSource
-from ..datasets.tables import about_path, taxels_path, write_csv, write_npz
+from ..datasets.tables import (
+    PatchFrames,
+    about_path,
+    taxels_path,
+    write_csv,
+    write_npz,
+    write_parquet,
+)
 from ..datasets.touch import HOLD, MODES, POLICIES, WINDOW
 
 _WRITERS = {".npz": write_npz, ".csv": write_csv, ".parquet": write_parquet}
@@ -38,27 +42,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="recordings, raw bytes, or bags")
+    out: dict[str, Any] = {"type": Path, "metavar": "OUT"}
     outputs = parser.add_mutually_exclusive_group(required=True)
-    outputs.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="OUT",
-        help="OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json; "
-        "OUT.parquet. Several patches: OUT.PATCH.npz, …",
+    text = (
+        "OUT.npz: numpy arrays; OUT.csv: a row per frame, and OUT.taxels.csv, OUT.about.json; "
+        "OUT.parquet. Several patches: OUT.PATCH.npz, …"
     )
-    outputs.add_argument(
-        "--lerobot", type=Path, metavar="OUT", help="a new folder: a LeRobotDataset v3"
-    )
+    outputs.add_argument("-o", "--output", **out, help=text)
+    outputs.add_argument("--lerobot", **out, help="a new folder: a LeRobotDataset v3")
     text = "OUT is a new folder: a bag (MCAP) of tactile and info"
     add("--bag", action="store_true", help=text)
     add("--force", action="store_true", help="overwrite existing files")
-    _add_choices(parser)
-    _add_lerobot_options(parser)
-    add_skin_options(parser)
-
-
-def _add_choices(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group("what to export").add_argument
     several: dict[str, Any] = {"action": "append", "default": []}
     add("--topic", **several, help="arrays of a bag; repeat it; default: all")
@@ -70,9 +64,6 @@ def _add_choices(parser: argparse.ArgumentParser) -> None:
     add("--marks", metavar="TOPIC", help="episodes by a topic: Bool, String or Empty")
     text = "leave out what is before every taxel has had a valid reading"
     add("--from-first-complete", action="store_true", help=text)
-
-
-def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("with --lerobot")
     clock = group.add_mutually_exclusive_group()
     clock.add_argument("--fps", type=int, metavar="N", help="rows per s")
@@ -88,6 +79,7 @@ def _add_lerobot_options(parser: argparse.ArgumentParser) -> None:
         text = f"{column}: joints, or an array; all or those of these names; repeat it"
         add(name, **vector, help=text)
     add("--task", help="what was done, in words")
+    add_skin_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -159,7 +151,6 @@ def _lerobot(arguments: argparse.Namespace, progress: Progress) -> int:
 def _episodes(
     arguments: argparse.Namespace, task: str
 ) -> Callable[[SampleSource], Sequence[Episode]]:
-    """Finds the episodes that are asked for in a file."""
     return partial(
         find_episodes,
         task=task,
@@ -183,7 +174,9 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     names = [patch.name for patch in patches_of(sources[0].streams).values()]
     if not names:
         raise CaptureError(f"{arguments.files[0]}: no frames of a skin in this bag")
-    paths = paths_of(output, names)
+    paths = {name: output.with_name(f"{output.stem}.{name}{output.suffix}") for name in names}
+    if len(names) == 1:
+        paths = {names[0]: output}
     for path in paths.values():
         beside = [taxels_path(path), about_path(path)] if path.suffix == ".csv" else []
         for file in [path, *beside]:
@@ -195,12 +188,12 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     notes: list[str] = []
     for name, path in paths.items():
         frames = PatchFrames(sources, name, episodes, progress, arguments.from_first_complete)
-        count, taxels = _write(frames, sources, path)
+        taxels = len(_write(frames, sources, path))
         patch = "" if len(names) == 1 else f"patch={name} "
         left_out = f" left_out={frames.left_out}" if arguments.from_first_complete else ""
         print(
-            f"{patch}frames={count} {missing}_frames={frames.missing} taxels={taxels}{left_out} "
-            f"file={path}"
+            f"{patch}frames={frames.given} {missing}_frames={frames.missing} "
+            f"taxels={taxels}{left_out} file={path}"
         )
         notes += frames.notes
         notes += [f"{source.path}: {note}" for source in sources for note in source.notes]
@@ -208,8 +201,8 @@ def _tables(arguments: argparse.Namespace, progress: Progress) -> int:
     return 0
 
 
-def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> tuple[int, int]:
-    """Write one patch; returns how many frames and taxels. Raises CaptureError for no frame."""
+def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> PatchInfo:
+    """Write one patch; returns it. Raises CaptureError for no frame."""
     with naming(path, CaptureError):
         rows = iter(frames)
         if (first := next(rows, None)) is None or (patch := frames.patch) is None:
@@ -217,12 +210,11 @@ def _write(frames: PatchFrames, sources: Sequence[SampleSource], path: Path) -> 
         about = dict(patch.about)
         if len(sources) > 1:
             about["files"] = [source.path.name for source in sources]
-        count = _WRITERS[path.suffix](path, chain([first], rows), patch, about)
-    return count, len(patch)
+        _WRITERS[path.suffix](path, chain([first], rows), patch, about)
+    return patch
 
 
 def _bag(arguments: argparse.Namespace) -> int:
-    """A recording as a bag."""
     with needed_for("--bag", "rosbags"):
         from ..recording.bag_export import write_bag  # slow to load, and needed here only
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import CaptureError, TactileError
-from ..base.plain_text import plain
+from ..base.text import plain
 from ..config.arguments import add_skin_options, given
 from ..config.parameters import Value
 from ..datasets.episodes import samples_of
@@ -19,7 +19,7 @@ from ..datasets.sources.opening import Wanted, is_bag, open_source
 from ..datasets.sources.recording_source import skin_frame
 from ..datasets.survey import FrameSurvey
 from ..recording.offline import RawCapture
-from ..recording.recording_file import describe, is_recording, survey
+from ..recording.recording_file import Survey, describe, is_recording, survey
 
 Lines = Iterator[tuple[str, str]]
 """Names and texts."""
@@ -33,27 +33,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print all that can be said of a file; returns 1 for a recording that is damaged."""
-    path: Path = arguments.file
+    path, asked, damage = arguments.file, given(arguments), tuple[str, ...]()
     if is_bag(path):
-        for name, value in _bag_lines(path, given(arguments)):
-            print(f"{name}: {plain(value)}")
-        return 0
-    if not is_recording(path):
+        lines = _bag_lines(path, asked)
+    elif is_recording(path):
+        found = survey(path)
+        lines, damage = _recording_lines(path, asked, found), found.notes
+    else:
         raise CaptureError(
             f"{path}: no recording or bag; what export wrote says where it comes from: `about` of "
             "a table, meta/tactile.json of a dataset"
         )
-    description, found = describe(path), survey(path)
-    begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
-    asked = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())
-    print(f"begun: {begun.isoformat(timespec='milliseconds')}")
-    print(plain(f"port: {description.port} at {description.baud} baud"))
-    print(plain(f"recorded by: tactile_cdma {description.package_version}"))
-    print(plain(f"asked for: {asked or 'nothing, the digitizer was taken as it was'}"))
-    print(f"length: {found.length_s:.3f} s, {found.bytes} bytes in {found.chunks} pieces")
-    _say_frames(path, given(arguments))
-    print("checksum: " + ("; ".join(found.notes) or "right"))
-    return 1 if found.notes else 0
+    for name, value in lines:
+        print(f"{name}: {plain(value)}")
+    return 1 if damage else 0
 
 
 def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
@@ -97,39 +90,47 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _say_frames(path: Path, asked: dict[str, Value]) -> None:
-    """Print what decoding finds, or why it finds nothing."""
+def _recording_lines(path: Path, asked: dict[str, Value], found: Survey) -> Lines:
+    """What a recording says of itself, and what decoding finds."""
+    description = describe(path)
+    begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
+    asked_for = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())
+    yield "begun", begun.isoformat(timespec="milliseconds")
+    yield "port", f"{description.port} at {description.baud} baud"
+    yield "recorded by", f"tactile_cdma {description.package_version}"
+    yield "asked for", asked_for or "nothing, the digitizer was taken as it was"
+    yield "length", f"{found.length_s:.3f} s, {found.bytes} bytes in {found.chunks} pieces"
     try:
         capture = RawCapture(path, asked)
     except TactileError as error:
-        print(f"frames: none, {error}")
-        return
-    survey = FrameSurvey()
+        yield "frames", f"none, {error}"
+    else:
+        yield from _frame_lines(capture)
+    yield "checksum", "; ".join(found.notes) or "right"
+
+
+def _frame_lines(capture: RawCapture) -> Lines:
+    frames = FrameSurvey()
     for frame, wall_s in capture.timed_frames():
-        survey.take(skin_frame(frame, wall_s))
-    print(f"digitizer: {capture.source.digitizer}")
+        frames.take(skin_frame(frame, wall_s))
+    yield "digitizer", capture.source.digitizer
     pipeline = capture.pipeline
     counters, packets, spec = pipeline.counters, pipeline.parser.counters, pipeline.config.spec
     codes = ", sparse codes" if spec.sparse else ", scrambled" if spec.scramble else ""
-    print(
-        f"skin: {spec.nodes} nodes, {spec.bits} bits, order {spec.order}, "
-        f"{spec.chip_s * 1e6:g} µs chips{codes}, "
-        f"a frame every {spec.frame_period_s * 1e3:g} ms"
-    )
+    chips = f"order {spec.order}, {spec.chip_s * 1e6:g} µs chips{codes}"
+    period = f"a frame every {spec.frame_period_s * 1e3:g} ms"
+    yield "skin", f"{spec.nodes} nodes, {spec.bits} bits, {chips}, {period}"
     if load := pipeline.load:
-        print(
-            f"nodes at once: {load.peak} at most, capacity {load.capacity}, "
-            f"{load.overloads} frames beyond it"
-        )
-    print(f"calibration: {capture.config.calibration.identity or 'default curve'}")
-    for name, value in survey.lines():
+        most = f"{load.peak} at most, capacity {load.capacity}"
+        yield "nodes at once", f"{most}, {load.overloads} frames beyond it"
+    yield "calibration", capture.config.calibration.identity or "default curve"
+    for name, value in frames.lines():
         if name == "frames" and counters.frames:
             value = f"{counters.frames}, lost {counters.lost_frames}"
-        print(f"{name}: {value}")
-    print(
-        f"packets: {packets.packets}, lost {packets.lost_packets}, CRC errors {packets.crc_errors}"
-    )
+        yield name, value
+    lost = f"lost {packets.lost_packets}, CRC errors {packets.crc_errors}"
+    yield "packets", f"{packets.packets}, {lost}"
     lost = f"{counters.samples}, lost {counters.lost_samples}"
-    print(f"samples: {lost if counters.samples else 'none'}")
+    yield "samples", lost if counters.samples else "none"
     if pipeline.problem:
-        print(f"problem: {pipeline.problem}")
+        yield "problem", pipeline.problem

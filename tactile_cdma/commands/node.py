@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 from pathlib import Path
+from typing import Any
 
 from ..base.errors import SpecError
 from ..config.arguments import add_skin_options, given
@@ -41,71 +42,37 @@ ARDUINO = {8: "arduino -P /dev/ttyUSB0 -b 57600", 16: "arduino -P /dev/ttyUSB0 -
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
-    what.add_argument("--all", action="store_const", dest="node", const=ALL, help="as --node all")
-    what.add_argument(
-        "--any",
-        action="store_const",
-        dest="node",
-        const=ANY,
-        help="an image for all nodes (--hex)",
+    file: dict[str, Any] = {"type": Path, "metavar": "FILE"}
+    whose: dict[str, Any] = {"action": "store_const", "dest": "node"}
+    add = parser.add_mutually_exclusive_group(required=True).add_argument
+    add("--node", type=_node_number, metavar="NUMBER", help="1, 2, … or all")
+    add("--all", **whose, const=ALL, help="as --node all")
+    add("--any", **whose, const=ANY, help="an image for all nodes (--hex)")
+    text = "give nodes of such an image their numbers: press one after the other"
+    add("--enumerate", metavar="PORT", dest="port", help=text)
+    add("--read", **file, help="print the contents of such a file")
+    add = parser.add_argument
+    text = "EEPROM: Intel HEX (.hex, .eep) or bytes (.bin); with all: a folder, made if missing"
+    add("-o", "--output", **file, help=text)
+    text = "flash, for boot loaders: program and memory in one Intel HEX; with all: a directory"
+    add("--hex", **file, help=text)
+    text = "of a node flashed by --hex: 16 for an Arduino Uno or Nano (8)"
+    add("--crystal-mhz", type=int, choices=CRYSTALS_MHZ, help=text)
+    add("--image", **file, help="program for --hex (that of `make firmware`)")
+    add("--mcu", choices=MCUS, default="atmega328p")
+    text = (
+        "the node transmits while its code is more than this from rest or from what it sent last; "
+        "0: always [LSB] (1)"
     )
-    what.add_argument(
-        "--enumerate",
-        metavar="PORT",
-        dest="port",
-        help="give nodes of such an image their numbers: press one after the other",
-    )
-    what.add_argument("--read", type=Path, metavar="FILE", help="print the contents of such a file")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="EEPROM: Intel HEX (.hex, .eep) or bytes (.bin); with all: a folder, made if missing",
-    )
-    parser.add_argument(
-        "--hex",
-        type=Path,
-        metavar="FILE",
-        help="flash, for boot loaders: program and memory in one Intel HEX; with all: a directory",
-    )
-    parser.add_argument(
-        "--crystal-mhz",
-        type=int,
-        choices=CRYSTALS_MHZ,
-        help="of a node flashed by --hex: 16 for an Arduino Uno or Nano (8)",
-    )
-    parser.add_argument(
-        "--image", type=Path, metavar="FILE", help="program for --hex (that of `make firmware`)"
-    )
-    parser.add_argument("--mcu", choices=MCUS, default="atmega328p")
-    parser.add_argument(
-        "--threshold",
-        type=int,
-        default=1,
-        help="the node transmits while its code is more than this from rest or from what it sent "
-        "last; 0: always [LSB] (1)",
-    )
-    parser.add_argument(
-        "--heartbeat", type=int, help="transmit at least every so many frames; 0: never (1 s)"
-    )
-    parser.add_argument("--rest", type=int, help="code at rest (measured after power-up)")
-    parser.add_argument(
-        "--no-discipline",
-        action="store_false",
-        dest="discipline",
-        help="time chips by the node's own clock only, not corrected by the sync edges",
-    )
-    parser.add_argument(
-        "--programmer",
-        metavar="NAME",
-        help="also write it to the node by avrdude: usbasp, 'arduino -P /dev/ttyUSB0 -b 57600', …",
-    )
-    parser.add_argument(
-        "--layout", type=Path, metavar="FILE", help="layout file that --enumerate writes"
-    )
+    add("--threshold", type=int, default=1, help=text)
+    text = "transmit at least every so many frames; 0: never (1 s)"
+    add("--heartbeat", type=int, help=text)
+    add("--rest", type=int, help="code at rest (measured after power-up)")
+    text = "time chips by the node's own clock only, not corrected by the sync edges"
+    add("--no-discipline", action="store_false", dest="discipline", help=text)
+    text = "also write it to the node by avrdude: usbasp, 'arduino -P /dev/ttyUSB0 -b 57600', …"
+    add("--programmer", metavar="NAME", help=text)
+    add("--layout", **file, help="layout file that --enumerate writes")
     add_skin_options(parser, "the driver's")
 
 
@@ -117,9 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.port is not None:
         if any((arguments.hex, arguments.output, arguments.crystal_mhz, arguments.image)):
             raise SpecError("--enumerate writes no memory: leave out --hex, -o, --crystal-mhz")
-        values = given(arguments)
-        config = SkinConfig.of(values)
-        get: Values = {**DEFAULTS, **values}
+        get: Values = {**DEFAULTS, **given(arguments)}
+        config = SkinConfig.of(get)
         check_timing(config.timing)
         return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
     if arguments.layout is not None:

@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -33,16 +32,6 @@ UNREAD_S, SILENT_S = 0.7, 5.0
 """s without a frame after which many nodes may speak on one row; and after which it ends. Chosen,
 the latter as skin.TIMEOUT_S."""
 KEYS = "b: the last one was wrong   s: leave this one out   q: end   (then Enter)"
-
-
-class Bytes(Protocol):
-    """What a port is read and written by."""
-
-    def read(self) -> tuple[bytes, float]:
-        """What has arrived, and when, s."""
-
-    def write(self, data: bytes) -> None:
-        """Send."""
 
 
 def run(url: str, baud: int, config: SkinConfig, layout_file: Path | None) -> int:
@@ -70,7 +59,7 @@ def _type(typed: "queue.Queue[str]") -> None:
 
 
 def enumerate_nodes(
-    port: Bytes, config: SkinConfig, typed: "queue.Queue[str]", tell: Callable[[str], None]
+    port: Port, config: SkinConfig, typed: "queue.Queue[str]", tell: Callable[[str], None]
 ) -> Numbering:
     """Number the nodes at a port, until all were asked for, or q was typed.
 
@@ -93,7 +82,12 @@ def enumerate_nodes(
                 raise PortError(f"no frame for {SILENT_S:g} s: {why}")
             if now_s - heard_s > UNREAD_S and numbering.waits:
                 tell(numbering.unclear())
-            _check(pipeline)
+            if (refusal := pipeline.digitizer.refusal) and refusal.command == PacketType.NUMBER:
+                raise PortError(
+                    f"the digitizer announces no numbers ({refusal.result.name.lower()}): its "
+                    "firmware is older, it is a demonstrator or simulated, or the pause between "
+                    "frames is below 2.2 ms"
+                )
             if not typed.empty():
                 match typed.get().strip().lower():
                     case "b":
@@ -121,15 +115,6 @@ def enumerate_nodes(
         pipeline.close()
         port.write(session.encoded(Number(0)) + session.close())
     return numbering
-
-
-def _check(pipeline: Pipeline) -> None:
-    refusal = pipeline.digitizer.refusal
-    if refusal is not None and refusal.command == PacketType.NUMBER:
-        raise PortError(
-            f"the digitizer announces no numbers ({refusal.result.name.lower()}): its firmware is "
-            "older, it is a demonstrator or simulated, or the pause between frames is below 2.2 ms"
-        )
 
 
 def prompt(layout: Layout, number: int) -> str:

@@ -7,10 +7,11 @@ import json
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from ..base.errors import TactileError
-from ..base.plain_text import plain
+from ..base.text import plain
 from ..config.parameters import BY_NAME
 from ..wire.discovery import USB, SerialPort, leave_alone_if_open, serial_ports
 from ..wire.identity import is_demonstrator, is_simulated, shown_id
@@ -46,9 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """List ports and the digitizers on them; returns the exit code."""
-    answers = answers_of(
-        chosen(arguments.port, serial_ports()), None if arguments.list else arguments.baud
-    )
+    ports = chosen(arguments.port, serial_ports())
+    if arguments.list:
+        answers = [Answer(port) for port in ports]
+    else:
+        with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
+            answers = list(pool.map(partial(_ask, baud=arguments.baud), ports))
     if arguments.json:
         print(json.dumps([as_values(answer) for answer in answers], indent=2))
     else:
@@ -62,14 +66,6 @@ def chosen(urls: Iterable[str], ports: Iterable[SerialPort]) -> list[SerialPort]
         return list(ports)
     known = {name: port for port in ports for name in (port.device, *port.links)}
     return [known.get(url, SerialPort(url, "")) for url in urls]
-
-
-def answers_of(ports: list[SerialPort], baud: int | None) -> list[Answer]:
-    """Ask all of them at the same time; none without a baud rate."""
-    if baud is None:
-        return [Answer(port) for port in ports]
-    with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
-        return list(pool.map(lambda port: _ask(port, baud), ports))
 
 
 def _ask(port: SerialPort, baud: int) -> Answer:

@@ -16,7 +16,7 @@ from ..config.parameters import BY_NAME, REPLAY
 from ..config.skin_config import SkinConfig
 from ..driver.session import Session
 from ..recording.recording_file import Recorder
-from ..replay.options import ReplayOptions
+from ..replay.player import ReplayOptions
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
 from ..wire.port import Port

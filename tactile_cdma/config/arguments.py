@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from ..base.errors import ParameterError, TactileError
 from .parameters import (
@@ -29,8 +30,6 @@ _NAMES = (
 """Parameters that are options: --nodes, …, --vref-v, --parity and --no-parity, …"""
 SIM_TIME = "use_sim_time"
 """A parameter that every ROS node has, and that files which include others' often pass on."""
-_SHORT = {"vref_v": ("--vref",)}
-"""Other names that options have."""
 
 
 def add_skin_options(
@@ -42,20 +41,13 @@ def add_skin_options(
     group.add_argument("--params", type=Path, metavar="FILE", help="ROS 2 parameter file")
     for name in _NAMES:
         parameter = BY_NAME[name]
-        options = ("--" + name.replace("_", "-"), *_SHORT.get(name, ()))
-        kind, text = type(parameter.default), parameter.description.replace("%", "%%")
+        option, kind = "--" + name.replace("_", "-"), type(parameter.default)
+        how: dict[str, Any] = {"type": kind}
         if kind is bool:
-            either = argparse.BooleanOptionalAction
-            group.add_argument(*options, action=either, default=None, dest=name, help=text)
-        else:
-            group.add_argument(*options, type=kind, dest=name, help=text)
-    group.add_argument(
-        "--natural-signs",
-        action="store_const",
-        const=NATURAL_SIGNS,
-        dest="sign_seed",
-        help="no row signs, as in the paper",
-    )
+            how = {"action": argparse.BooleanOptionalAction, "default": None}
+        group.add_argument(option, **how, help=parameter.description.replace("%", "%%"))
+    signs: dict[str, Any] = {"action": "store_const", "const": NATURAL_SIGNS, "dest": "sign_seed"}
+    group.add_argument("--natural-signs", **signs, help="no row signs, as in the paper")
 
 
 def given(arguments: argparse.Namespace) -> dict[str, Value]:

@@ -18,7 +18,7 @@ from typing import Any
 
 from ..base.errors import ParameterError
 from ..base.marked_yaml import Marked, read_marked
-from ..base.suggest import suggestion
+from ..base.text import suggestion
 from ..code.frame import BIPOLAR, DEFAULT_AMPLITUDE_V, ORTHOGONAL, SPARSE, UNIPOLAR
 from ..readings.calibration import MOST_PA
 
@@ -59,7 +59,6 @@ class Parameter:
 
     @property
     def description(self) -> str:
-        """The text with the unit."""
         return self.text + (f" [{self.unit}]" if self.unit else "")
 
     def check(self, value: object) -> Value:

@@ -35,6 +35,8 @@ FRAME_PARAMETERS = (
     *("drive", "polarity", "scramble", "codes"),
 )
 """Parameters that are fields of FrameSpec as they are."""
+_AS_THEY_ARE = ("timing", "samples_per_chip", "roll_call", "nodes_repeat", "skin")
+"""Parameters that are fields of SkinConfig as they are."""
 CURVE_PARAMETERS = {
     *("v0_v", "knee_kpa", "range_kpa", "sensitivity1_v_per_kpa", "sensitivity2_v_per_kpa"),
     "calibration_file",
@@ -71,8 +73,7 @@ class SkinConfig:
         """
         get: Values = {**DEFAULTS, **check_values(values)}
         spec = _spec(get)
-        combination = spec, get["timing"], get["samples_per_chip"], get["roll_call"]
-        for is_so, reason in _contradictions(*combination):
+        for is_so, reason in _contradictions(spec, get):
             if is_so:
                 raise SpecError(reason)
         if spec.sparse and not groups_for_all(spec):
@@ -97,15 +98,11 @@ class SkinConfig:
         return cls(
             spec=spec,
             digitizer_id=parse_id(get["digitizer_id"]) if get["digitizer_id"] else None,
-            timing=get["timing"],
-            samples_per_chip=get["samples_per_chip"],
-            roll_call=get["roll_call"],
-            nodes_repeat=get["nodes_repeat"],
             adc=adc,
             curve=curve,
             calibration=_calibration(get, spec, adc, curve),
             layout=_layout(get),
-            skin=get["skin"],
+            **{name: get[name] for name in _AS_THEY_ARE},
             **_live(get),
         )
 
@@ -203,11 +200,10 @@ def _layout(get: Values) -> Layout:
 
 def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCurve) -> Calibration:
     """The calibration in calibration_file; without one the default curve for all nodes."""
-    calibration, file = Calibration.default(curve, spec.nodes), get["calibration_file"]
-    if file:
-        path = user_path("calibration_file", file)
-        calibration = read_calibration(path, spec.nodes, adc, curve, get["skin"])
-    return calibration
+    if not get["calibration_file"]:
+        return Calibration.default(curve, spec.nodes)
+    path = user_path("calibration_file", get["calibration_file"])
+    return read_calibration(path, spec.nodes, adc, curve, get["skin"])
 
 
 def user_path(name: str, text: str) -> Path:
@@ -218,11 +214,14 @@ def user_path(name: str, text: str) -> Path:
         raise SpecError(f"{name} is {text}: {error}") from None
 
 
-def _contradictions(
-    spec: FrameSpec, timing: str, samples_per_chip: int, roll_call: bool
-) -> Iterator[tuple[bool, str]]:
+def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
     """Combinations that cannot work: whether it is this one, and what to say of it."""
-    gap, samples = timing == GAP, f"samples_per_chip is {samples_per_chip}, it must be"
+    gap, samples_per_chip, roll_call = (
+        get["timing"] == GAP,
+        get["samples_per_chip"],
+        get["roll_call"],
+    )
+    samples = f"samples_per_chip is {samples_per_chip}, it must be"
     line = "timing is 'gap', it must be 'line'"
     if spec.sparse:
         reason = "sparse codes are told apart by whole chips of marked frames"

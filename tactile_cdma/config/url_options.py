@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from ..base.errors import ParameterError, SpecError
-from ..base.suggest import suggestion
+from ..base.text import suggestion
 from .parameters import NATURAL_SIGNS, TRUTH, Parameter, Value
 
 _TRUTH = TRUTH | {"1": True, "0": False}

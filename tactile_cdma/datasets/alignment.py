@@ -87,11 +87,6 @@ class Present:
         self.newest: dict[str, tuple[int, int]] = {}
         self.done_ns = self.drained_ns = -1
 
-    @property
-    def have_begun(self) -> bool:
-        """Whether every stream has had a sample."""
-        return len(self.newest) == len(self._waiting)
-
     def add(self, sample: Sample) -> None:
         """Take a sample; one that is older than others of its stream that are in use is ignored."""
         key, stamp_ns = sample.stream, sample.stamp_ns
@@ -188,12 +183,11 @@ class Aligner:
 
     def _passed_ns(self, now_ns: int) -> int:
         """The time that all streams have passed from which samples are still to be expected."""
-        wait_ns = round(WAIT_S * NANO)
+        wait_ns, newest = round(WAIT_S * NANO), self._present.newest
         assert self._begun_ns is not None
-        if not self._present.have_begun and now_ns - self._begun_ns <= wait_ns:
-            return 0
-        newest = self._present.newest.values()
-        return min(now_ns, *(stamp for stamp, seen in newest if now_ns - seen <= wait_ns))
+        if len(newest) < len(self.late) and now_ns - self._begun_ns <= wait_ns:
+            return 0  # a stream has not begun
+        return min(now_ns, *(stamp for stamp, seen in newest.values() if now_ns - seen <= wait_ns))
 
     def _tick(self, time_ns: int) -> None:
         """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""

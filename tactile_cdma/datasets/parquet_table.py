@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parquet files, by the optional library pyarrow: of any rows, and of a patch's frames."""
+"""Parquet files of any rows, by the optional library pyarrow."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..base.optional import needed_for
+from ..base.errors import needed_for
 from ..base.whole_file import replacing
-from .samples import PatchInfo
-from .tables import COLUMNS, PER_TAXEL, Frames, columns, known, places
 
 GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
 """The most of a row group, which is held in memory; chosen."""
@@ -48,8 +46,8 @@ class ParquetTable:
         columns: Mapping[str, tuple[str, tuple[int, ...]]],
         metadata: Mapping[str, Any] | None = None,
     ) -> None:
-        self._library, self._columns = pyarrow(), columns
-        schema = self._library.schema([(name, column_type(*it)) for name, it in columns.items()])
+        self._library, self._columns, self._path = pyarrow(), columns, path
+        schema = self._library.schema([(name, self._type(*it)) for name, it in columns.items()])
         if metadata is not None:
             schema = schema.with_metadata({METADATA: json.dumps(metadata).encode()})
         self._schema = schema
@@ -60,7 +58,6 @@ class ParquetTable:
         )
         self._rows: list[Mapping[str, Any]] = []
         self._held_bytes = 0
-        self._path = path
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row. Arrays are copied when their group is written: hand over such that stay."""
@@ -78,7 +75,6 @@ class ParquetTable:
         with ExitStack() as stack:
             self._file = stack.enter_context(replacing(self._path))
             self._writer = self._library.parquet.ParquetWriter(self._file, self._schema)
-            stack.push(self._abandon)  # before the file: what is left open writes to it later
             stack.push(self._finish)
             self._stack = stack.pop_all()
         return self
@@ -87,74 +83,46 @@ class ParquetTable:
         self._stack.__exit__(*problem)
 
     def _finish(self, kind: Any, *_: Any) -> None:
-        if kind is None:
-            self._flush()
-            self._writer.close()
-
-    def _abandon(self, kind: Any, *_: Any) -> None:
-        if kind is not None:
-            with suppress(Exception):  # the exception that is on its way is the one to tell
+        try:
+            if kind is None:
+                self._flush()
                 self._writer.close()
+        finally:
+            with suppress(Exception):  # the exception that is on its way is the one to tell
+                self._writer.close()  # before the file: what is left open writes to it later
 
     def _flush(self) -> None:
         if self._rows:
-            cells = [
-                column([row[name] for row in self._rows], *kind)
-                for name, kind in self._columns.items()
+            arrays = [
+                self._library.array(_cells([row[name] for row in self._rows], *kind), field.type)
+                for (name, kind), field in zip(self._columns.items(), self._schema, strict=True)
             ]
-            self._writer.write_table(self._library.Table.from_arrays(cells, schema=self._schema))
+            self._writer.write_table(self._library.Table.from_arrays(arrays, schema=self._schema))
             self._rows, self._held_bytes = [], 0
 
+    def _type(self, dtype: str, shape: tuple[int, ...]) -> Any:
+        """The type of a column whose cells are arrays or images; () and (1,) are plain numbers.
 
-def write_parquet(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
-    """All frames, one per row, with the columns of an NPZ; its constants are metadata.
-
-    Returns how many. Raises MissingPackageError, OSError.
-    """
-    kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-        name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
-    }
-    constants = {name: known(array) for name, array in places(patch).items()}
-    count = 0
-    with ParquetTable(path, kinds, {"about": about} | constants) as table:
-        for episode, frame in frames:
-            table.add(columns(episode, frame))
-            count += 1
-    return count
-
-
-def column_type(dtype: str, shape: tuple[int, ...]) -> Any:
-    """The type of a column whose cells are arrays or images; () and (1,) are plain numbers.
-
-    Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
-    """
-    library = pyarrow()
-    if dtype == PNG_OR_JPEG:
-        return library.struct([("bytes", library.binary()), ("path", library.string())])
-    kind = library.from_numpy_dtype(np.dtype(dtype))
-    if shape in ((), (1,)):
+        Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
+        """
+        library = self._library
+        if dtype == PNG_OR_JPEG:
+            return library.struct([("bytes", library.binary()), ("path", library.string())])
+        kind = library.from_numpy_dtype(np.dtype(dtype))
+        if shape in ((), (1,)):
+            return kind
+        if len(shape) == 1:
+            return library.list_(kind, shape[0])
+        for _ in shape:
+            kind = library.list_(kind)
         return kind
-    if len(shape) == 1:
-        return library.list_(kind, shape[0])
-    for _ in shape:
-        kind = library.list_(kind)
-    return kind
 
 
-def column(cells: Sequence[Any], dtype: str, shape: tuple[int, ...]) -> Any:
-    """A column of column_type(dtype, shape)."""
-    library = pyarrow()
+def _cells(cells: Sequence[Any], dtype: str, shape: tuple[int, ...]) -> Any:
+    """A column's cells as pyarrow takes them: numbers, vectors, lists of vectors, images."""
     if dtype == PNG_OR_JPEG:
-        files = [{"bytes": file, "path": None} for file in cells]
-        return library.array(files, column_type(dtype, shape))
-    rows = len(cells)
-    column = library.array(np.array(cells, dtype).reshape(-1))
+        return [{"bytes": file} for file in cells]
+    values = np.array(cells, dtype)
     if shape in ((), (1,)):
-        return column
-    if len(shape) == 1:
-        return library.FixedSizeListArray.from_arrays(column, shape[0])
-    for depth in range(len(shape) - 1, -1, -1):
-        above = rows * int(np.prod(shape[:depth], dtype=np.int64))
-        offsets = np.arange(above + 1, dtype=np.int32) * shape[depth]
-        column = library.ListArray.from_arrays(offsets, column)
-    return column
+        return values.reshape(-1)
+    return [list(value) if len(shape) > 1 else value for value in values]

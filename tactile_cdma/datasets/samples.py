@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..base.errors import CaptureError
-from ..base.listing import listed
+from ..base.text import listed
 from ..readings.status import is_certain, is_in_service
 
 CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z_m")
@@ -185,12 +185,8 @@ def patches_of(streams: Mapping[str, SampleStream]) -> dict[str, PatchInfo]:
 
 
 def in_order(values: Floats32, its: tuple[str, ...], names: tuple[str, ...]) -> Floats32 | None:
-    """A vector whose elements are called its, in the order of names; None if these are others."""
-    if its == names:
-        return values
-    if sorted(its) != sorted(names):
-        return None
-    return values[[its.index(name) for name in names]]
+    """Of a vector whose elements are called its, those of these names; None if some are missing."""
+    return values[[its.index(name) for name in names]] if set(names) <= set(its) else None
 
 
 def feature_name(text: str) -> str:
@@ -203,28 +199,19 @@ class Completeness:
 
     A recording begins with unknown taxels: a silent node is known only once it has spoken.
 
-    is_complete: there was a frame, and no taxel in service is missing.
+    missing: taxels in service that have had none. is_complete: there was a frame, and none is.
     """
 
     def __init__(self) -> None:
-        self._read: Bools | None = None
-        self._wanted: Bools | None = None
+        self._read: Bools = np.zeros(1, dtype=bool)
+        self.missing: list[int] = []
         self.is_complete = False
 
     def take(self, frame: SkinFrame) -> None:
-        if self.is_complete:
-            return
-        known = frame.valid
-        self._read = known if self._read is None else self._read | known
-        self._wanted = is_in_service(frame.status)
-        self.is_complete = not self.missing
-
-    @property
-    def missing(self) -> list[int]:
-        """Taxels in service that have had none."""
-        if self._read is None or self._wanted is None:
-            return []
-        return np.flatnonzero(self._wanted & ~self._read).tolist()
+        if not self.is_complete:
+            self._read = self._read | frame.valid
+            self.missing = np.flatnonzero(is_in_service(frame.status) & ~self._read).tolist()
+            self.is_complete = not self.missing
 
     @property
     def unread(self) -> str:

@@ -18,7 +18,7 @@ class FrameSurvey:
         self._gaps, self._restarts = _Pauses(), _Pauses()
         self._first_s = self._last_s = float("nan")
         self._sequence = 0
-        self._readings = self._invalid = self._held = self._saturated = 0
+        self._readings = np.zeros(4, dtype=np.int64)  # in service, invalid, held, saturated
         self._completeness = Completeness()
         self._complete_s: float | None = None
 
@@ -34,12 +34,10 @@ class FrameSurvey:
         self._frames += 1
         self._last_s, self._sequence = time_s, frame.sequence
         in_service = is_in_service(frame.status)
-        invalid = in_service & ~frame.valid
-        self._readings += int(np.count_nonzero(in_service))
-        self._invalid += int(np.count_nonzero(invalid))
-        for bit, name in ((Status.SILENT, "_held"), (Status.SATURATED, "_saturated")):
-            some = in_service & ~invalid & (frame.status & np.uint8(bit) != 0)
-            setattr(self, name, getattr(self, name) + int(np.count_nonzero(some)))
+        valid = in_service & frame.valid
+        bits = np.uint8(Status.SILENT), np.uint8(Status.SATURATED)
+        kinds = in_service, in_service & ~valid, *(valid & (frame.status & bit > 0) for bit in bits)
+        self._readings += [np.count_nonzero(kind) for kind in kinds]
         if self._complete_s is None:
             self._completeness.take(frame)
             if self._completeness.is_complete:
@@ -54,12 +52,9 @@ class FrameSurvey:
         rate = f", {(self._frames - 1) / length_s:.2f} Hz" if length_s > 0 else ""
         yield "frames", f"{self._frames} in {length_s:.3f} s{rate}"
         yield "gaps", "; ".join(self._said_gaps()) or "none"
-        yield (
-            "readings",
-            f"{_share(self._invalid, self._readings)} invalid, "
-            f"{_share(self._held, self._readings)} held, "
-            f"{_share(self._saturated, self._readings)} saturated",
-        )
+        of, *some = self._readings.tolist()
+        shares = [f"{one / of:.2%}" if of else "none" for one in some]
+        yield "readings", "{} invalid, {} held, {} saturated".format(*shares)
         yield "complete", self._complete()
 
     @property
@@ -104,7 +99,3 @@ class _Pauses:
     @property
     def longest(self) -> str:
         return f"the longest {self._longest_s:.3f} s after {self._longest_at_s:.3f} s"
-
-
-def _share(some: int, of: int) -> str:
-    return f"{some / of:.2%}" if of else "none"

@@ -1,23 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A patch's frames as tables: NPZ and CSV; see docs/recording.md."""
+"""The frames of one patch as tables: NPZ, CSV, Parquet; see docs/recording.md."""
 
 import csv
 import io
 import json
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.whole_file import replacing
-from .samples import PatchInfo, SkinFrame
+from ..base.whole_file import replace_file, replacing
+from .episodes import Episode, samples_of
+from .parquet_table import ParquetTable
+from .progress import Progress
+from .samples import (
+    NANO,
+    Completeness,
+    PatchInfo,
+    SampleSource,
+    SkinFrame,
+    check_patches,
+    check_same,
+    missing_between,
+    patches_of,
+)
 
-Frames = Iterator[tuple[int, SkinFrame]]
+Rows: TypeAlias = Iterator[tuple[int, SkinFrame]]
 """Frames, each with the number of its episode."""
 
 PER_FRAME = {
@@ -33,57 +46,143 @@ COLUMNS = PER_FRAME | PER_TAXEL
 """Types of the columns' numbers."""
 
 
-def write_npz(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
-    """All frames, at least one, as numpy arrays by columns; returns how many. Raises OSError.
+class PatchFrames:
+    """Iterates over the frames of one patch in the episodes of all files: number of episode, frame.
+
+    episodes: of a file. from_first_complete: in every file, begin where every taxel in service has
+    had a valid reading. left_out: frames before that. missing: frame periods between two frames of
+    an episode without one, by the sequence: lost, or not published. patch: that of the first frame,
+    from then on. given: frames so far. notes: what was odd, complete when all is read. Raises
+    CaptureError where files do not fit together, or a patch is never complete.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[SampleSource],
+        name: str,
+        episodes: Callable[[SampleSource], Sequence[Episode]],
+        progress: Progress,
+        from_first_complete: bool = False,
+    ) -> None:
+        self._sources, self._name, self._progress = sources, name, progress
+        self._episodes, self._from_first_complete = episodes, from_first_complete
+        self.left_out = self.missing = self.given = 0
+        self.patch: PatchInfo | None = None
+        self.notes: list[str] = []
+
+    def __iter__(self) -> Rows:
+        first = 0  # number of a file's first episode
+        for source in self._sources:
+            check_patches(self._sources[0], source)
+            episodes, before = self._episodes(source), self.given
+            for number, frame in self._of(source, self._own(source)[0], episodes):
+                if self.given == before:  # the digitizer of a recording is known from here on
+                    _, patch = self._own(source)
+                    self.patch = self.patch or patch
+                    check_same(self.patch, patch, source.path)
+                self.given += 1
+                yield first + number, frame
+            if self.given == before:
+                self.notes.append(f"{source.path}: no frame of {self._name} in its episodes")
+            first += len(episodes)
+
+    def _own(self, source: SampleSource) -> tuple[str, PatchInfo]:
+        """The patch in a file, as far as that was read, and the key of its frames."""
+        return next(one for one in patches_of(source.streams).items() if one[1].name == self._name)
+
+    def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
+        """Frames of one file, each with the number of its episode in it."""
+        seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp
+        restarts, restarts_ns = 0, 0
+        for sample in samples_of(source, episodes, self._progress):
+            frame = sample.value
+            if sample.stream != key or not isinstance(frame, SkinFrame):
+                continue
+            if self._from_first_complete and not seen.is_complete:
+                seen.take(frame)
+                if not seen.is_complete:
+                    self.left_out += 1
+                    continue
+            for number, episode in enumerate(episodes):
+                if episode.begin_ns <= sample.stamp_ns <= episode.end_ns:
+                    if last[0] == number:
+                        if (missing := missing_between(last[1], frame.sequence)) is None:
+                            restarts += 1
+                            restarts_ns += sample.stamp_ns - last[2]
+                        self.missing += missing or 0
+                    last = (number, frame.sequence, sample.stamp_ns)
+                    yield number, frame
+                    break
+        if restarts:
+            self.notes.append(
+                f"{source.path}: {self._name}: {restarts} where the sequence begins anew (did the "
+                f"driver restart?); what is missing in the {restarts_ns / NANO:.3f} s between "
+                "these frames is not known"
+            )
+        if self._from_first_complete:
+            seen.check(source.path, self._name)
+
+
+def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
+    """All frames, at least one, as numpy arrays by columns. Raises OSError.
 
     about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
     does not grow with the recording.
     """
-    count = 0
     with ExitStack() as stack:
         file = stack.enter_context(replacing(path))  # first, since it may fail
         spools = {
             name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in COLUMNS
         }
         for episode, frame in frames:
-            count += 1
-            for name, value in columns(episode, frame).items():
+            for name, value in _row(episode, frame).items():
                 spools[name].write(np.asarray(value, dtype=COLUMNS[name]).tobytes())
         arrays: dict[str, Any] = {
-            name: np.memmap(
-                spool, COLUMNS[name], "r", shape=(count, len(patch)) if name in PER_TAXEL else count
-            )
-            for name, spool in spools.items()
+            name: np.memmap(spool, COLUMNS[name], "r") for name, spool in spools.items()
         }
-        arrays |= places(patch) | {"about": np.array(json.dumps(about))}
+        arrays |= {name: arrays[name].reshape(-1, len(patch)) for name in PER_TAXEL}
+        arrays |= _places(patch) | {"about": np.array(json.dumps(about))}
         np.savez_compressed(file, **arrays)
-    return count
 
 
-def write_csv(path: Path, frames: Frames, patch: PatchInfo, about: Mapping[str, Any]) -> int:
+def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
     """One row per frame; beside it NAME.taxels.csv, one row per taxel, and NAME.about.json.
 
-    Returns how many frames. Raises OSError.
+    Raises OSError.
     """
-    count, taxels = 0, len(patch)
     with replacing(path) as raw:
         file = io.TextIOWrapper(raw, encoding="utf-8", newline="")
         table = csv.writer(file, lineterminator="\n")
-        table.writerow([*PER_FRAME, *(f"{n}_{i}" for n in PER_TAXEL for i in range(taxels))])
+        taxels = range(len(patch))
+        table.writerow([*PER_FRAME, *(f"{name}_{i}" for name in PER_TAXEL for i in taxels)])
         for episode, frame in frames:
-            count += 1
-            found = columns(episode, frame)
+            found = _row(episode, frame)
             row = [found[name] for name in PER_FRAME]
             for name in PER_TAXEL:
                 row.extend(found[name])
             table.writerow("" if value != value else value for value in row)  # NaN: an empty cell
         file.flush()
         file.detach()
-    with replacing(taxels_path(path)) as raw:
-        raw.write(_taxels(patch).encode())
-    with replacing(about_path(path)) as raw:
-        raw.write(json.dumps(about, indent=1).encode() + b"\n")
-    return count
+    _, *places = _places(patch).values()
+    rows = ["taxel,node,x_m,y_m,z_m,normal_x,normal_y,normal_z,area_m2"]
+    for taxel, (node, position_m, normal, area_m2) in enumerate(zip(*places, strict=True)):
+        rows.append(",".join(map(str, (taxel, node, *position_m, *normal, area_m2))))
+    replace_file(taxels_path(path), "\n".join(rows) + "\n")
+    replace_file(about_path(path), json.dumps(about, indent=1) + "\n")
+
+
+def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
+    """One row per frame, with the columns of an NPZ; its constants are metadata.
+
+    Raises MissingPackageError, OSError.
+    """
+    kinds: dict[str, tuple[str, tuple[int, ...]]] = {
+        name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
+    }
+    constants = {name: known(array) for name, array in _places(patch).items()}
+    with ParquetTable(path, kinds, {"about": about} | constants) as table:
+        for episode, frame in frames:
+            table.add(_row(episode, frame))
 
 
 def taxels_path(path: Path) -> Path:
@@ -96,13 +195,13 @@ def about_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.about.json")
 
 
-def columns(episode: int, frame: SkinFrame) -> dict[str, Any]:
+def _row(episode: int, frame: SkinFrame) -> dict[str, Any]:
     """One row of a table."""
     cells = {name: getattr(frame, name) for name in COLUMNS if name != "episode"}
     return {"episode": episode} | cells
 
 
-def places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
+def _places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
     """Arrays that are the same in all frames."""
     return {
         "shape": np.array([patch.rows, patch.columns], dtype=np.uint16),
@@ -116,12 +215,3 @@ def places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
 def known(values: NDArray[Any]) -> Any:
     """An array as lists for JSON, which has no NaN; None where it is not known."""
     return values.tolist() if np.isfinite(values).all() else None
-
-
-def _taxels(patch: PatchInfo) -> str:
-    found = places(patch)
-    lines = ["taxel,node,x_m,y_m,z_m,normal_x,normal_y,normal_z,area_m2"]
-    for taxel, node in enumerate(found["node"]):
-        numbers = [*found["position_m"][taxel], *found["normal"][taxel], found["area_m2"][taxel]]
-        lines.append(",".join([str(taxel), str(node), *map(str, numbers)]))
-    return "\n".join(lines) + "\n"

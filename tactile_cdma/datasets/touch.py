@@ -56,15 +56,6 @@ class Touch:
     complete: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sample:
-    """filled_pa: each taxel's last valid reading, or 0."""
-
-    stamp_ns: int
-    valid: Bools
-    filled_pa: Floats32
-
-
 class TouchStream:
     """Takes a patch's frames in the order of their stamps; gives what is known of it at a tick.
 
@@ -74,16 +65,19 @@ class TouchStream:
     def __init__(self, taxels: int, slots: int, mode: str, policy: str) -> None:
         self._slots, self._mode, self._policy = slots, mode, policy
         self.completeness = Completeness()
-        self._held = np.zeros(taxels, dtype=np.float32)
+        self._held_pa = np.zeros(taxels, dtype=np.float32)  # last valid readings, or 0
         self._wanted = np.ones(taxels, dtype=bool)
-        self._window: deque[_Sample] = deque(maxlen=slots)
+        # By frame: stamp, ns; which readings are valid; the last valid ones then, Pa.
+        self._window: deque[tuple[int, Bools, Floats32]] = deque(maxlen=slots)
 
     def take(self, stamp_ns: int, frame: SkinFrame) -> None:
         valid = frame.valid & (not frame.stamp_uncertainty_s > MOST_UNCERTAIN_S)  # NaN: unknown
-        self._held = np.where(valid, frame.pressure_pa, self._held)
+        self._held_pa = np.where(valid, frame.pressure_pa, self._held_pa)
         self._wanted = is_in_service(frame.status)
         self.completeness.take(frame)
-        self._window.append(_Sample(stamp_ns, valid, self._held))
+        if not self._window:  # the first frame, also after a stop: before it nothing was read
+            self._window.extend([(stamp_ns, np.zeros_like(valid), self._held_pa)] * self._slots)
+        self._window.append((stamp_ns, valid, self._held_pa))
 
     def restart(self) -> None:
         """Begin the window anew after a stop: what was before that is not of the present."""
@@ -94,19 +88,11 @@ class TouchStream:
 
         has_stopped: the newest frame is too old for the present, so that nothing is valid.
         """
-        samples = list(self._window)
-        ages_s = np.array([(tick_ns - sample.stamp_ns) / NANO for sample in samples])
-        filled = np.array([sample.filled_pa for sample in samples])
-        valid = np.array([sample.valid for sample in samples])
-        valid &= not has_stopped
-        if self._mode == WINDOW and (missing := self._slots - len(samples)):
-            # Before the first frame, or the first one after a stop: nothing was read.
-            ages_s = np.concatenate([ages_s[:1].repeat(missing), ages_s])
-            filled = np.concatenate([filled[:1].repeat(missing, axis=0), filled])
-            valid = np.concatenate([np.zeros((missing, filled.shape[1]), dtype=bool), valid])
+        stamps_ns, valids, filled = zip(*self._window, strict=True)
+        ages_s = np.array([(tick_ns - stamp_ns) / NANO for stamp_ns in stamps_ns], np.float32)
+        valid, pressure_pa = np.array(valids) & (not has_stopped), np.array(filled)
         if self._mode == LAST:
-            filled, valid = filled[-1], valid[-1]
+            valid, pressure_pa = valid[-1], pressure_pa[-1]
         if self._policy == ZERO:
-            filled = np.where(valid, filled, np.float32(0))
-        complete = bool(valid[..., self._wanted].all())
-        return Touch(filled.astype(np.float32), valid, ages_s.astype(np.float32), complete)
+            pressure_pa = np.where(valid, pressure_pa, np.float32(0))
+        return Touch(pressure_pa, valid, ages_s, bool(valid[..., self._wanted].all()))

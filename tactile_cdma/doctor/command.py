@@ -4,45 +4,32 @@
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 from .installation import installation
-from .report import Check, exit_code, line, problem, summary
-
-TEXT = (
-    "Checks this installation or, if a port is given, the port with its digitizer and skin. "
-    "Exit code 1 if there is a problem."
-)
+from .report import Check, Grade, problem
 
 MOST_SECONDS = 600.0
 """Longest examination, s; chosen, its bytes are held in memory."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The doctor by itself; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tactile_cdma.doctor")
-    add_arguments(parser)
-    return run(parser.parse_args(argv))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.description = TEXT
-    parser.add_argument(
-        "port",
-        nargs="?",
-        help="a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …",
+    parser.description = (
+        "Checks this installation or, if a port is given, the port with its digitizer and skin. "
+        "Exit code 1 if there is a problem."
     )
-    parser.add_argument(
-        "--params", type=Path, metavar="FILE", help="the driver's ROS 2 parameter file, to compare"
-    )
-    parser.add_argument("--baud", type=int, help="baud rate (as in the parameters)")
-    parser.add_argument(
-        "--seconds", type=_seconds, default=3.0, help="time to listen to the skin [s] (3)"
-    )
-    parser.add_argument("--json", action="store_true", help="as a JSON array")
+    add = parser.add_argument
+    text = "a port to examine instead of the installation: /dev/ttyACM0, usb://SERIAL, sim://, …"
+    add("port", nargs="?", help=text)
+    text = "the driver's ROS 2 parameter file, to compare"
+    add("--params", type=Path, metavar="FILE", help=text)
+    add("--baud", type=int, help="baud rate (as in the parameters)")
+    add("--seconds", type=_seconds, default=3.0, help="time to listen to the skin [s] (3)")
+    add("--json", action="store_true", help="as a JSON array")
 
 
 def _seconds(text: str) -> float:
@@ -59,14 +46,19 @@ def run(arguments: argparse.Namespace) -> int:
         for check in _examination(arguments):
             checks.append(check)
             if not arguments.json:
-                print(line(check), flush=True)
+                print(f"{check.verdict:<8} {check.subject}: {check.text}", flush=True)
     except KeyboardInterrupt:
         checks.append(problem("doctor", "interrupted: what follows was not checked"))
+    number = Counter(check.verdict for check in checks)
     if arguments.json:
         print(json.dumps([asdict(check) for check in checks], indent=2))
     else:
-        print(summary(checks))
-    return exit_code(checks)
+        counted = (
+            f"{number[grade] or 'no'} {grade}{'s' * (number[grade] != 1)}"
+            for grade in (Grade.PROBLEM, Grade.WARNING)
+        )
+        print(f"{', '.join(counted)}, {number[Grade.OK]} ok")
+    return int(number[Grade.PROBLEM] > 0)
 
 
 def _examination(arguments: argparse.Namespace) -> Iterator[Check]:

@@ -177,7 +177,6 @@ def udev_rule(root: Path) -> Iterator[Check]:
 
 
 def _rule(root: Path) -> Path | None:
-    """Our udev rule, where it is installed."""
     paths = (root / folder / RULES for folder in RULES_FOLDERS)
     return next(filter(Path.is_file, paths), None)
 
@@ -201,7 +200,6 @@ def port_takers(root: Path) -> Iterator[Check]:
 
 
 def _programs(root: Path) -> Iterator[str]:
-    """Names of the programs that run."""
     for comm in (root / "proc").glob("[0-9]*/comm"):
         with suppress(OSError):  # ended meanwhile
             yield comm.read_text(encoding="utf-8", errors="replace").strip()

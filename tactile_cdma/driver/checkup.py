@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..base.listing import listed
+from ..base.text import listed
 from ..framing.timing import ABSURD, AT_RAIL, INCOMPLETE, MISFIT, NOISY, NOT_AT_REST
 from ..readings.status import Status as TaxelStatus
 from ..readings.taxels import Readings

@@ -17,7 +17,7 @@ from ..base import kernel
 from ..clocks.node_timing import NodeTiming
 from ..code.separate import NodeLevels, frame_fields, may_be_offset
 from ..code.transform import compiled_transform
-from ..framing.fit import Fit, lowest_power
+from ..framing.fit import Fit, least_power
 from ..framing.frame_end import tail_of
 from ..framing.gaps.gap_timing import GapTiming
 from ..framing.limits import LIMITS
@@ -284,12 +284,12 @@ class CompiledStream:
     def _carry(self, timing: MarkedTiming) -> None:
         """Hand on how the next frames are read."""
         carried, setting, edges = timing.recogniser.carried, self._timing, _NO_EDGES
-        fit = None if carried is None else carried.fit
+        fit = carried.edges.fit if carried and carried.edges else None
         setting["asks"], setting["has_frame"] = carried is None, fit is not None
-        if carried is not None:
+        if carried:
             setting["due"], setting["uses"] = carried.due, carried.uses
-        if carried is not None and fit is not None and carried.edges is not None:
-            edges = carried.edges.within(carried.due)
+        if carried and carried.edges:
+            edges, fit = carried.edges.within(carried.due), carried.edges.fit
             if fit is not self._fit:
                 spec = timing.line.spec
                 end = fit.end(spec)
@@ -339,7 +339,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         gap_size=math.ceil(spec.order * line.chip),
         least_rest=LEAST_REST,
         gap_weight=GAP_WEIGHT,
-        rise_v2=lowest_power(1e-3),
+        rise_v2=least_power(1e-3),
         silent_over=line.over(line.nominal),
         rate_hz=pace.rate_hz,
         slack_s=CLOCK_SLACK_S,

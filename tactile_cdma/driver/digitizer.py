@@ -7,17 +7,20 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
+from ..code.frame import FrameSpec
 from ..config.parameters import GAP, REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..wire._protocol import PacketType, Result, Signs, SyncMode
 from ..wire.identity import is_demonstrator, is_simulated, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
-from .quiet_limit import quiet_uv
 
 MAX_SAMPLES_PER_CHIP = 1000
 """Chosen: 8 suffice for any timing, and buffers of a frame stay small at this many."""
 MAX_FRAME_SAMPLES = 1 << 26
 """Chosen: half a gigabyte of a frame's samples as float64; the kernel takes twice as many."""
+HEARD_SHARE = 0.135
+"""Share of a node's amplitude from which on a faint word is no silence. Chosen: words at 0.15 A are
+to be heard, and a tenth is for rounding of counts."""
 
 
 class Origin(IntEnum):
@@ -215,6 +218,22 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
     if different:
         return f"the digitizer is set to {', '.join(different)}; make the two agree"
     return None
+
+
+def quiet_uv(spec: FrameSpec) -> int:
+    """Largest difference of two samples of a frame that is certainly silent, µV.
+
+    0 where no frame is: with the amplitude unknown, or with row 0 assigned, whose node may
+    hold one level for a whole frame.
+
+    Samples within Q of each other have chips within Q. These have a variance of at most (Q/2)²
+    (Popoviciu), and a correlation with any row but 0 of at most Q/2, whatever the line's offset:
+    a row has as many chips of either sign. Both lie below what a faint word has. The samples need
+    not reach to the frame's end: a node that speaks is heard in the first bit.
+    """
+    if spec.node_swing_v is None or spec.first_row == 0:
+        return 0
+    return min(int(HEARD_SHARE * 2e6 * spec.node_swing_v), 2**32 - 1)
 
 
 def _shown(value: object) -> str:

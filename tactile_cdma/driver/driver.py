@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ..base.errors import PortError, RecordingEndError
-from ..base.plain_text import plain_lines
+from ..base.text import plain_lines
 from ..config.parameters import REPLAY
 from ..config.skin_config import SkinConfig, fills_period
 from ..readings.stuck import LOOK_S as STUCK_LOOK_S
@@ -24,7 +24,6 @@ from ..wire.packets import MAX_REPEATED
 from ..wire.port import READ_TIMEOUT_MS, Port
 from ..wire.port_failures import is_remote
 from ..wire.reader import NO_FILE
-from .backlog import Backlog
 from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
 from .session import Session
@@ -46,6 +45,11 @@ WAITING = "waiting for the first frame"
 """The problem right after a port was opened."""
 NOT_YET = (None, CONNECTING, WAITING)
 """Problems that pass by themselves, if nothing is wrong."""
+LATE_S, LATE_PERIODS = 0.25, 2.0
+"""s, frame periods; a frame read later than their sum after its middle is late. Chosen: below
+clock.SLOW_S, from which on late packets could be taken for those of a slow device."""
+CATCH_UP_S = 1.0
+"""s for which a driver that was held up may catch up without losing anything; chosen."""
 _log = logging.getLogger(__name__)
 
 
@@ -278,6 +282,33 @@ class Driver:
                 self._on_problem(problem)
             except Exception:  # what is told of a fault must not be the end of the thread
                 _log.exception("whoever is to hear of problems failed")
+
+
+class Backlog:
+    """Tells a driver that is too slow from one that was held up for a moment.
+
+    If bytes wait at every look for CATCH_UP_S, and the frames in them are late, the driver does not
+    catch up by reading alone.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        """period_s: of the frames."""
+        self._late_s = LATE_S + LATE_PERIODS * period_s
+        self._since_s = math.inf
+
+    def observe(self, waiting_bytes: int, age_s: float, now_s: float) -> bool:
+        """Note a look at the port; returns whether to discard what waits there.
+
+        age_s: of the newest frame when it was read.
+        """
+        if not waiting_bytes or age_s <= self._late_s:
+            self._since_s = math.inf
+            return False
+        self._since_s = min(self._since_s, now_s)
+        if now_s - self._since_s < CATCH_UP_S:
+            return False
+        self._since_s = math.inf
+        return True
 
 
 def _tell_of_sensors(port: Port, config: SkinConfig) -> None:

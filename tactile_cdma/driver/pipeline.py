@@ -162,8 +162,7 @@ class Pipeline:
         """Adopt what may change while the stream goes on from another configuration."""
         before, self.config = self.config, config
         self.taxels.stale_after_s = config.stale_after_s
-        if self.taxels.chain.tracker is not None:
-            self.taxels.chain.tracker.rules = config.rest
+        self.taxels.chain.tracker.rules = config.rest
         self.taxels.refresh()
         if config.calibration is not before.calibration:
             self.taxels.calibrate(config.calibration)

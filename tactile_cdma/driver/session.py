@@ -22,9 +22,8 @@ from ..wire.messages import (
     Stop,
 )
 from ..wire.packets import PacketWriter, diagnose
-from .digitizer import DigitizerState
+from .digitizer import DigitizerState, quiet_uv
 from .pipeline import Pipeline
-from .quiet_limit import quiet_uv
 
 PATIENCE_S = 1.0
 """s without a frame, or 3 frame periods if that is longer, until the digitizer is asked again and

@@ -22,7 +22,6 @@ from ..base.sums import dot
 from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
-    LEAST_SHARE,
     LOUDEST_FLOOR,
     usual_amplitude,
 )
@@ -91,15 +90,14 @@ class Line:
 
     def sum_before(self, whole: Indices | Int32s, share: Floats) -> Floats:
         """Sum of so many whole samples and a share of the next one, V."""
-        total: Floats = self.sums[whole] + share * self.volts[whole]
-        return total
+        return self.sums[whole] + share * self.volts[whole]
 
 
 class ChipEdges:
     """The edges of one fit's chips, worked out once for many lines of the same length."""
 
     def __init__(self, fit: Fit, spec: FrameSpec) -> None:
-        self._spec = spec
+        self.fit, self._spec = fit, spec
         self._edges: Floats = fit.start + fit.chip * np.arange(spec.span_chips + 1.0)
         self._places = spec.places.astype(np.int32)
         self._size = 0  # samples of the lines for which the rest is known
@@ -185,6 +183,16 @@ class WordFit:
         one = slice(candidate, candidate + 1)
         return WordFit(*(getattr(self, item.name)[one] for item in fields(self)))
 
+    def signs(self, spec: FrameSpec) -> Floats32:
+        """What nodes say: (c, k, n) float32, ±1, 0 where silent."""
+        return np.sign(self.rows[..., spec.node_slice]) * (self.amplitude > 0)[:, None]
+
+    def chips(self, spec: FrameSpec) -> Floats32:
+        """The chips of these words, without the pedestal: (c, k, N) float32, V."""
+        symbols = np.zeros_like(self.rows)
+        symbols[..., spec.node_slice] = self.signs(spec) * self.amplitude[:, None]
+        return chips_of(symbols, spec)
+
     def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
 
@@ -230,24 +238,18 @@ class WordFit:
             is_little = spread < LIMITS.clear_spread
             is_little &= left < noise + LIMITS.carried_misfit * power
             least = float(np.square(self.amplitude[self.amplitude > 0]).min(initial=even_power))
-        return is_little and self._most_left(spec) * spec.order < 2 * LIMITS.chips * least
-
-    def _most_left(self, spec: FrameSpec) -> float:
-        """What the bit that leaves the most leaves more than the others, V²."""
-        rows, amplitude = self.rows[0], self.amplitude[0]
+        rows = self.rows[0]
         meant = rows if spec.first_row == 0 else rows[:, 1:]
-        left: Floats32 = np.einsum("kr,kr->k", meant, meant)
-        left -= 2 * np.abs(rows[:, spec.node_slice]) @ amplitude
-        most = float(left.max())
-        return most - (float(left.sum()) - most) / (len(left) - 1)
+        of_bits: Floats32 = np.einsum("kr,kr->k", meant, meant)
+        of_bits -= 2 * np.abs(rows[:, spec.node_slice]) @ self.amplitude[0]
+        most = float(of_bits.max())  # what the bit that leaves the most leaves, V²
+        more = most - (float(of_bits.sum()) - most) / (len(of_bits) - 1)
+        return is_little and more * spec.order < 2 * LIMITS.chips * least
 
     def _explained(self, odd: int, stricter: float, spec: FrameSpec, noise: float) -> bool:
         """As believable, without the given number of most uneven words and with stricter limits."""
-        power, misfit, spread = (
-            max(self.power.item(), 1e-30),
-            self.misfit.item(),
-            self.spread.item(),
-        )
+        power, misfit = max(self.power.item(), 1e-30), self.misfit.item()
+        spread = self.spread.item()
         limit, active = LIMITS.spread / stricter, int(np.count_nonzero(self.amplitude))
         even_power = power - self.pedestal.item() ** 2
         if odd:
@@ -328,19 +330,9 @@ def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
     return floor
 
 
-def least_power(spec: FrameSpec) -> float:
-    """Power below which there is no node, V²; 0 where the amplitude is unknown."""
-    return lowest_power(spec.node_swing_v or 0.0)
-
-
-def silent_power(spec: FrameSpec) -> float:
-    """Power below which no row holds what would be asked about, V²; 0 as above."""
-    return (LEAST_SHARE * (spec.node_swing_v or 0.0)) ** 2
-
-
-def lowest_power(swing_v: float) -> float:
-    """The same for nodes of this amplitude, V."""
-    return (FAINT_SHARE * swing_v) ** 2
+def least_power(swing_v: float | None) -> float:
+    """Power below which there is no node of this amplitude, V²; 0 where that is unknown."""
+    return (FAINT_SHARE * (swing_v or 0.0)) ** 2
 
 
 @stage
@@ -413,12 +405,9 @@ def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest:
     start, chip = fit.start, fit.chip
     steps = np.arange(spec.chips + 1.0)
     levels = np.zeros(spec.chips + 2)  # the gap on either side
-    symbols = np.zeros((spec.line_bits, spec.order), dtype=np.float32)
-    nodes = spec.node_slice
     for share in REACHES:
         words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        symbols[:, nodes] = np.sign(words.rows[0, :, nodes]) * words.amplitude[0]
-        levels[1:-1] = chips_of(symbols, spec).ravel() + words.pedestal[0]
+        levels[1:-1] = words.chips(spec).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
         left, right = line.integral(np.stack((edges - reach, edges + reach)))

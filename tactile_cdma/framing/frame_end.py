@@ -3,7 +3,7 @@
 """Tells by what follows a frame whether it has the length that was fitted."""
 
 import math
-from enum import IntEnum
+from enum import Enum
 
 import numpy as np
 
@@ -15,16 +15,14 @@ from .fit import Fit, Line
 from .limits import LIMITS
 
 
-class End(IntEnum):
+class End(Enum):
     """What follows a frame.
 
     OTHER: chips, so it is another frame. MISLED: chips of a few nodes that are late, and whose
     words may appear as those of silent nodes. SILENCE: rest, or chips of late nodes that spoke.
     """
 
-    OTHER = 0
-    MISLED = 1
-    SILENCE = 2
+    OTHER, MISLED, SILENCE = range(3)
 
 
 def tail_of(fit: Fit, spec: FrameSpec) -> tuple[int, int]:
@@ -78,7 +76,11 @@ class FrameEnds:
             return End.OTHER
         rest = (LIMITS.rest * least) ** 2 + most
         if left >= rest and spec.first_row > 0 and spec.drive == BIPOLAR:
-            tail = line.volts[begin:stop] - self._baseline(line, fit, 0.5 * (begin + stop))
+            # Without the level under the words (hum, for example), which the last bits' means tell.
+            last_bit, bit = fit.end(spec), spec.order * fit.chip
+            before, last = line.means(last_bit + bit * np.arange(-2.0, 1.0))
+            bits_on = (0.5 * (begin + stop) - last_bit) / bit + 0.5
+            tail = line.volts[begin:stop] - float(last + (last - before) * bits_on)
             left = min(left, dot(tail, tail) / tail.size)
         if left < rest:
             self.silent += 1
@@ -92,9 +94,3 @@ class FrameEnds:
         if not few:
             return End.OTHER
         return End.SILENCE if quiet <= late else End.MISLED
-
-    def _baseline(self, line: Line, fit: Fit, at: float) -> float:
-        """The level under the words (hum, for example), extrapolated from the last bits' means."""
-        end, bit = fit.end(self._spec), self._spec.order * fit.chip
-        before, last = line.means(end + bit * np.arange(-2.0, 1.0))
-        return float(last + (last - before) * ((at - end) / bit + 0.5))

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from ..base.arrays import Bools, Floats, Floats32
 from ..base.stage import stage
 from ..base.sums import in_order
 from ..code.frame import FrameSpec
-from ..code.transform import chips_of
 from .fit import Fit, Line, WordFit, integrate, read_words, refine
 from .limits import LIMITS
 from .raster import Expected
@@ -41,15 +40,14 @@ class Judgement:
     unaided: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Votes:
+class Votes(NamedTuple):
     """How chips vote. distortion: δ, V. variance: σ², V²."""
 
     distortion: float
     variance: float
 
     def most(self, chips: int) -> float:
-        """The highest cost of the true frame: noise, and few disturbed chips.
+        """The highest cost of the true frame of so many chips: noise, and few that are disturbed.
 
         A vote of normal noise is (1 + d²)·Q(d) − d·φ(d) in the mean, for a distortion of d
         deviations, and its variance is about the same; five deviations of their sum are allowed.
@@ -60,12 +58,9 @@ class Votes:
         return usual + 5 * math.sqrt(usual) + LIMITS.disturbed * chips * LIMITS.vote
 
 
-@dataclass(frozen=True, slots=True)
-class Weighed:
-    """What the chips say of c candidates.
+class Weighed(NamedTuple):
+    """What c candidates' whole chips say: words; cost: (c,) negative log-likelihood.
 
-    words: of their whole chips.
-    cost: (c,) negative log-likelihood.
     votes: how the chips voted. chips: of the longest view.
     """
 
@@ -96,10 +91,8 @@ def weigh(
     levels = line.means(start[:, None] + chip[:, None] * place)
     own = np.arange(start.size)[:, None], lead[:, None] + spec.places
     words = read_words(levels[own].reshape(-1, spec.line_bits, spec.order), spec)
-    symbols = np.zeros_like(words.rows)
-    symbols[..., spec.node_slice] = spoken_of(words, spec) * words.amplitude[:, None]
     model = np.zeros_like(levels)
-    model[own] = chips_of(symbols, spec).reshape(start.size, -1) + words.pedestal[:, None]
+    model[own] = words.chips(spec).reshape(start.size, -1) + words.pedestal[:, None]
     seen = np.arange(levels.shape[1]) < count[:, None]
     # A chip counts by its duration, relative to the others'; beyond its view not at all.
     weight = seen * (chip / chip.mean())[:, None]
@@ -126,14 +119,16 @@ def _votes_of(levels: Floats32, off: Floats32, noise: float) -> Votes:
     return Votes(distortion, max(noise, left**2, (0.5 * distortion) ** 2, 1e-30))
 
 
-def spoken_of(words: WordFit, spec: FrameSpec) -> Floats32:
-    """What nodes say by these words: (c, k, n) float32, ±1, 0 where silent."""
-    spoken: Floats32 = np.sign(words.rows[..., spec.node_slice]) * (words.amplitude > 0)[:, None]
-    return spoken
-
-
-class Judge:
-    """Weighs frames of one specification against each other.
+def choose(
+    line: Line,
+    start: Floats,
+    chip: Floats,
+    spec: FrameSpec,
+    noise: float,
+    unlikely: Floats | float = 0.0,
+    expected: Expected | None = None,
+) -> Judgement:
+    """The most likely frame of candidates.
 
     Each is a hypothesis: a start, a chip duration, and the words that follow from them. Its cost is
     its negative log-likelihood,
@@ -145,68 +140,57 @@ class Judge:
     that no single disturbed chip decides. With what is likely before looking the costs give each
     frame's probability, and for every node the probability of all frames that give it another word
     or silence.
+
+    start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V².
+    unlikely: (c,) negative log-probability of each before looking, which the waveform itself gives;
+    expected: and where frames are expected.
     """
+    if start.size == 1:
+        words = read_words(integrate(line, start, chip, spec), spec)
+        return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
+    view = float(start.min()), float((start + spec.span_chips * chip).max())
+    seen = weigh(line, start, chip, view, spec, noise)
+    cost = unaided = _refined_close(line, start, chip, view, spec, seen) + unlikely
+    if expected is not None:
+        cost = unaided - expected.log_prior(start)
+    chosen, limit = int(cost.argmin()), LIMITS.doubt
+    understood = bool(unaided[chosen] < seen.votes.most(seen.chips))
+    decided = understood and _other(cost, chosen) < limit
+    sure = understood and _other(unaided, chosen) < limit
+    doubtful = None
+    if not decided:
+        level, spoken = seen.words.amplitude, seen.words.signs(spec)
+        unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
+        unlike |= (spoken != spoken[chosen]).any(axis=1)
+        odds = np.exp(cost[chosen] - cost)
+        doubtful = ((odds / odds.sum()) @ unlike >= limit) | (not understood)
+    best = Fit(float(start[chosen]), float(chip[chosen]))
+    return Judgement(best, seen.words.of(chosen), doubtful, decided, sure)
 
-    def __init__(self, spec: FrameSpec) -> None:
-        self._spec = spec
 
-    def choose(
-        self,
-        line: Line,
-        start: Floats,
-        chip: Floats,
-        noise: float,
-        unlikely: Floats | float = 0.0,
-        expected: Expected | None = None,
-    ) -> Judgement:
-        """The most likely frame of candidates.
+def _refined_close(
+    line: Line,
+    start: Floats,
+    chip: Floats,
+    view: tuple[float, float],
+    spec: FrameSpec,
+    seen: Weighed,
+) -> Floats:
+    """The costs; of candidates nearly ruled out, those that their own best timing has.
 
-        start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V².
-        unlikely: (c,) negative log-probability of each before looking, which the waveform itself
-        gives; expected: and where frames are expected.
-        """
-        if start.size == 1:
-            words = read_words(integrate(line, start, chip, self._spec), self._spec)
-            return Judgement(Fit(start.item(), chip.item()), words, None, True, True)
-        view = float(start.min()), float((start + self._spec.span_chips * chip).max())
-        seen = weigh(line, start, chip, view, self._spec, noise)
-        cost = unaided = self._refined_close(line, start, chip, view, seen) + unlikely
-        if expected is not None:
-            cost = unaided - expected.log_prior(start)
-        chosen, limit = int(cost.argmin()), LIMITS.doubt
-        understood = bool(unaided[chosen] < seen.votes.most(seen.chips))
-        decided = understood and _other(cost, chosen) < limit
-        sure = understood and _other(unaided, chosen) < limit
-        doubtful = None
-        if not decided:
-            level, spoken = seen.words.amplitude, spoken_of(seen.words, self._spec)
-            unlike = np.abs(level - level[chosen]) > LIMITS.alike * np.maximum(level, level[chosen])
-            unlike |= (spoken != spoken[chosen]).any(axis=1)
-            odds = np.exp(cost[chosen] - cost)
-            doubtful = ((odds / odds.sum()) @ unlike >= limit) | (not understood)
-        best = Fit(float(start[chosen]), float(chip[chosen]))
-        return Judgement(best, seen.words.of(chosen), doubtful, decided, sure)
-
-    def _refined_close(
-        self, line: Line, start: Floats, chip: Floats, view: tuple[float, float], seen: Weighed
-    ) -> Floats:
-        """The costs; of candidates nearly ruled out, those that their own best timing has.
-
-        The chips' edges were fitted to one frame's words; behind a low-pass others suit others.
-        """
-        cost = seen.cost
-        least = float(cost.min())
-        for number in np.flatnonzero(cost < least + LIMITS.close).tolist():
-            if cost[number] == least:
-                continue
-            there = Fit(float(start[number]), float(chip[number]))
-            own = refine(line, there, self._spec)
-            end_moved = abs(own.end(self._spec) - there.end(self._spec))
-            if max(abs(own.start - there.start), end_moved) < LIMITS.in_place * there.chip:
-                one = np.array([own.start]), np.array([own.chip])
-                alone = weigh(line, *one, view, self._spec, 0.0, votes=seen.votes)
-                cost[number] = min(cost[number], alone.cost.item())
-        return cost
+    The chips' edges were fitted to one frame's words; behind a low-pass others suit others.
+    """
+    cost = seen.cost
+    least = float(cost.min())
+    for number in np.flatnonzero((cost < least + LIMITS.close) & (cost != least)).tolist():
+        there = Fit(float(start[number]), float(chip[number]))
+        own = refine(line, there, spec)
+        end_moved = abs(own.end(spec) - there.end(spec))
+        if max(abs(own.start - there.start), end_moved) < LIMITS.in_place * there.chip:
+            one = np.array([own.start]), np.array([own.chip])
+            alone = weigh(line, *one, view, spec, 0.0, votes=seen.votes)
+            cost[number] = min(cost[number], alone.cost.item())
+    return cost
 
 
 def _other(cost: Floats, chosen: int) -> float:

@@ -4,7 +4,6 @@
 
 import logging
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,9 +24,16 @@ from .fit import (
     refine,
 )
 from .frame_end import End, FrameEnds
-from .judge import Judge
+from .judge import choose
 from .limits import LIMITS
-from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from .marked_timing import (
+    CarriedTiming,
+    MarkedFrame,
+    MarkedLine,
+    MarkedTiming,
+    Recogniser,
+    Verdict,
+)
 from .shifted import is_shifted, may_be_shifted
 from .timing import MISFIT, NOISY, NOT_AT_REST, Rails
 
@@ -57,26 +63,12 @@ class LineTiming(MarkedTiming):
         super().__init__(line, LineRecogniser(line))
 
 
-@dataclass(slots=True)
-class _Carried:
-    """Timing of an earlier frame, and how often it was reused since."""
-
-    fit: Fit
-    edges: ChipEdges
-    uses: int = 0
-
-    @property
-    def fresh(self) -> bool:
-        """Whether it may be reused once more."""
-        return self.uses < CARRIED_FRAMES
-
-
-class LineRecogniser:
-    """A Recogniser that takes all nodes to keep time together.
+class LineRecogniser(Recogniser):
+    """Takes all nodes to keep time together.
 
     At one sample per chip the digitizer integrates whole chips, and these are the frame. Raw
     samples are a frame of the timing before, as long as that leaves no more than noise. Else
-    others are proposed, and the Judge chooses: the timing before, refined on the frame's own
+    others are proposed, and the judge chooses: the timing before, refined on the frame's own
     edges; then, of the stretches that end where the line falls silent and of all up to 11 %, those
     that explain the most energy. These take the samples that such a frame would have, and are left
     out once a frame is accepted: another chip duration would have its edges elsewhere. Frames with
@@ -85,11 +77,11 @@ class LineRecogniser:
     """
 
     def __init__(self, line: MarkedLine) -> None:
-        """line: shared with the stream, which keeps its level and noise at rest up to date."""
-        self._line, self._spec = line, line.spec
-        self._judge, self._ends = Judge(self._spec), FrameEnds(self._spec)
+        super().__init__(line)
+        self._ends = FrameEnds(self._spec)
         self._nominal = ChipEdges(line.nominal, self._spec)
-        self._carried: _Carried | None = None
+        self._carried: ChipEdges | None = None  # of an earlier frame
+        self._uses = 0  # how often they may still be reused
         self._budget = float(LARGEST_SEARCH)  # chips that may be searched
 
     def open(self, start: int, called: bool, since: int | None) -> int:
@@ -111,8 +103,7 @@ class LineRecogniser:
         earned = frame.opened * SEARCH_PER_S * self._spec.frame_period_s
         self._budget = min(self._budget + earned, LARGEST_SEARCH)
         self._ends.silent += frame.ended
-        if self._carried is not None:
-            self._carried.uses += frame.carried
+        self._uses -= frame.carried
 
     def forget(self) -> None:
         """See Recogniser."""
@@ -121,10 +112,7 @@ class LineRecogniser:
     @property
     def carried(self) -> CarriedTiming:
         """See Recogniser."""
-        carried = self._carried
-        if carried is None:
-            return CarriedTiming(self._due)
-        return CarriedTiming(self._due, carried.fit, carried.edges, CARRIED_FRAMES - carried.uses)
+        return CarriedTiming(self._due, self._carried, self._uses if self._carried else 0)
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser."""
@@ -157,15 +145,15 @@ class LineRecogniser:
     def _by_carried(self, frame: MarkedFrame, line: Line) -> Verdict | None:
         """The frame by an earlier frame's timing, if that explains the samples."""
         carried = self._carried
-        if carried is None or not carried.fresh:
+        if carried is None or self._uses <= 0:
             return None
-        carried.uses += 1
-        chips = carried.edges.chips(line)
+        self._uses -= 1
+        chips = carried.chips(line)
         words = read_words(chips[None], self._spec)
         if not (self._is_explained(words) and self._is_kept(frame, words)):
             return None
         doubtful = self._doubtful(chips, words, True)
-        return self._ended(frame, line, carried.fit, words.rows[0], words.amplitude[0], doubtful)
+        return self._ended(frame, line, carried.fit, words, doubtful)
 
     def _doubtful(self, chips: Floats32, words: WordFit, is_clear: bool) -> Bools | None:
         """All nodes, where their words may be those of a frame that is some chips off.
@@ -196,7 +184,8 @@ class LineRecogniser:
     def _proposed(self, frame: MarkedFrame, line: Line) -> Verdict:
         """The likeliest of the frames that are proposed, or silence."""
         spec, size = self._spec, line.volts.size
-        power = self._chip_power(line)
+        chips = self._nominal.chips(line)  # at nominal timing, without an unknown offset
+        power = float(chips.var() if spec.first_row > 0 else np.square(chips).mean())
         if power <= self._line.least_power:
             return self._faint(frame, line, power)
         fits = [self._usual(line)]
@@ -215,9 +204,10 @@ class LineRecogniser:
             for proposer in (self._by_loud_end, self._all_stretches):
                 if verdict.rejected is None:
                     fits.clear()  # faint words explain noise better than those of a few nodes
-                chips = proposer(line)
-                if chips.size:
-                    fits.append(self._refined(line, self._strongest(line, chips)))
+                chip = proposer(line)
+                if chip.size:
+                    best = np.argmax(self._gains(line, chip, spec.line_bits))
+                    fits.append(self._refined(line, float(chip[best])))
                     verdict = self._chosen(frame, line, fits)
                     if verdict.over or verdict.due:
                         return verdict
@@ -231,7 +221,7 @@ class LineRecogniser:
         carried = self._carried
         if not self._spec.resync_chips:
             return self._refined(line, carried.fit.chip if carried else self._line.chip)
-        if carried and carried.fresh:
+        if carried and self._uses > 0:
             return carried.fit
         nominal = self._line.nominal
         start = nominal.start + np.arange(0, 1, RESTART_STEP) * nominal.chip
@@ -247,27 +237,27 @@ class LineRecogniser:
         """
         spec, start = self._spec, np.array([fit.start for fit in fits])
         chip = np.array([fit.chip for fit in fits])
-        found = self._judge.choose(line, start, chip, self._line.noise)
-        words = even_words(line, found.fit, self._spec, found.words)
+        found = choose(line, start, chip, spec, self._line.noise)
+        words = even_words(line, found.fit, spec, found.words)
         if self._line.is_silent(words.amplitude[0]):
             return Verdict(rejected=MISFIT if self._is_astray(words) else None)
-        if not words.believable(self._spec, self._line.noise):
+        if not words.believable(spec, self._line.noise):
             return Verdict(rejected=MISFIT)
-        rows, amplitude, doubtful = words.rows[0], words.amplitude[0], found.doubtful
+        doubtful = found.doubtful
         if doubtful is None:
             start, chip = np.array([found.fit.start]), np.array([found.fit.chip])
-            chips = integrate(line, start, chip, self._spec)[0]
+            chips = integrate(line, start, chip, spec)[0]
             doubtful = self._doubtful(chips, found.words, self._is_explained(words))
         if not self._is_kept(frame, found.words):
             doubtful = np.ones(spec.nodes, bool)
-        ended = self._ended(frame, line, found.fit, rows, amplitude, doubtful)
+        ended = self._ended(frame, line, found.fit, words, doubtful)
         if ended is None:
             return Verdict(rejected=NOT_AT_REST)
         carried = self._carried
         if ended.frame and carried is None:
             _log.debug("frame at %d has chips of %.6g samples", frame.start, found.fit.chip)
-        if ended.frame and not (carried and carried.fresh and carried.fit == found.fit):
-            self._carried = _Carried(found.fit, ChipEdges(found.fit, self._spec))
+        if ended.frame and not (carried and self._uses > 0 and carried.fit == found.fit):
+            self._carried, self._uses = ChipEdges(found.fit, spec), CARRIED_FRAMES
         return ended
 
     def _is_astray(self, words: WordFit) -> bool:
@@ -281,32 +271,24 @@ class LineRecogniser:
         """A frame of no word that is loud enough, from the power of its chips, V²."""
         levels = None
         if power > self._line.silent_power:
-            edges = self._carried.edges if self._carried else self._nominal
+            edges = self._carried or self._nominal
             levels = node_levels(rows_of(edges.chips(line), self._spec), self._spec)
         return self._line.silent(frame, power * self._line.chip, levels)
 
     def _ended(
-        self,
-        frame: MarkedFrame,
-        line: Line,
-        fit: Fit,
-        rows: Floats32,
-        amplitude: Floats32,
-        doubtful: Bools | None = None,
+        self, frame: MarkedFrame, line: Line, fit: Fit, words: WordFit, doubtful: Bools | None
     ) -> Verdict | None:
         """The frame of a fit, if the line is at rest after it; see FrameEnds.
 
-        Or a request for the samples that show it, if they may still come. rows: (k, N) V, all
-        correlations. amplitude: (n,) V, of every node's word, 0 where silent. doubtful: see
-        Judgement.
+        Or a request for the samples that show it, if they may still come.
         """
         missing = fit.end(self._spec) + TAIL_CHIPS * fit.chip - frame.volts.size
         if missing > 0.5 and not frame.final:
             return Verdict(due=frame.start + frame.volts.size + math.ceil(missing))
-        levels = node_levels(rows, self._spec)
+        levels = node_levels(words.rows[0], self._spec)
         known = self._line.level_known  # a level that is not known yet has no noise either
         noise = self._line.noise if known else levels.noise_v**2 * self._spec.order
-        end = self._ends.observe(line, fit, amplitude, noise, known)
+        end = self._ends.observe(line, fit, words.amplitude[0], noise, known)
         if end == End.OTHER:
             return None
         if end == End.MISLED:
@@ -349,10 +331,6 @@ class LineRecogniser:
             self._budget -= chip.size * spec.chips
         return chip
 
-    def _strongest(self, line: Line, chip: Floats) -> float:
-        """The chip duration that explains the most energy."""
-        return float(chip[np.argmax(self._gains(line, chip, self._spec.line_bits))])
-
     def _gains(self, line: Line, chip: Floats, bits: int) -> Floats:
         """The energy that words of constant amplitude explain of the first bits, (c,).
 
@@ -366,8 +344,3 @@ class LineRecogniser:
             level = np.abs(correlate(flipped, spec.book)[..., spec.node_slice]).sum(axis=1)
             gains.append(np.einsum("cn,cn->c", level, level) * some)
         return np.concatenate(gains)
-
-    def _chip_power(self, line: Line) -> float:
-        """Mean power of the chips at nominal timing, V², without an unknown offset."""
-        chips = self._nominal.chips(line)
-        return float(chips.var() if self._spec.first_row > 0 else np.square(chips).mean())

@@ -7,17 +7,17 @@ What a marked frame says is left to a Recogniser: `line_timing` has the one for 
 """
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
 from ..base.sums import sums
-from ..code.amplitude import MOVED_SHARE, SILENT_RHO, rises
+from ..code.amplitude import LEAST_SHARE, MOVED_SHARE, SILENT_RHO, rises
 from ..code.frame import BIPOLAR, UNIPOLAR, FrameSpec
 from ..code.separate import NodeLevels
-from .fit import ChipEdges, Fit, least_power, lowest_power, silent_power
+from .fit import ChipEdges, Fit, least_power
 from .limits import LIMITS
 from .timing import (
     ABSURD,
@@ -80,36 +80,13 @@ class Verdict(NamedTuple):
 class CarriedTiming(NamedTuple):
     """The timing that the next frames are tried with, where they need not be asked about.
 
-    due: samples from the mark on until a frame can be decided. fit: of an earlier frame; None where
-    there is none. edges: its chips. uses: frames that may be read by it.
+    due: samples from the mark on until a frame can be decided. edges: of an earlier frame's chips;
+    None where there is none. uses: frames that may be read by it.
     """
 
     due: int
-    fit: Fit | None = None
     edges: ChipEdges | None = None
     uses: int = 0
-
-
-class Recogniser(Protocol):
-    """Decodes marked frames, one after the other."""
-
-    def open(self, start: int, called: bool, since: int | None) -> int:
-        """Prepare for the frame marked at a stream index; returns the samples needed to decide.
-
-        called: the frame belongs to a roll call. since: samples from the mark before to this one,
-        None after a hole in the stream. Need not be called while there is a carried timing, for
-        frames that are not called.
-        """
-
-    def recognise(self, frame: MarkedFrame) -> Verdict:
-        """Decode a frame, reject it, or ask for more samples."""
-
-    def forget(self) -> None:
-        """Drop timing carried over from earlier frames, since a frame was rejected."""
-
-    @property
-    def carried(self) -> CarriedTiming | None:
-        """By which the next frames may be decided; None where each has to be asked about."""
 
 
 class MarkedLine:
@@ -118,6 +95,8 @@ class MarkedLine:
     chip: nominal chip duration, samples. integrated: one sample is the mean of one chip, and gaps
     and guards have no samples. nominal: timing of an unstretched frame, relative to its mark.
     size: samples of an unstretched frame.
+    least_power: below which there is no node, V². silent_power: below which no row holds what would
+    be asked about, V². Both are 0 where the amplitude is unknown.
     noise_share: share of the noise that, with silent_power, no frame exceeds in which none speaks.
     most_noise: of that no more, V²: noise may end as a node begins.
     level_v: of the line at rest, V; the last frame's mean until a gap has shown it (level_known).
@@ -137,7 +116,8 @@ class MarkedLine:
         self.nominal = Fit(-0.5, self.chip)  # sample i stands for i − ½ … i + ½
         length = spec.chips if self.integrated else spec.span_chips
         self.size = math.ceil(length * self.chip - 0.5)
-        self.least_power, self.silent_power = least_power(spec), silent_power(spec)
+        self.least_power = least_power(spec.node_swing_v)
+        self.silent_power = (LEAST_SHARE * (spec.node_swing_v or 0.0)) ** 2
         self.noise_share = self.most_noise = 0.0
         # All rows but the first have as many +1 as −1: without it a frame's mean is the offset. So
         # it is, nearly, where rows are scrambled: off by √(n/kN)·A, of which a row shows a √N-th.
@@ -170,13 +150,9 @@ class MarkedLine:
         """Learn level and noise from mean and variance of the samples of a gap."""
         newest = variance_v2 / self.chip
         if self.level_known:
-            newest = min(newest, LIMITS.rise * self.noise + lowest_power(1e-3))
+            newest = min(newest, LIMITS.rise * self.noise + least_power(1e-3))
         self.noise += (GAP_WEIGHT if self.level_known else 1.0) * (newest - self.noise)
         self.level_v, self.level_known = mean_v, True
-
-    def clipped(self, volts: Floats) -> float:
-        """Share of samples at a rail."""
-        return share_clipped(volts, self.rails_v)
 
     def gate(self, frame: MarkedFrame) -> Verdict | None:
         """Decide a frame that is cut short, has absurd samples or too little power for any node."""
@@ -214,7 +190,8 @@ class MarkedLine:
         power: mean power of its samples, V², all of it noise. levels: of the nodes, which hold
         words that are too faint, or noise; None where the power excludes these.
         """
-        clipped, noise_v = self.clipped(frame.volts[: self.size]), math.sqrt(power / self.chip)
+        clipped = share_clipped(frame.volts[: self.size], self.rails_v)
+        noise_v = math.sqrt(power / self.chip)
         if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
             return Verdict(over=frame.start + frame.volts.size, rejected=reason)
         if self.spec.scramble and power > self.most_silent_power:
@@ -270,7 +247,7 @@ class MarkedLine:
         self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, doubtful: Bools | None = None
     ) -> Verdict:
         """A frame in which nodes spoke; rejected where too many of its samples are at a rail."""
-        clipped = self.clipped(frame.volts[: round(fit.end(self.spec) + 0.5)])
+        clipped = share_clipped(frame.volts[: round(fit.end(self.spec) + 0.5)], self.rails_v)
         if clipped > LIMITS.clipped:
             return Verdict(over=frame.start + frame.volts.size, rejected=AT_RAIL)
         if clipped > LIMITS.deafened:
@@ -295,6 +272,35 @@ class MarkedLine:
     def over(self, fit: Fit) -> int:
         """Samples from the mark on until the line is at rest after a frame."""
         return math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
+
+
+class Recogniser:
+    """Decodes marked frames, one after the other; by itself, of a fixed size and timing."""
+
+    def __init__(self, line: MarkedLine) -> None:
+        """line: shared with the stream, which keeps its level and noise at rest up to date."""
+        self._line, self._spec = line, line.spec
+
+    def open(self, start: int, called: bool, since: int | None) -> int:
+        """Prepare for the frame marked at a stream index; returns the samples needed to decide.
+
+        called: the frame belongs to a roll call. since: samples from the mark before to this one,
+        None after a hole in the stream. Need not be called while there is a carried timing, for
+        frames that are not called.
+        """
+        return self._line.size
+
+    def recognise(self, frame: MarkedFrame) -> Verdict:
+        """Decode a frame, reject it, or ask for more samples."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Drop timing carried over from earlier frames, since a frame was rejected."""
+
+    @property
+    def carried(self) -> CarriedTiming | None:
+        """By which the next frames may be decided; None where each has to be asked about."""
+        return CarriedTiming(self._line.size)
 
 
 class MarkedTiming(Timing):

@@ -31,9 +31,10 @@ NARROWEST = 0.05
 
 @stage
 class Expected:
-    """Where the next frame is likely to start, samples.
+    """Where the next frame is likely to start, and its standard deviation, samples.
 
-    chip: of the last frame. change: how much it differs from the one before, samples.
+    chip: of the last frame. change: how much it differs from the one before, samples. slips: share
+    of frames that are off the raster.
     """
 
     start: float
@@ -57,8 +58,7 @@ class Expected:
         narrow = np.exp(off * (-0.5 / width**2)) * (
             (1 - self.slips) / (math.sqrt(2 * np.pi) * width)
         )
-        density: Floats = np.log(wide + narrow)
-        return density
+        return np.log(wide + narrow)
 
 
 class Raster:
@@ -102,8 +102,11 @@ class Raster:
         if self._anchor is not None:
             slots = self._slots(fit.start)
             if slots == 1 and unaided:
-                off = fit.start - (self._anchor.start + self._period)
-                self._count(off / self._anchor.chip)
+                off = (fit.start - (self._anchor.start + self._period)) / self._anchor.chip
+                slipped, fade = abs(off) > ON_RASTER, 1 - 1 / MEMORY
+                self._known = fade * self._known + 1
+                self._slipped = fade * self._slipped + slipped
+                self._square = fade * self._square + (0.0 if slipped else off**2)
             if slots:
                 period = (fit.start - self._anchor.start) / slots
                 if abs(period - self._nominal) < CLOCK_ERROR * period:
@@ -115,10 +118,3 @@ class Raster:
         """Frame periods from the anchor to an index."""
         assert self._anchor is not None
         return round((index - self._anchor.start) / self._period)
-
-    def _count(self, off: float) -> None:
-        """Learn from one distance to the raster, chips."""
-        slipped, fade = abs(off) > ON_RASTER, 1 - 1 / MEMORY
-        self._known = fade * self._known + 1
-        self._slipped = fade * self._slipped + slipped
-        self._square = fade * self._square + (0.0 if slipped else off**2)

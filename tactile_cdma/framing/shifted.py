@@ -63,12 +63,12 @@ def is_shifted(chips: Floats32, words: WordFit, spec: FrameSpec) -> bool:
     weakest = float(words.amplitude[words.amplitude > 0].min(initial=np.inf))
     noise = words.misfit.item() * words.power.item()  # variance of a chip
     least = noise * (chips.size + 2 * AS_WELL) - BETTER * weakest**2
-    signs = _signs(words, spec)
+    signs = words.signs(spec)
     for rows, besides in _rivals(chips, words, spec):
         rival = fit_words(np.ascontiguousarray(rows), spec)
         left = rival.power * rival.misfit * chips.size + besides(rival)
         better = (left < least) & (rival.power > 0)
-        if better.any() and (_signs(rival, spec)[better] != signs).any():
+        if better.any() and (rival.signs(spec)[better] != signs).any():
             return True
     return False
 
@@ -115,8 +115,7 @@ def _rivals(
 def _beside_bit(cut: Floats32, unseen: int, spec: FrameSpec, rival: WordFit) -> Floats32:
     """What is left beside a bit that is a chip off, (k,) V²; unseen: its chip out of view."""
     meant = _meant(rival, np.arange(len(cut)), spec)[:, unseen]
-    beside: Floats32 = cut - np.square(meant)
-    return beside
+    return cut - np.square(meant)
 
 
 def _beside_double(chips: Floats32, rival: WordFit, spec: FrameSpec) -> Floats32:
@@ -143,15 +142,7 @@ def _meant(words: WordFit, bit: Indices, spec: FrameSpec) -> Floats32:
     candidate = np.arange(len(bit))
     rows[:, spec.node_slice] = np.sign(words.rows[candidate, bit, spec.node_slice])
     rows[:, spec.node_slice] *= words.amplitude
-    chips: Floats32 = chips_of(rows, spec) + words.pedestal[:, None]
-    return chips
-
-
-def _signs(words: WordFit, spec: FrameSpec) -> Floats32:
-    """Of every node's bits, (c, k, n); 0 of silent ones."""
-    signs: Floats32 = np.sign(words.rows[..., spec.node_slice])
-    signs *= (words.amplitude > 0)[:, None]
-    return signs
+    return chips_of(rows, spec) + words.pedestal[:, None]
 
 
 def _move(chips: Floats32, shift: int, moved: Floats32) -> None:

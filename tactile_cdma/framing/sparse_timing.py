@@ -16,12 +16,12 @@ import numpy as np
 from ..base.arrays import Bools, Floats, Floats32, Indices
 from ..base.sums import in_order
 from ..code.amplitude import LEAST_SHARE, LOW_MARGIN, SILENT_RHO, most_noise_power, rises
-from ..code.detect import Certificate, Detected, Detector, turn_pairs
+from ..code.detect import Detected, Detector, turn_pairs
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..code.transform import rows_of
 from ..wire._protocol import TURN_MOST_LOG2
-from .marked_timing import CarriedTiming, MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Recogniser, Verdict
 from .timing import Rails, blinding_noise_v
 
 DAMPINGS = (0.0, 0.6, 0.8)
@@ -126,27 +126,27 @@ def groups_for_all(spec: FrameSpec) -> int:
     return 0
 
 
-def certificate(spec: FrameSpec) -> Certificate:
-    """What frames of a specification have to satisfy; see the constants above."""
+def certificate(spec: FrameSpec) -> dict[str, float]:
+    """What frames of a specification have to satisfy: members of the kernel's sparse_rules."""
     swing2, power = (spec.node_swing_v or 0.0) ** 2, most_noise_power(spec.line_bits)
-    return Certificate(
-        capacity=capacity(spec),
-        most_noise=blinding_noise_v(spec) ** 2,
-        more=MORE,
-        tolerance=TOLERANCE,
-        faintest=FAINTEST * (spec.node_swing_v or 0.0),
-        chance=_by_chance(spec.chips),
-        chance_of_bit=_by_chance(spec.order),
-        hiding=swing2 * min(_most_noise_of_words(spec), spec.order / SILENT_RHO**2),
-        weight=WEIGHT,
-        silent_square=spec.line_bits * LEAST_SHARE**2 * swing2,
-        silent_power=spec.line_bits * power,
-        alike=spec.order < ALIKE_BELOW,
-    )
+    return {
+        "capacity": capacity(spec),
+        "most_noise": blinding_noise_v(spec) ** 2,
+        "more": MORE,
+        "tolerance": TOLERANCE,
+        "faintest": FAINTEST * (spec.node_swing_v or 0.0),
+        "chance": _by_chance(spec.chips),
+        "chance_of_bit": _by_chance(spec.order),
+        "hiding": swing2 * min(_most_noise_of_words(spec), spec.order / SILENT_RHO**2),
+        "weight": WEIGHT,
+        "silent_square": spec.line_bits * LEAST_SHARE**2 * swing2,
+        "silent_power": spec.line_bits * power,
+        "alike": spec.order < ALIKE_BELOW,
+    }
 
 
-class SparseRecogniser:
-    """A Recogniser for frames of means of chips.
+class SparseRecogniser(Recogniser):
+    """Reads frames of means of chips.
 
     The kernel reads those that leave nothing to decide, by the same rules: `sparse_read` in
     kernel/sparse.c. The line's noise is what frames leave over, as there is no gap.
@@ -155,27 +155,15 @@ class SparseRecogniser:
     """
 
     def __init__(self, line: MarkedLine) -> None:
+        super().__init__(line)
         self.speakers, self.crowded = 0, False
         self._least = 0.0  # of the noise since it was shown to be more, V²
-        self._line, self._spec = line, line.spec
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
         self._rules = certificate(line.spec)
         self._unlearnt = _Unlearnt(line.spec)
         self.detector = Detector(line.spec, self._rules)
-        line.noise_share, line.most_noise = 1 - self._rules.chance, HIDDEN * self._swing2
+        line.noise_share, line.most_noise = 1 - self._rules["chance"], HIDDEN * self._swing2
         self._products = _products(line.spec)
-
-    def open(self, start: int, called: bool, since: int | None) -> int:
-        """See Recogniser."""
-        return self._line.size
-
-    def forget(self) -> None:
-        """See Recogniser."""
-
-    @property
-    def carried(self) -> CarriedTiming | None:
-        """See Recogniser."""
-        return CarriedTiming(self._line.size)
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser.
@@ -185,58 +173,57 @@ class SparseRecogniser:
         """
         if verdict := self._line.gate(frame):
             return verdict
-        spec = self._spec
+        spec, line = self._spec, self._line
         chips = frame.volts[: spec.chips].astype(np.float32).reshape(spec.line_bits, spec.order)
         found = self.detector.detect(chips)
         explained = self._words_explain(found)
         for damping in DAMPINGS[1:]:
-            if explained or not self._line.noise:
+            if explained or not line.noise:
                 break
             other = self.detector.detect(chips, damping)
             if other.left.mean() < found.left.mean():
                 found, explained = other, self._words_explain(other)
-        if not explained and self._may_be_turned(found):
+        are_few = 1 < np.count_nonzero(found.heard) <= MOST_TURNED
+        if not explained and are_few and line.noise > 0 and self._is_understood(found):
             words = turn_pairs(found, self._products, spec)
             other = self.detector.detect_from(words, chips)
             if other.left.mean() < found.left.mean():
                 found, explained = other, self._words_explain(other)
         late = () if explained else self._late(found)
         doubtful: Bools | None = None
-        if late or not explained or self._hides_words:
+        # The noise of a bit may hide that a word is disturbed, and what it says.
+        hides_words = line.noise > _most_noise_of_words(spec) * self._swing2
+        if late or not explained or hides_words:
             doubtful = np.ones(spec.nodes, np.bool_)
-        elif _hides_nodes(spec, self._line.noise, int(np.count_nonzero(found.heard))):
+        elif _hides_nodes(spec, line.noise, int(np.count_nonzero(found.heard))):
             doubtful = ~found.heard
         noise = in_order(self._noise_of(found).tolist()) / spec.line_bits  # as the kernel
         rows: Floats32 | None = found.rows
         values, spoke = found.rows[:, spec.node_slice], None
         noise_v = math.sqrt(noise / spec.order)
-        understood = self._is_understood(found) and self._line.noise > 0
-        self.crowded = not explained and understood and not self._are_told_apart(found)
+        is_understood = self._is_understood(found)
+        may_crowd = not explained and is_understood and line.noise > 0
+        self.crowded = may_crowd and not self._are_told_apart(found)
         if self._settled(found):
             self.speakers = int(np.count_nonzero(found.heard))
         else:
-            power = float(chips.var(dtype=np.float64)) - self._line.noise
+            power = float(chips.var(dtype=np.float64)) - line.noise
             self.speakers = max(0, round(power / self._swing2))
         if explained:
             self.learn(noise)
-        elif self._is_understood(found) and not late:
-            frames = RELEARNT if self._line.noise else LEARNT
+        elif is_understood and not late:
+            frames = RELEARNT if line.noise else LEARNT
             shown = self._unlearnt.learn(noise, _kurtosis(found.chips), frames)
-            self._line.noise = self._line.noise if shown is None else shown
-        self._line.level_v = found.level_v
+            line.noise = line.noise if shown is None else shown
+        line.level_v = found.level_v
         if doubtful is None and not self._silence_rises(found, noise_v):
             # There is nothing to ask about the silence.
             spoke = np.flatnonzero(found.heard).astype(np.int32)
             values, rows = np.ascontiguousarray(values[:, spoke]), None
         levels = NodeLevels(
-            values,
-            noise_v,
-            rows=rows,
-            late=late,
-            spoke=spoke,
-            understood=self._is_understood(found),
+            values, noise_v, rows=rows, late=late, spoke=spoke, understood=is_understood
         )
-        return self._line.heard(frame, self._line.nominal, levels, doubtful)
+        return line.heard(frame, line.nominal, levels, doubtful)
 
     def learn(self, newest: float) -> None:
         """Learn the noise of a frame that left no more than words and noise do, V².
@@ -244,7 +231,7 @@ class SparseRecogniser:
         It follows such frames, but no further than chance does: what is more may be what words or a
         tone leave. If that was learnt, the next frame might leave as much again, up to a node.
         """
-        noise, rise = self._line.noise, 1 + self._rules.chance
+        noise, rise = self._line.noise, 1 + self._rules["chance"]
         if self.detector.kernel is not None:
             self._line.noise = self.detector.kernel.learn(noise, newest)
         elif not noise:
@@ -264,32 +251,26 @@ class SparseRecogniser:
 
     def _is_understood(self, found: Detected) -> bool:
         """Whether words were found that stay, of no more nodes than the book tells apart."""
-        return self._settled(found) and int(np.count_nonzero(found.heard)) <= self._rules.capacity
+        return (
+            self._settled(found) and int(np.count_nonzero(found.heard)) <= self._rules["capacity"]
+        )
 
     def _settled(self, found: Detected) -> bool:
         """Whether words were found that stay, or none, and leave no noise that hides words."""
-        return found.settled and float(found.left.mean()) < self._rules.most_noise
+        return found.settled and float(found.left.mean()) < self._rules["most_noise"]
 
     def _words_explain(self, found: Detected) -> bool:
         """Whether words were found that leave no more than the line's noise, in any bit."""
         noise, more = self._line.noise, MORE + TOLERANCE**2 * np.count_nonzero(found.heard)
         left = self._noise_of(found)
-        if found.heard.any() and self._loudest(found) < np.float32(self._rules.faintest):
+        own = found.rows[:, self._spec.node_slice][:, found.heard]
+        amplitude = np.abs(own).mean(axis=0, dtype=np.float32)
+        if amplitude.size and amplitude.max() < np.float32(self._rules["faintest"]):
             return False
         for power, chips in ((left.mean(), self._spec.chips), (left.max(), self._spec.order)):
             if not power < noise * (1 + _by_chance(chips)) + more * self._swing2:
                 return False
         return noise > 0 and self._is_understood(found) and self._are_told_apart(found)
-
-    def _loudest(self, found: Detected) -> np.float32:
-        """Amplitude of the loudest word, V."""
-        own = found.rows[:, self._spec.node_slice][:, found.heard]
-        return np.float32(np.abs(own).mean(axis=0, dtype=np.float32).max())
-
-    def _may_be_turned(self, found: Detected) -> bool:
-        """Whether what is left may be that of a few pairs of wrong bits."""
-        are_few = 1 < int(np.count_nonzero(found.heard)) <= MOST_TURNED
-        return are_few and self._line.noise > 0 and self._is_understood(found)
 
     def _are_told_apart(self, found: Detected) -> bool:
         """Whether no other bits of those who spoke would give nearly the same chips.
@@ -303,16 +284,10 @@ class SparseRecogniser:
         least = MORE + _by_chance(self._spec.order) * self._line.noise / self._swing2
         return _told_apart(codes, self._products, least)
 
-    @property
-    def _hides_words(self) -> bool:
-        """Whether the noise of a bit may hide that a word is disturbed, and what it says."""
-        return self._line.noise > _most_noise_of_words(self._spec) * self._swing2
-
     def _noise_of(self, found: Detected) -> Floats:
         """Mean square of the noise of chips, (k,) V²; words have taken their share of it."""
         free = self._spec.chips - int(np.count_nonzero(found.heard)) - 1
-        noise: Floats = found.left * (self._spec.chips / max(free, 1))
-        return noise
+        return found.left * (self._spec.chips / max(free, 1))
 
     def _late(self, found: Detected) -> tuple[int, ...]:
         """Nodes, counted from 0, whose words show in chips that are read that much later."""

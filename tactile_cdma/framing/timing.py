@@ -209,11 +209,6 @@ class Timing:
         self._samples = SampleBuffer()
         self._fresh = True
 
-    @property
-    def rejected(self) -> int:
-        """Number of all rejections."""
-        return self.rejections.total
-
     def reset(self) -> None:
         """Forget the frame in progress, since the stream has a hole."""
         self._fresh = True

@@ -185,24 +185,19 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNo
     """Taxels given one by one; the pitch, m; and the taxels' places in the file."""
     entries = content["taxels"].items("taxels", 1, MOST_TAXELS)
     taxels = [_taxel(value, index, first_row) for index, value in enumerate(entries)]
-    places = [place for place, *_ in taxels]
-    positions_m = np.array([position_mm for _, position_mm, *_ in taxels]) * 1e-3
-    normals = np.array([normal for *_, normal, _ in taxels])
+    places, positions_mm, directions, areas_mm2 = map(list, zip(*taxels, strict=True))
+    positions_m, normals = np.array(positions_mm) * 1e-3, np.array(directions)
     _check_same_place(positions_m, places)
     pitch = _pitch_of_list_m(content, positions_m, normals)
-    areas_m2 = np.array([area_mm2 or math.nan for *_, area_mm2 in taxels]) * 1e-6
+    areas_m2 = np.array(areas_mm2, dtype=np.float64) * 1e-6  # NaN for None
     if (left_out := np.isnan(areas_m2)).any():
-        areas_m2[left_out] = _cell_areas_m2(content, positions_m, normals, pitch)[left_out]
+        pitch_m = math.sqrt(math.prod(across_and_down(pitch)))
+        with content["taxels"].refusing(SpecError):
+            neighbours = table(*around(positions_m, normals, pitch_m), len(positions_m))
+            outlines = cells(positions_m, normals, neighbours, pitch_m)
+        areas_m2[left_out] = polygon_areas_m2(outlines)[left_out]
     flat_m = seen_from_outside(positions_m, normals)
     return Surface.of(flat_m, positions_m, normals, areas_m2), pitch, places
-
-
-def _cell_areas_m2(content: Keys, positions_m: Floats, normals: Floats, pitch: Pitch) -> Floats:
-    """The area of each taxel's Voronoi cell, m²."""
-    pitch_m = math.sqrt(math.prod(across_and_down(pitch)))
-    with content["taxels"].refusing(SpecError):
-        neighbours = table(*around(positions_m, normals, pitch_m), len(positions_m))
-        return polygon_areas_m2(cells(positions_m, normals, neighbours, pitch_m))
 
 
 def _taxel(

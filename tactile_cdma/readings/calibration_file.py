@@ -17,9 +17,9 @@ from typing import Any
 import yaml
 
 from ..base.errors import CalibrationError
-from ..base.listing import listed
 from ..base.marked_yaml import Keys, Marked, read_marked
 from ..base.named_file import naming
+from ..base.text import listed
 from ..base.whole_file import replace_file
 from .calibration import MOST_PA, AdcScale, Calibration, PressureCurve
 

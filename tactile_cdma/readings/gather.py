@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32, Indices
-from ..places.components import connected
+from ..places.adjacency import connected
 from ..places.layout import Layout
 from .status import Status, is_certain
 from .taxels import Coverage, Readings

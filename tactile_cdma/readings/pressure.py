@@ -24,13 +24,7 @@ class PressureChain:
     voltages mean what they say.
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        baseline: Baseline,
-        tracker: DriftTracker | None = None,
-    ) -> None:
-        """Without a tracker drift is not followed."""
+    def __init__(self, calibration: Calibration, baseline: Baseline, tracker: DriftTracker) -> None:
         self.calibration = calibration
         self.baseline = baseline
         self.tracker = tracker
@@ -73,7 +67,7 @@ class PressureChain:
         self._moved = False
         self.looked_s, baseline, tracker = t_s, self.baseline, self.tracker
         baseline.look(voltage_v, pressure_pa, valid)
-        if tracker is not None and tracker.rules.drift_pa_per_min and tracker.is_due(t_s):
+        if tracker.rules.drift_pa_per_min and tracker.is_due(t_s):
             before_v, reading_pa = baseline.drift_v, pressure_pa - baseline.tare_pa
             curves = self.calibration.curves
             tracker.follow(baseline, curves, voltage_v, reading_pa, valid, t_s)
@@ -93,8 +87,7 @@ class PressureChain:
     def forget(self) -> None:
         """Start over: the device's clock was reset."""
         self.baseline.forget()
-        if self.tracker is not None:
-            self.tracker.forget()
+        self.tracker.forget()
         self.unsettle()
 
     def unsettle(self) -> None:
@@ -102,12 +95,10 @@ class PressureChain:
         self.looked_s, self.bounds = -math.inf, self._found_bounds()
 
     def _found_bounds(self) -> Bounds:
-        """By the tracker's lightest contact and a count; without a tracker both are unbounded."""
-        curves, tracker = self.calibration.curves, self.tracker
-        sign, begin_v, end_v = curves.sign, curves.begin_v, curves.end_v
-        if tracker is None:
-            return Bounds(sign, begin_v, np.full_like(end_v, np.inf), end_v)
+        """By the tracker's lightest contact and a count."""
+        curves, adc = self.calibration.curves, self.tracker.adc
         # A code stands for half a count more or less, too, and the last ones for all beyond.
-        last_v = np.float32(tracker.adc.vref_v - tracker.adc.lsb_v)
-        end_v = np.clip(end_v, 0, last_v) + sign * np.float32(tracker.adc.lsb_v / 2)
-        return Bounds(sign, begin_v, curves.pull_v(tracker.rules.contact_pa), end_v)
+        end_v = np.clip(curves.end_v, 0, np.float32(adc.vref_v - adc.lsb_v))
+        end_v += curves.sign * np.float32(adc.lsb_v / 2)
+        margin_v = curves.pull_v(self.tracker.rules.contact_pa)
+        return Bounds(curves.sign, curves.begin_v, margin_v, end_v)

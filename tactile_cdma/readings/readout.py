@@ -22,7 +22,6 @@ from ..code.separate import frame_fields
 from ..words import lateness, limits, tones
 from ..words.decode import nobody
 from ..words.health import NodeHealth
-from ..words.stages import most_square
 from .calibration import Calibration
 from .stages import Bounds, Kept, Trust
 from .status import Status
@@ -123,7 +122,7 @@ def _word_limits(spec: FrameSpec, active_share: float) -> dict[str, float]:
         "hiding_rho": hiding_rho(spec.line_bits, 0 if spec.sparse else spec.order),
         "loud_squares": spec.line_bits * most_noise_power(spec.line_bits),
         "sound_share": limits.SOUND_SHARE,
-        "most_square": most_square(spec.line_bits),
+        "most_square": limits.most_square(spec.line_bits),
         "a_chip": lateness.least_left(spec),
         "few": lateness.FEW,
         "few_share": lateness.few_share(spec),

@@ -37,8 +37,3 @@ def is_in_service(status: NDArray[np.uint8]) -> Bools:
 def is_certain(status: NDArray[np.uint8]) -> Bools:
     """Of the same shape: taxels whose value, if they have one, was heard and has not changed."""
     return np.asarray(status & np.uint8(Status.LOW_SNR) == 0)
-
-
-def is_unheard(status: NDArray[np.uint8]) -> Bools:
-    """Of the same shape: taxels that are UNHEARD."""
-    return np.asarray(status & np.uint8(Status.UNHEARD) == Status.UNHEARD)

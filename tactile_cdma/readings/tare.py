@@ -4,9 +4,9 @@
 
 import numpy as np
 
-from ..base.arrays import Bools, Floats, Floats32
+from ..base.arrays import Bools
 from ..base.errors import Refusal, RestError
-from ..base.listing import listed
+from ..base.text import listed
 from ..places.layout import Layout
 from .baseline import LOOK_S, LOOKS, Baseline
 from .calibration import Curves
@@ -64,24 +64,24 @@ def take_tare(
         above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
         moving = valid & (moved_v > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
-        # Where something moves over the skin, the nodes that it has left need no naming.
-        named = moving & loaded if (moving & loaded).any() else moving
-        # By voltage: a pressure does not move where it is clamped to 0.
-        _refuse(
-            *("moving", Refusal.MOVING, named, 1e3 * moved_v, "mV", above_pa, layout),
-            "wait until nothing moves them",
-        )
+        torn = before_v > curves.pull_v(contact_pa)
         otherwise = ", or, if this is how the skin rests, tare with force: true"
-        remedy = "take away what touches them" + otherwise
-        _refuse(
-            *("under load", Refusal.LOADED, loaded, above_pa / 1e3, "kPa", above_pa, layout),
-            remedy,
-        )
-        torn, remedy = before_v > curves.pull_v(contact_pa), "check their sensors" + otherwise
-        _refuse(
-            *("before where their curves begin", Refusal.SENSOR, torn, 1e3 * before_v, "mV"),
-            *(before_v, layout, remedy),
-        )
+        # By voltage: a pressure does not move where it is clamped to 0.
+        for state, reason, nodes, amounts, unit, ranks, remedy in (
+            # Where something moves over the skin, the nodes that it has left need no naming.
+            ("moving", Refusal.MOVING, moving & loaded if (moving & loaded).any() else moving,
+             1e3 * moved_v, "mV", above_pa, "wait until nothing moves them"),
+            ("under load", Refusal.LOADED, loaded,
+             above_pa / 1e3, "kPa", above_pa, "take away what touches them" + otherwise),
+            ("before where their curves begin", Refusal.SENSOR, torn,
+             1e3 * before_v, "mV", before_v, "check their sensors" + otherwise),
+        ):  # fmt: skip
+            if nodes.any():
+                worst = np.flatnonzero(nodes)
+                worst = worst[np.argsort(-ranks[worst], kind="stable")]
+                named = [f"{_name(i, layout)} {amounts[i]:.2f} {unit}" for i in worst.tolist()]
+                text = f"not tared, {state}: {listed(named, most=_MOST_NAMES)}; {remedy}"
+                raise RestError(text, reason)
     excess_v, last_v = curves.sign * before_v, baseline.rest_v
     baseline.drift_v = baseline.drift_v - excess_v
     if force or not baseline.tared:
@@ -92,29 +92,6 @@ def take_tare(
     baseline.rest_v = np.where(valid, rest_v - excess_v, begin_v if last_v is None else last_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
-
-
-def _refuse(
-    state: str,
-    reason: Refusal,
-    nodes: Bools,
-    amounts: Floats32 | Floats,
-    unit: str,
-    ranks: Floats32 | Floats,
-    layout: Layout,
-    remedy: str,
-) -> None:
-    """Raises RestError if there are nodes, naming those of the highest ranks first."""
-    numbers = np.flatnonzero(nodes)
-    if not len(numbers):
-        return
-    numbers = numbers[np.argsort(-ranks[numbers], kind="stable")]
-    names = listed(
-        numbers.tolist(),
-        most=_MOST_NAMES,
-        show=lambda i: f"{_name(i, layout)} {amounts[i]:.2f} {unit}",
-    )
-    raise RestError(f"not tared, {state}: {names}; {remedy}", reason)
 
 
 def _name(index: int, layout: Layout) -> str:

@@ -108,7 +108,8 @@ class RecordingEncoder:
     """
 
     def __init__(self, description: Description, identity: int) -> None:
-        self._description, self._identity = description, identity
+        self._begun_ns, self._identity = description.monotonic_ns, identity
+        self._content = asdict(description) | {"version": VERSION}
         self._position = self._offset = self._time_ns = 0
         self._digest = hashlib.sha256()
         self._index: list[tuple[int, int]] = []
@@ -116,7 +117,7 @@ class RecordingEncoder:
 
     def begin(self) -> bytes:
         """The first bytes; raises CaptureError for a description that is too long for a record."""
-        text = json.dumps(_description_content(self._description)).encode()
+        text = json.dumps(self._content).encode()
         if 2 * len(text) > MOST_BYTES:
             raise CaptureError(f"{len(text)} bytes of parameters are too many for a recording")
         return self._count(MAGIC + self._record(_DESCRIPTION, text))
@@ -136,7 +137,7 @@ class RecordingEncoder:
     def end(self, t_host: float) -> bytes:
         self._tick(t_host)
         content = {
-            "description": _description_content(self._description),
+            "description": self._content,
             "sha256": self._digest.hexdigest(),
             "index": self._index,
         }
@@ -144,8 +145,7 @@ class RecordingEncoder:
         return self._record(_END, json.dumps(content).encode() + position)
 
     def _tick(self, t_host: float) -> None:
-        passed_ns = round(t_host * 1e9) - self._description.monotonic_ns
-        self._time_ns = max(self._time_ns, passed_ns)
+        self._time_ns = max(self._time_ns, round(t_host * 1e9) - self._begun_ns)
 
     def _note(self) -> None:
         """An entry of the index, where one is due."""
@@ -303,10 +303,6 @@ def losses(parser: RecordingParser) -> tuple[str, ...]:
             "port are known to be lost"
         )
     return tuple(notes)
-
-
-def _description_content(description: Description) -> dict[str, Any]:
-    return asdict(description) | {"version": VERSION}
 
 
 def _description(said: Any) -> Description:

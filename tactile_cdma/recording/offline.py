@@ -18,8 +18,7 @@ from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
 from ..words.decode import Words, decode
-from .capture import capture_notes, read_bytes
-from .recording_file import describe, is_recording
+from .recording_file import capture_notes, describe, is_recording, read_bytes
 from .scope_csv import ScopeCapture
 from .whole_clock import fitted_clocks
 

@@ -4,8 +4,7 @@
 
 from ..base.errors import RecordingEndError
 from ..wire.virtual_port import VirtualPort
-from .options import ReplayOptions
-from .player import Player
+from .player import Player, ReplayOptions
 
 
 class Serial(VirtualPort[Player]):

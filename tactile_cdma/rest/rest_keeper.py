@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import Refusal, RestError
-from ..base.listing import listed
+from ..base.text import listed
 from ..config.parameters import REPLAY, SIMULATION
 from ..config.skin_config import SkinConfig
 from ..driver.driver import Driver
 from ..readings.baseline import Baseline
-from .rest_file import RestState
-from .rest_store import Log, RestStore
+from .rest_file import Log, RestState, RestStore
 
 TELL_S = 10.0
 """Least time between two reports of drift, s: each makes every subscriber take the layout anew."""

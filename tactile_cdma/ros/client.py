@@ -145,6 +145,7 @@ class SkinClient:
                 f"silent_after_s is {silent_after_s:g} s; it must be above 0, and at most "
                 f"{LONGEST_S:g} s"
             )
+        wants_frames = argument("frames", frames, False)
         self.info: TactileSkinInfo | None = None
         self._places = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.float32)
         self._fault = ""  # of the last message, if it was refused
@@ -158,7 +159,7 @@ class SkinClient:
             TactileContacts, f"{skin}/contacts", self._take_contacts, FRESH, raw=True
         ).topic_name
         subscribe(TactileSkinInfo, f"{skin}/info", self._take_info, LATCHED)
-        if argument("frames", frames, False):
+        if wants_frames:
             subscribe(TactileArray, f"{skin}/tactile", self._take_array, qos_profile_sensor_data)
         self._tare = node.create_client(Tare, f"{skin}/tare")
         self._get_state = node.create_client(GetState, f"{skin}/get_state")

@@ -14,7 +14,7 @@ import yaml
 
 from ..base.arrays import Floats
 from ..config.body_file import NODE_NAME, Body, Patch
-from ..config.parameters import DEFAULTS, Values, read_file
+from ..config.parameters import DEFAULTS
 from ..config.skin_config import SkinConfig
 from ..places.layout import Layout
 from ..places.mesh import MOST_SQUARES
@@ -65,12 +65,6 @@ def body_view(template: Path, body: Body) -> str:
     return yaml.safe_dump(file, sort_keys=False)
 
 
-def patch_values(patch: Patch) -> Values:
-    """The parameters that the driver of a patch has."""
-    given = read_file(patch.params_file, patch.node) if patch.params_file else {}
-    return {**DEFAULTS, **given, **patch.parameters}
-
-
 def _of_patch(display: Mapping[str, Any], patch: Patch) -> dict[str, Any]:
     """The display of markers, for another patch."""
     own = deepcopy(dict(display))
@@ -81,7 +75,7 @@ def _of_patch(display: Mapping[str, Any], patch: Patch) -> dict[str, Any]:
 
 def _places_m(patch: Patch) -> Floats:
     """(t, 3) places of a patch's taxels in the body's frame, m, where the parameters mount it."""
-    values = patch_values(patch)
+    values = {**DEFAULTS, **patch.values}
     pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
     return pose.apply(SkinConfig.of(values).layout.positions_m.astype(np.float64))
 

@@ -14,16 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from .depth import at_force, pressed_pa
-from .indenters import (
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    Foundation,
-    HeightMap,
-    Indenter,
-    Sphere,
-)
+from .indenters import Box, Capsule, Cylinder, Ellipsoid, Foundation, HeightMap, Indenter, Sphere
 
 __all__ = [
     "BatchCover",

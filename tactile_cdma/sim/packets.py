@@ -4,7 +4,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -68,31 +67,23 @@ def stream(
         if not marks:
             counts = np.concatenate((held, counts))
             counts, held = np.split(counts, [len(counts) // cutter.gap_size * cutter.gap_size])
-        for cut in cutter.cuts(counts, whole and marks):
-            stop = index + cut.stop - cut.start
-            due = stop + min(cutter.frame_size, MAX_SAMPLES) if cut.waits else stop
+        marked = whole and marks
+        for start, stop, quiet, waits in cutter.cuts(counts, marked):
+            end = index + stop - start
+            due = end + min(cutter.frame_size, MAX_SAMPLES) if waits else end
             yield Block(
                 first_index=index,
-                counts=counts[cut.start : cut.stop],
-                sync=whole and marks and cut.start == 0,
-                called=cut.start == 0 and frame.called,
-                turn=frame.turn if whole and marks and cut.start == 0 else 0,
-                quiet=cut.quiet,
+                counts=counts[start:stop],
+                sync=marked and start == 0,
+                called=start == 0 and frame.called,
+                turn=frame.turn if marked and start == 0 else 0,
+                quiet=quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,
                 due_s=epoch_s + due / rate_hz,
-                waits=cut.waits,
-                last=cut.stop == len(counts),
+                waits=waits,
+                last=stop == len(counts),
             )
-            index = stop
-
-
-class _Cut(NamedTuple):
-    """The part of a frame period's samples that makes one packet; see Block."""
-
-    start: int
-    stop: int
-    quiet: bool = False
-    waits: bool = False
+            index = end
 
 
 class _Cutter:
@@ -111,26 +102,27 @@ class _Cutter:
         quiet_counts = int(setup.quiet_uv * 1e-6 / volts_per_count)
         self._quiet_counts = 0 if setup.sync == SyncMode.NONE else quiet_counts
 
-    def cuts(self, counts: Counts, marked: bool) -> Iterator[_Cut]:
+    def cuts(self, counts: Counts, marked: bool) -> Iterator[tuple[int, int, bool, bool]]:
         """The packets of the samples from one frame's start to the next one's.
 
-        marked: the first sample is a frame's, and known to be.
+        marked: the first sample is a frame's, and known to be. Yields start and stop among these
+        samples, and `quiet` and `waits` as in Block.
         """
         end = len(counts)
         frame_size = min(self.frame_size, end) if marked else 0
         silent = frame_size > 0 and self._quiet(counts[:frame_size])
         if silent:
-            yield _Cut(0, frame_size, quiet=True)
+            yield 0, frame_size, True, False
         else:
             for start in range(0, frame_size, MAX_SAMPLES):
-                yield _Cut(start, min(start + MAX_SAMPLES, frame_size))
+                yield start, min(start + MAX_SAMPLES, frame_size), False, False
         gap = counts[frame_size:]
         if silent and gap.size and self._quiet(gap):
-            yield _Cut(frame_size, end, quiet=True, waits=True)
+            yield frame_size, end, True, True
         else:
             for start in range(frame_size, end, self.gap_size):
                 stop = min(start + self.gap_size, end)
-                yield _Cut(start, stop, self._quiet(counts[start:stop]))
+                yield start, stop, self._quiet(counts[start:stop]), False
 
     def _quiet(self, counts: Counts) -> bool:
         """Whether the samples differ by so little that a Quiet stands for them."""

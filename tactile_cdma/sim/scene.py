@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -78,17 +77,20 @@ class SkinGeometry:
         )
 
     @cached_property
-    def contacts(self) -> list[_Contact]:
-        """The contacts of the scene "presses": three, and more on a large skin."""
+    def contacts(self) -> list[tuple[Floats, float, float, float, float]]:
+        """Of the scene "presses": three, and more on a large skin.
+
+        Each has a centre, (2,), m, a radius, m, a peak, Pa, a period, s, and a phase, in periods.
+        """
         rng = np.random.default_rng([self.seed, 0, 1])  # [seed, frame] belongs to the line's noise
         count = min(3 + len(self.positions_m) // 128, 16)
         return [
-            _Contact(
-                centre_m=self.positions_m[rng.integers(len(self.positions_m))],
-                radius_m=rng.uniform(0.9, 2.2) * self.pitch_m,
-                peak_pa=rng.uniform(0.25, 1.0) * PEAK_PA,
-                period_s=rng.uniform(2.0, 5.0),
-                phase=rng.uniform(),
+            (
+                self.positions_m[rng.integers(len(self.positions_m))],
+                rng.uniform(0.9, 2.2) * self.pitch_m,
+                rng.uniform(0.25, 1.0) * PEAK_PA,
+                rng.uniform(2.0, 5.0),
+                rng.uniform(),
             )
             for _ in range(count)
         ]
@@ -134,13 +136,8 @@ def press(t_s: float, skin: SkinGeometry) -> Floats:
 def presses(t_s: float, skin: SkinGeometry) -> Floats:
     """Several contacts of different size and force, each coming and going at its own pace."""
     return _strongest(
-        _bump(
-            skin,
-            contact.centre_m,
-            contact.radius_m,
-            contact.peak_pa * _on_off(t_s / contact.period_s + contact.phase),
-        )
-        for contact in skin.contacts
+        _bump(skin, centre_m, radius_m, peak_pa * _on_off(t_s / period_s + phase))
+        for centre_m, radius_m, peak_pa, period_s, phase in skin.contacts
     )
 
 
@@ -183,7 +180,7 @@ def steps(t_s: float, skin: SkinGeometry) -> Floats:
 def cycles(t_s: float, skin: SkinGeometry) -> Floats:
     """Half a cosine in TURN_S from each load of TURNS_KPA to the next."""
     turn, share = divmod(t_s / TURN_S, 1.0)
-    begin, end = _SWINGS[int(turn) % len(_SWINGS)]
+    begin, end = (TURNS_KPA[(int(turn) + step) % len(TURNS_KPA)] for step in (0, 1))
     return _everywhere(skin, begin + (end - begin) * (0.5 - 0.5 * math.cos(math.pi * share)))
 
 
@@ -198,15 +195,6 @@ SCENES: dict[str, Scene] = {
 }
 LOADS: dict[str, Scene] = {"steps": steps, "cycles": cycles}
 """Scenes for calibration: known loads, the same on all taxels."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Contact:
-    centre_m: Floats
-    radius_m: float
-    peak_pa: float
-    period_s: float
-    phase: float
 
 
 _PALM_M = (0.042, 0.045)
@@ -229,8 +217,7 @@ def _bump(skin: SkinGeometry, centre_m: Floats, radius_m: float, peak_pa: float)
 def _profile(rho: Floats) -> Floats:
     """Relative pressure at the relative radius ρ: (1 − ρ²)^1.5 inside the contact, 0 outside.
 
-    Hertz's contact of two bodies has (1 − ρ²)^0.5; the soft cover of the skin rounds off its
-    vertical edge.
+    Hertz's contact has (1 − ρ²)^0.5; the soft cover of the skin rounds off its vertical edge.
     """
     return np.power(np.clip(1.0 - np.square(rho), 0.0, None), 1.5)
 
@@ -257,9 +244,6 @@ def _radius_m(points: Floats) -> Floats:
 def _strongest(fields: Iterable[Floats]) -> Floats:
     """The largest of several pressures on every taxel, (n,)."""
     return np.asarray(np.stack(list(fields)).max(axis=0))
-
-
-_SWINGS = tuple(pairwise((*TURNS_KPA, TURNS_KPA[0])))
 
 
 def _everywhere(skin: SkinGeometry, load_kpa: float) -> Floats:

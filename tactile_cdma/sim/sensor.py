@@ -32,8 +32,7 @@ MOST_MISMATCH = 0.1
 WANDER_S = 600.0
 """Period of the slow drift of sensors and clocks, s; chosen, like that of a room's temperature."""
 SCALE_PA = 2e3
-"""Pressure above which loops are proportional to the load, Pa; chosen: far below the loads for
-which the paper gives loops."""
+"""Above this loops are proportional to the load, Pa; chosen: far below the paper's loads."""
 _FARTHEST = 2.0
 """Mismatch is clipped at this many rms deviations, so that every curve stays above 0 V."""
 
@@ -43,8 +42,7 @@ class Dynamics:
     """Lag and hysteresis common to all sensors of a skin.
 
     rise_s, fall_s: time constants of the lag, s, above 0.
-    widths: widths of the plays on the logarithmic axis. weights: their shares, of less than 1 in
-    all.
+    widths: of the plays, on the logarithmic axis. weights: their shares, less than 1 in all.
     """
 
     rise_s: float
@@ -98,8 +96,6 @@ class SensorModel:
         if self.kind != PAPER:
             return None
         root = math.sqrt(self.hysteresis)
-        if root == 0:
-            return replace(PAPER_DYNAMICS, widths=(), weights=())
         return replace(
             PAPER_DYNAMICS,
             widths=tuple(width * root for width in PAPER_DYNAMICS.widths),
@@ -139,11 +135,11 @@ class Sensor:
     """The n sensors of a skin, with the memory of lag and hysteresis."""
 
     def __init__(self, model: SensorModel, nodes: int) -> None:
-        self._model, self._curves = model, model.curves(nodes)
-        self._lag, self._hysteresis = None, None
-        if model.dynamics is not None:
-            self._lag = Lag(model.dynamics)
-            self._hysteresis = Hysteresis(model.dynamics, nodes)
+        self._model, self._curves, self._dynamics = model, model.curves(nodes), model.dynamics
+        self._lagged_pa: Floats | None = None
+        self._plays: tuple[Floats, ...] = ()
+        if self._dynamics is not None:
+            self._plays = (np.zeros(nodes),) * len(self._dynamics.widths)
         self._rng = np.random.default_rng([model.seed, nodes, 2])
         self._warming_v = model.warming_v * self._rng.uniform(0.5, 1.0, nodes)
         self._last_s: float | None = None
@@ -160,8 +156,10 @@ class Sensor:
         """
         passed_s = 0.0 if self._last_s is None else t_s - self._last_s
         self._last_s = t_s
-        if self._lag is not None and self._hysteresis is not None:
-            pressure_pa = self._hysteresis.update(self._lag.update(pressure_pa, passed_s))
+        if self._dynamics is not None:
+            before_pa = pressure_pa if self._lagged_pa is None else self._lagged_pa
+            self._lagged_pa = delayed(before_pa, pressure_pa, passed_s, self._dynamics, np)
+            self._plays, pressure_pa = followed(self._plays, self._lagged_pa, self._dynamics, np)
         voltage_v = self._curves.voltage(pressure_pa)
         if self._model.warming_v:
             voltage_v += self._warming_v * math.sin(2 * math.pi * t_s / WANDER_S)
@@ -170,47 +168,13 @@ class Sensor:
         return voltage_v
 
 
-class Hysteresis:
-    """A Prandtl–Ishlinskii operator for n sensors; it starts as if pressures had only risen."""
-
-    def __init__(self, dynamics: Dynamics, sensors: int) -> None:
-        self._dynamics = dynamics
-        self._plays: tuple[Floats, ...] = (np.zeros(sensors),) * len(dynamics.widths)
-
-    def update(self, pressure_pa: Floats) -> Floats:
-        """Apparent pressures (n,), Pa, for pressures (n,), Pa, ≥ 0; whatever the time.
-
-        Repeating or subdividing a step changes nothing.
-        """
-        self._plays, apparent_pa = followed(self._plays, pressure_pa, self._dynamics, np)
-        return np.asarray(apparent_pa)
-
-
-class Lag:
-    """A first-order lag of n sensors, with separate time constants for rise and fall."""
-
-    def __init__(self, dynamics: Dynamics) -> None:
-        self._dynamics = dynamics
-        self._delayed_pa: Floats | None = None
-
-    def update(self, pressure_pa: Floats, passed_s: float) -> Floats:
-        """Lagged pressures (n,), Pa, after these pressures (n,), Pa, were applied for passed_s.
-
-        The first pressures count as applied since ever.
-        """
-        if self._delayed_pa is None:
-            self._delayed_pa = np.array(pressure_pa, dtype=np.float64)
-        self._delayed_pa = delayed(self._delayed_pa, pressure_pa, passed_s, self._dynamics, np)
-        return self._delayed_pa
-
-
 def followed(
     plays: Sequence[Any], pressure_pa: Any, dynamics: Dynamics, xp: Any
 ) -> tuple[tuple[Any, ...], Any]:
-    """One step of hysteresis: the plays after it, and apparent pressures, Pa.
+    """One step of hysteresis: the plays after it, and apparent pressures, Pa; whatever the time.
 
-    plays: one for each of the widths, of the pressures' shape; 0 at first. xp: the arrays'
-    namespace, by the array API standard.
+    plays: one for each of the widths, of the pressures' shape; 0 at first, as if pressures had only
+    risen. pressure_pa: 0 or more. xp: the arrays' namespace, by the array API standard.
     """
     level = xp.log1p(pressure_pa / SCALE_PA)
     value = (1 - sum(dynamics.weights)) * level

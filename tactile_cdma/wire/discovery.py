@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Serial ports of this machine: their names, which one is usb://SERIAL, and who has one open."""
+"""Serial ports of this machine: their names, which is usb://SERIAL, who has one open, latency."""
 
 import logging
 import os
@@ -13,7 +13,7 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from ..base.errors import PortError
-from ..base.plain_text import plain
+from ..base.text import plain
 
 _log = logging.getLogger(__name__)
 
@@ -21,6 +21,10 @@ USB = "usb://"
 """Begins the URL of a port that is named by the serial number of its USB device."""
 LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
 """Where udev keeps names that survive replugging; the first is filled by our own rules."""
+ADAPTERS = Path("/sys/bus/usb-serial/devices")
+"""Where Linux has a folder for each; FTDI's driver puts a file latency_timer into it, ms."""
+LEAST_MS = 2
+"""Latency that is not worth a word, ms; chosen: FTDI's default is 16, its least 1."""
 MEMORY = 1
 """Major number of /dev/null and its kind (Linux, Documentation/admin-guide/devices.txt)."""
 
@@ -143,13 +147,9 @@ def holders(device: str) -> list[str]:
         for descriptor in _entries(f"/proc/{process}/fd"):
             with suppress(OSError):  # the process has ended, or has closed it
                 if os.readlink(f"/proc/{process}/fd/{descriptor}") == real:
-                    found[f"{program_of(process)} (pid {process})"] = None
+                    name = Path(f"/proc/{process}/comm").read_text("utf-8", errors="replace")
+                    found[f"{name.strip()} (pid {process})"] = None
     return list(found)
-
-
-def program_of(process: str) -> str:
-    """The name of a program that runs, by its number; raises OSError where it has ended."""
-    return Path(f"/proc/{process}/comm").read_text("utf-8", errors="replace").strip()
 
 
 def leave_alone_if_open(url: str) -> None:
@@ -160,6 +160,24 @@ def leave_alone_if_open(url: str) -> None:
     device = device_of(url)
     if is_serial(device) and (others := holders(device)):
         raise PortError(f"{url}: busy: another program has it open ({', '.join(others)})")
+
+
+def held_back(device: str, adapters: Path = ADAPTERS) -> str:
+    """A sentence about the adapter of an open port if it holds bytes back, else nothing.
+
+    device: path of the port, or a URL.
+    """
+    timer = adapters / os.path.basename(os.path.realpath(device)) / "latency_timer"
+    try:
+        held_ms = int(timer.read_text("ascii"))
+    except (OSError, ValueError):  # an adapter, or a port, without one
+        return ""
+    if held_ms <= LEAST_MS:
+        return ""
+    return (
+        f"its USB adapter holds bytes back for up to {held_ms} ms, and that could not be changed: "
+        f"echo 1 | sudo tee {timer}"
+    )
 
 
 def _links(device: str) -> tuple[str, ...]:

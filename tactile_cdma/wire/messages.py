@@ -58,9 +58,12 @@ class Message:
         return WIRE[type(self).__name__].pack(*self._values())
 
     @classmethod
-    def unpack(cls, data: bytes) -> Self:
-        """The inverse of pack. Raises struct.error or ValueError: wrong length, wrong value."""
-        return cls._of(iter(WIRE[cls.__name__].unpack(data)))
+    def unpack(cls, data: bytes, **extra: int) -> Self:
+        """The inverse of pack; extra: fields that are not on the wire.
+
+        Raises struct.error for a wrong length, ValueError for a wrong value.
+        """
+        return cls._of(iter(WIRE[cls.__name__].unpack(data)), **extra)
 
     def _values(self) -> Iterator[Any]:
         """Field values in wire order, those of nested messages among them."""
@@ -73,7 +76,6 @@ class Message:
 
     @classmethod
     def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
-        """The inverse of _values."""
         fields = {
             wire.name: FrameLayout._of(values) if wire.code == "FrameLayout" else next(values)
             for wire in FIELDS[cls.__name__]
@@ -107,11 +109,12 @@ class FrameLayout(Message):
     @classmethod
     def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
         """The layout of a spec. Raises SpecError where the wire's integers cannot express it."""
+        seeded = Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
         return cls(
             chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
             frame_period_us=_whole("frame_period_s", spec.frame_period_s, 10**6, "microseconds"),
             sign_seed=spec.sign_seed or 0,
-            signs=_signs(spec),
+            signs=Signs.SPARSE if spec.sparse else Signs.SCRAMBLED if spec.scramble else seeded,
             drive=Drive[spec.drive.upper()],
             polarity=Polarity(spec.polarity),
             samples_per_chip=samples_per_chip,
@@ -144,10 +147,6 @@ class Packet(Message):
     TYPE: ClassVar[PacketType]
     _: KW_ONLY
     sequence: int = field(default=0, compare=False)
-
-    @classmethod
-    def unpack(cls, data: bytes, sequence: int = 0) -> Self:
-        return cls._of(iter(WIRE[cls.__name__].unpack(data)), sequence=sequence)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,6 +217,11 @@ class Stretch(Packet):
         marks = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
         return marks | self.turn << TURN_SHIFT
 
+    @classmethod
+    def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
+        time_us, index, flags, *content = values
+        return cls(time_us, index, *content, **_MARKS[flags], **extra)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Stretch):
@@ -248,19 +252,17 @@ class Samples(Stretch):
         return Stretch.pack(self) + words.tobytes()
 
     @classmethod
-    def unpack(cls, data: bytes, sequence: int = 0) -> Self:
+    def unpack(cls, data: bytes, **extra: int) -> Self:
         head = WIRE["Samples"]
-        time_us, index, flags = head.unpack_from(data)
+        marked = head.unpack_from(data)
         words = np.frombuffer(data[head.size :], _WORD)  # a copy: XOR is slow at odd addresses
-        return cls(time_us, index, words ^ _SAMPLE_MASK, sequence=sequence, **_MARKS[flags])
+        return cls._of(iter((*marked, words ^ _SAMPLE_MASK)), **extra)
 
     @classmethod
-    def received(
-        cls, device_time_us: int, first_index: int, flags: int, counts: bytes, sequence: int
-    ) -> Self:
-        """The packet as the compiled scanner takes it apart. counts: int16, as in memory."""
-        values = np.frombuffer(counts, _INT16)
-        return cls(device_time_us, first_index, values, sequence=sequence, **_MARKS[flags])
+    def received(cls, content: tuple[int, int, int, bytes], sequence: int) -> Self:
+        """The packet as the compiled scanner takes it apart. Its counts: int16, as in memory."""
+        *marked, counts = content
+        return cls._of(iter((*marked, np.frombuffer(counts, _INT16))), sequence=sequence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,13 +292,13 @@ class Packed(Samples):
         return head + _pack_12(values.astype(np.uint16) ^ _PACKED_MASK)
 
     @classmethod
-    def unpack(cls, data: bytes, sequence: int = 0) -> Samples:  # type: ignore[override]
+    def unpack(cls, data: bytes, **extra: int) -> Samples:  # type: ignore[override]
         head = WIRE["Packed"]
-        time_us, index, flags, base, step = head.unpack_from(data)
+        *marked, base, step = head.unpack_from(data)
         _check_packing(base, step)
         values = _unpack_12(data[head.size :]) ^ _PACKED_MASK
         counts = (base + step * values.astype(np.int32)).astype(np.int16)
-        return Samples(time_us, index, counts, sequence=sequence, **_MARKS[flags])
+        return Samples._of(iter((*marked, counts)), **extra)
 
 
 def _check_packing(base: int, step: int) -> None:
@@ -367,11 +369,6 @@ class Quiet(Stretch):
     def variance(self) -> float:
         return (self.count * self.sum_of_squares - self.sum**2) / self.count**2
 
-    @classmethod
-    def unpack(cls, data: bytes, sequence: int = 0) -> Self:
-        time_us, index, flags, count, total, squares = WIRE["Quiet"].unpack(data)
-        return cls(time_us, index, count, total, squares, sequence=sequence, **_MARKS[flags])
-
 
 @dataclass(frozen=True, slots=True)
 class Status(Packet):
@@ -401,24 +398,20 @@ class Ack(Packet):
 
 @dataclass(frozen=True, slots=True)
 class Command(Packet):
-    """Base of what the host sends."""
+    """Base of what the host sends; those without content add nothing to it."""
 
     def ack(self, result: Result = Result.OK) -> Ack:
-        """The digitizer's answer to this command."""
         return Ack(self.TYPE, self.sequence, result)
 
 
-@dataclass(frozen=True, slots=True)
 class GetInfo(Command):
     """Asks for Info."""
 
 
-@dataclass(frozen=True, slots=True)
 class Start(Command):
     """Starts streaming."""
 
 
-@dataclass(frozen=True, slots=True)
 class Stop(Command):
     """Ends streaming."""
 
@@ -428,7 +421,7 @@ class Configure(Command):
     """Sets the frame layout and the way of sampling.
 
     quiet_uv: µV; a frame, or a part of the gap, in which no two samples differ by more is sent as
-        Quiet. 0: never. driver/quiet_limit.py computes a safe value.
+        Quiet. 0: never. driver/digitizer.py computes a safe value.
     """
 
     frame: FrameLayout
@@ -437,12 +430,10 @@ class Configure(Command):
     quiet_uv: int = 0
 
 
-@dataclass(frozen=True, slots=True)
 class RollCall(Command):
     """Asks every node to transmit alone once."""
 
 
-@dataclass(frozen=True, slots=True)
 class Pack(Command):
     """Asks for Packed in place of Samples, until the next Configure."""
 
@@ -459,7 +450,6 @@ class Touch(Command):
     code: int = 0
 
 
-@dataclass(frozen=True, slots=True)
 class Bootsel(Command):
     """Has the board restart as a USB drive that takes a new image."""
 
@@ -505,7 +495,6 @@ class Rejected:
     sequence: int = field(default=0, compare=False)
 
     def ack(self) -> Ack:
-        """The digitizer's answer to this command."""
         return Ack(self.command, self.sequence, self.result)
 
 
@@ -537,14 +526,6 @@ def _checked(wire: Field, value: Any) -> Any:
     if not good:
         raise SpecError(f"{wire.name} is {value!r}; the wire cannot carry that")
     return value
-
-
-def _signs(spec: FrameSpec) -> Signs:
-    if spec.sparse:
-        return Signs.SPARSE
-    if spec.scramble:
-        return Signs.SCRAMBLED
-    return Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
 
 
 def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:

@@ -117,7 +117,7 @@ class PacketParser:
     ) -> Received | None:
         """The packet of an intact body; Rejected for a command that cannot be used."""
         if isinstance(payload, tuple):
-            return Samples.received(*payload, sequence)
+            return Samples.received(payload, sequence)
         kind = PACKETS.get(type_byte)
         if kind is Info and payload and payload[0] != VERSION:
             return OtherVersion(payload[0], sequence)
@@ -126,7 +126,7 @@ class PacketParser:
             reason = Result.UNKNOWN_COMMAND
         else:
             try:
-                return kind.unpack(payload, sequence)
+                return kind.unpack(payload, sequence=sequence)
             except struct.error:
                 reason = Result.BAD_LENGTH
             except ValueError:  # SpecError, or half a sample
@@ -152,7 +152,6 @@ class Scanner:
         self._seen = Counters()
 
     def counts(self) -> dict[str, int]:
-        """Counters so far, by name."""
         seen = replace(self._seen)
         if not seen.packets:
             seen.text_bytes += _text(self._partial)
@@ -192,7 +191,6 @@ class Scanner:
         self._skipping = True
 
     def _parse(self, run: bytes) -> Found | None:
-        """The packet between two delimiters, if there is one."""
         if len(run) > _MAX_RUN:
             self._seen.resyncs += 1
             self._no_packet(run)
@@ -277,7 +275,6 @@ def wrap(body: bytes) -> bytes:
 
 
 def _text(run: bytes | bytearray) -> int:
-    """Number of printable ASCII bytes."""
     return len(run) - len(run.translate(None, _TEXT))
 
 

@@ -16,8 +16,7 @@ import serial
 
 from ..base.errors import CaptureError, PortError
 from ..places.layout import Layout
-from .discovery import device_of
-from .latency import held_back
+from .discovery import device_of, held_back
 from .port_failures import SOCKET, TerminalError, lost, why_not_open
 from .reader import NO_FILE, READ_SIZE, read_file
 
@@ -84,11 +83,14 @@ class Port:
             with suppress(AttributeError, NotImplementedError, OSError, ValueError):  # no adapter
                 self._serial.set_low_latency_mode(True)
             self.held_back = held_back(pyserial_url)
-            _limit_wait_for_host(self._serial, pyserial_url)
+            if self.over_network and hasattr(socket, "TCP_USER_TIMEOUT"):
+                with socket.fromfd(
+                    self._serial.fileno(), socket.AF_INET, socket.SOCK_STREAM
+                ) as link:
+                    patience_ms = int(HOST_GONE_S * 1e3)
+                    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, patience_ms)
             self._serial.reset_input_buffer()  # left from before this port was opened
-            self._has_file = hasattr(select, "poll") and (
-                "://" not in pyserial_url or self.over_network
-            )
+            self._has_file = "://" not in pyserial_url or self.over_network
             self.stepped = bool(getattr(self._serial, "stepped", False))
         except (*_LOST, ValueError, KeyError, re.error) as error:
             # SpecError is a ValueError; TypeError and re.error: options of alt:// and hwgrep://
@@ -99,7 +101,6 @@ class Port:
 
     @property
     def device(self) -> serial.SerialBase:
-        """What pyserial has open."""
         return self._serial
 
     def read(self) -> tuple[bytes, float]:
@@ -160,7 +161,6 @@ class Port:
         return skipped
 
     def write(self, data: bytes) -> None:
-        """Send bytes."""
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
@@ -178,10 +178,3 @@ class Port:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _limit_wait_for_host(port: serial.SerialBase, url: str) -> None:
-    """Make a socket fail HOST_GONE_S after its host has gone."""
-    if url.startswith(SOCKET) and hasattr(socket, "TCP_USER_TIMEOUT"):
-        with socket.fromfd(port.fileno(), socket.AF_INET, socket.SOCK_STREAM) as link:
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(HOST_GONE_S * 1e3))

@@ -3,18 +3,14 @@
 """Failures of a port in words: the likely cause, and what to do about it."""
 
 import errno
+import termios
 from urllib.parse import urlsplit
 
 from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
 from .discovery import holders, in_words, is_serial, serial_ports
 
-try:
-    import termios
-
-    TerminalError = termios.error  # not an OSError, and pyserial lets it through
-except ImportError:  # not a POSIX system
-    TerminalError = OSError  # type: ignore[misc, assignment]
-
+TerminalError = termios.error
+"""Not an OSError, and pyserial lets it through."""
 SOCKET = "socket://"
 """Begins the URLs of ports on another machine."""
 NO_HOST = f"host and port (1…65535) are not named, as in {SOCKET}192.168.0.7:4000"

@@ -44,7 +44,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
         self._device: AnyDevice | None = None
         # Guards the device; notified when bytes may be due or a read has to end.
         self._changed = threading.Condition()
-        self._cancelled = False
         self.is_open = False
         super().__init__(*args, **kwargs)
 
@@ -93,8 +92,7 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
                 data += device.take(size - len(data))
                 ended = self._has_ended(device, data)
                 left_s = deadline - time.monotonic()
-                if len(data) >= size or left_s <= 0 or self._cancelled or ended:
-                    self._cancelled = False
+                if len(data) >= size or left_s <= 0 or ended:
                     return data
                 self._changed.wait(min(wait_s, left_s, threading.TIMEOUT_MAX))
 
@@ -104,18 +102,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
             self._receive(self._opened(), sent)
             self._changed.notify_all()
         return len(sent)
-
-    def cancel_read(self) -> None:
-        """End a read() in another thread, or the next one if there is none."""
-        with self._changed:
-            self._cancelled = True
-            self._changed.notify_all()
-
-    @property
-    def out_waiting(self) -> int:
-        """Bytes written and not yet received: always 0."""
-        self._opened()
-        return 0
 
     def flush(self) -> None:
         """Nothing waits: what is written is received at once."""

@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,11 @@ from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
     HIDDEN,
+    LEAST_NOISE,
+    LOW_MARGIN,
     MOVED_SHARE,
     SILENT_RHO,
+    hiding_rho,
     pooled_noise,
     rises,
     usual_amplitude,
@@ -29,8 +31,16 @@ from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from .lateness import displaced, out_of_place
 from .leakage import unexplained
-from .limits import CLEAR_RHO, SHARED_SHARE, SOUND_SHARE, UNLIKE
-from .stages import Measures, decide, find_active, measure
+from .limits import (
+    CLEAR_RHO,
+    DOUBLE_SHARE,
+    LOW_RHO,
+    LOWER_SHARE,
+    SHARED_SHARE,
+    SOUND_SHARE,
+    UNLIKE,
+    most_square,
+)
 from .tones import toned
 
 AUTO_FLOOR = 6.0
@@ -167,55 +177,93 @@ def decode(
     levels = levels.whole(spec)
     frame = _spoken(levels, spec, active_share, swing_v)
     measures, active = frame.measures, frame.active
-    codes, rho, margin, doubtful, doubled, odd, uneven = decide(
-        *(measures, active, frame.expected, spec.sign_mask),
-        *(levels.noise_v, spec.line_bits, spec.parity),
-    )
+    codes, rho, margin, doubtful, doubled, odd, uneven = _decide(frame)
     if uneven:
         doubtful |= _disturbed(frame)
-    for rule in RULES:
-        doubtful |= rule(frame)
-    none, is_tone = _no_words(frame)
+    # Words that their waveforms do not tell from some others', and rows that hold a part of a word,
+    # or more than noise and leakage.
+    unresolved = list(levels.unresolved)
+    doubtful[unresolved] |= active[unresolved]
+    doubtful |= frame.astray | frame.hidden
+    doubtful |= _silent_by_parts(frame) | _silent_elsewhere(frame)
+    # Where somebody is out of place, any silent node may be the one that spoke; and where the level
+    # moves so much that the frame may be somewhere else.
+    moves = bool(_line_levels(frame).std() > MOVED_SHARE * frame.expected_v)
+    doubtful |= ~active & (frame.is_late or moves)
+    tones = toned(levels, measures.amplitude, active, spec) if active.any() else None
+    none = nobody(len(active)) if tones is None else tones
+    if levels.level_unknown and active[0]:
+        none = none | (np.arange(active.size) == 0)
     active = active & ~none
     # A tone that passes for a word may have given the frame its timing, too.
-    doubtful |= none | (~active & is_tone)
+    doubtful |= none | (~active & (tones is not None))
     # The margin of what is not even faint says nothing, and would look like a doubt.
     margin *= measures.amplitude > np.float32(min(active_share, FAINT_SHARE)) * frame.expected
     codes, doubled, odd = codes * active, doubled & doubtful, odd & active
     sigma = levels.noise_v * math.sqrt(spec.order)
     return Words(
         *(active, codes, measures.amplitude, rho, margin, doubtful, doubled, odd),
-        *(frame.astray | frame.late, frame.hidden, sigma),
+        *(frame.astray, frame.hidden, sigma),
     )
 
 
+class _Measures(NamedTuple):
+    """What k levels r say of each of n nodes.
+
+    amplitude, weakest, strongest: (n,) float32, V: mean, least and greatest |r|.
+    squares: (n,) float32, V²: sum of r². signs: (n,) int32: signs of r as bits, the first highest.
+    weakest_bit: (n,) int32: the first bit of the least |r|.
+    """
+
+    amplitude: Floats32
+    weakest: Floats32
+    strongest: Floats32
+    squares: Floats32
+    signs: NDArray[np.int32]
+    weakest_bit: NDArray[np.int32]
+
+
+class _Decided(NamedTuple):
+    """What words say if each is taken by itself.
+
+    codes: (n,) int32, parity mended and removed. rho, margin: (n,) float32, see Words.
+    doubtful, doubled, odd: (n,) bool, see Words; the latter two of silent nodes, too.
+    uneven: whether a level of any word may be off by more than UNLIKE of it, among more than two
+        nodes.
+    """
+
+    codes: NDArray[np.int32]
+    rho: Floats32
+    margin: Floats32
+    doubtful: Bools
+    doubled: Bools
+    odd: Bools
+    uneven: bool
+
+
 class _Frame(NamedTuple):
-    """Who spoke in a frame, which the rules of doubt judge.
+    """Who spoke in a frame, by which doubt is judged.
 
     expected: (n,) V, each node's amplitude; expected_v: the least. is_learnt: it is the frame's
     own. active: (n,) bool, words that count; weak: those of them that are too faint for a sound
-    node. parts: (n,) bool, rows that may hold a part of another's word; late: words that may be
-    those of others; is_late: whether somebody is. hidden: see Words.faint. noise_v: RMS of a level.
+    node. parts: (n,) bool, rows that may hold a part of another's word; astray: those, and words
+    that may be those of others; is_late: whether some may. hidden: see Words.faint. noise_v: RMS of
+    a level.
     """
 
     levels: NodeLevels
     spec: FrameSpec
-    measures: Measures
+    measures: _Measures
     expected: Floats32
     expected_v: float
     is_learnt: bool
     active: Bools
     weak: Bools
     parts: Bools
-    late: Bools
+    astray: Bools
     is_late: bool
     hidden: Bools
     noise_v: float
-
-    @property
-    def astray(self) -> Bools:
-        """See Words."""
-        return self.parts | self.late
 
 
 def _spoken(
@@ -223,56 +271,103 @@ def _spoken(
 ) -> _Frame:
     """Who spoke: words that are loud enough, and neither leakage nor parts of others."""
     noise, is_learnt = levels.noise_v, swing_v is None and spec.node_swing_v is None
-    measures = measure(levels.values)
+    measures = _measure(levels.values)
     expected = _expected(measures.amplitude, noise, active_share, swing_v, spec)
     expected_v = float(expected.min())
-    active, faint, any_faint = find_active(
-        *(measures, expected, active_share, noise, spec.line_bits),
-        0 if spec.sparse else spec.order,
-    )
-    weak, parts, late, hidden = np.zeros((4, len(active)), np.bool_)
+    active, faint, any_faint = _find_active(measures, expected, active_share, noise, spec)
+    weak, parts, hidden = np.zeros((3, len(active)), np.bool_)
     if any_faint:
         rest, noise = unexplained(levels, active & ~faint, faint, spec)
-        measures = _without_leakage(measures, rest, faint)
-        spoke = measures.amplitude > np.float32(active_share) * expected
-        parts = _out_of_step(measures.amplitude, active, spoke, expected)
-        hidden = ~spoke & _hides(rest, noise, spoke, expected)
+        # Faint words that louder ones explain have but what is left of them.
+        amplitude, left = measures.amplitude, np.abs(rest).mean(axis=0)
+        amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
+        measures = measures._replace(amplitude=amplitude)
+        spoke = amplitude > np.float32(active_share) * expected
+        parts = _out_of_step(amplitude, active, spoke, expected)
+        squares, bits = np.einsum("kn,kn->n", rest, rest), spec.line_bits
+        in_silence = pooled_noise(noise, squares[~spoke], bits)
+        hidden = ~spoke & rises(squares, expected, in_silence, bits)
         active = spoke & ~parts
         weak = active & faint
-    late[list(levels.late)] = True
     others = None
     if active.any():
         others = out_of_place(levels, measures.amplitude, active, expected_v, spec)
+    astray = parts.copy() if others is None else parts | others
+    astray[list(levels.late)] = True
     return _Frame(
         *(levels, spec, measures, expected, expected_v, is_learnt, active, weak, parts),
-        *(late if others is None else late | others, others is not None, hidden, noise),
+        *(astray, others is not None, hidden, noise),
     )
 
 
-# Rules: each says whose word, or whose silence, is in doubt, (n,) bool.
+def _measure(values: Floats32) -> _Measures:
+    """Measure levels (k, n), V."""
+    level: Floats32 = np.abs(values)
+    bits = len(values)
+    # Sums of powers of two below 2¹⁷ are exact in float32, which is the fastest here.
+    signs = np.einsum("k,kn->n", _weights(bits), values > 0).astype(np.int32)
+    return _Measures(
+        level.sum(axis=0) * np.float32(1 / bits),
+        level.min(axis=0),
+        level.max(axis=0),
+        np.einsum("kn,kn->n", level, level),
+        signs,
+        level.argmin(axis=0).astype(np.int32),
+    )
 
 
-def _one_of_several(frame: _Frame) -> Bools:
-    """Words that their waveforms do not tell from some others'."""
-    nodes = np.zeros_like(frame.active)
-    nodes[list(frame.levels.unresolved)] = True
-    return nodes & frame.active
+def _find_active(
+    measures: _Measures, expected: Floats32, active_share: float, noise: float, spec: FrameSpec
+) -> tuple[Bools, Bools, bool]:
+    """Words that were spoken; those of a node that is too weak; whether any may be.
+
+    Noise that would hide such a word may be what leaks from neighbours. expected: (n,) V.
+    active_share: part of the expected amplitude of words that count. noise: RMS of a level, V.
+    """
+    amplitude, bits, order = measures.amplitude, spec.line_bits, 0 if spec.sparse else spec.order
+    active = amplitude > np.float32(active_share) * expected
+    sound = SOUND_SHARE * np.minimum(expected, amplitude.max())  # two on a row are louder
+    faint = (amplitude > FAINT_SHARE * expected) & ((amplitude < sound) | ~active)
+    faint |= ~active & rises(measures.squares, expected, noise, bits)
+    rho = expected * np.float32(1 / max(noise, LEAST_NOISE))
+    hiding = rho < np.float32(hiding_rho(bits, order))
+    return active, faint, bool((faint | ~active & hiding).any())
 
 
-def _more_than_words(frame: _Frame) -> Bools:
-    """Rows that hold a part of a word, or more than noise and leakage."""
-    return frame.astray | frame.hidden
-
-
-def _silent_beside_late(frame: _Frame) -> Bools:
-    """Where somebody is out of place, any silent node may be the one that spoke."""
-    return ~frame.active & frame.is_late
+def _decide(frame: _Frame) -> _Decided:
+    """Codes, and how sure they are."""
+    measures, active, expected, spec = frame.measures, frame.active, frame.expected, frame.spec
+    amplitude, weakest, noise = measures.amplitude, measures.weakest, frame.levels.noise_v
+    bits = spec.line_bits
+    rho: Floats32 = amplitude * np.float32(1 / max(noise, LEAST_NOISE))
+    above_zero: Floats32 = np.maximum(amplitude, np.float32(1e-30))
+    margin = weakest / above_zero
+    codes = measures.signs ^ spec.sign_mask
+    doubtful = (rho < LOW_RHO) | (margin < LOW_MARGIN)
+    odd = np.zeros_like(active)
+    if spec.parity:
+        odd = _is_odd(codes)
+        turn = np.int32(1) << (bits - 1 - measures.weakest_bit)
+        codes = (codes ^ turn * odd) >> 1
+        doubtful |= odd
+    two = np.float32(DOUBLE_SHARE) * expected
+    cancelling = doubtful & (weakest < np.float32(LOW_MARGIN) * expected)
+    loud = amplitude > np.float32(SHARED_SHARE) * expected
+    three = loud & (rho > CLEAR_RHO) & (weakest < np.float32(LOWER_SHARE) * measures.strongest)
+    doubled = (cancelling | three) & (measures.strongest > two)
+    doubtful |= doubled | (amplitude > two)
+    doubtful &= active
+    uneven = measures.squares > amplitude * amplitude * np.float32(most_square(bits))
+    is_uneven = active.size > 2 and bool((uneven & active).any())
+    return _Decided(codes, rho, margin, doubtful, doubled, odd, is_uneven)
 
 
 def _silent_by_parts(frame: _Frame) -> Bools:
-    """A word that others' rows hold in parts leaves nothing on its own."""
+    """Silent nodes whose word may be on others' rows in parts: it leaves nothing on its own."""
     parts, active = frame.parts & ~frame.active, frame.active
-    said = _either(frame.measures.signs, frame.spec.line_bits)
+    # The same number for a word and its opposite, as parts of one late word are.
+    signs = frame.measures.signs
+    said = np.minimum(signs, signs ^ np.int32((1 << frame.spec.line_bits) - 1))
     words, counts = np.unique(said[parts], return_counts=True)
     if (counts > 1).any() or (frame.is_learnt and parts.any()):
         # Where parts outnumber words, these may be parts, too; so may one that says the same.
@@ -308,21 +403,6 @@ def _silent_elsewhere(frame: _Frame) -> Bools:
     return ~active & is_seen
 
 
-def _silent_on_moving_line(frame: _Frame) -> Bools:
-    """Silent nodes, where the level moves so much that the frame may be somewhere else."""
-    return ~frame.active & bool(_line_levels(frame).std() > MOVED_SHARE * frame.expected_v)
-
-
-RULES: tuple[Callable[[_Frame], Bools], ...] = (
-    _one_of_several,
-    _more_than_words,
-    _silent_beside_late,
-    _silent_by_parts,
-    _silent_elsewhere,
-    _silent_on_moving_line,
-)
-
-
 def _expected(
     amplitude: Floats32,
     noise: float,
@@ -340,13 +420,6 @@ def _expected(
     return np.full(spec.nodes, swing_v, dtype=np.float32)
 
 
-def _without_leakage(measures: Measures, rest: Floats32, faint: Bools) -> Measures:
-    """Faint words that louder ones explain have but what is left of them; rest: (k, n) V."""
-    amplitude, left = measures.amplitude, np.abs(rest).mean(axis=0)
-    amplitude = np.where(faint & (left < LEAKED_SHARE * amplitude), left, amplitude)
-    return measures._replace(amplitude=amplitude)
-
-
 def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Floats32) -> Bools:
     """Nodes on whose rows there may be a part of a word, of which others have the rest, (n,).
 
@@ -362,37 +435,12 @@ def _out_of_step(amplitude: Floats32, active: Bools, spoke: Bools, expected: Flo
     return astray
 
 
-def _either(signs: NDArray[np.int32], bits: int) -> NDArray[np.int32]:
-    """The same number for a word and its opposite, as parts of one late word are; signs: (m,)."""
-    either: NDArray[np.int32] = np.minimum(signs, signs ^ np.int32((1 << bits) - 1))
-    return either
-
-
-def _hides(rest: Floats32, noise: float, spoke: Bools, expected: Floats32) -> Bools:
-    """Rows that hold more than noise and leakage, (n,); rest: (k, n) V, without the latter."""
-    squares, bits = np.einsum("kn,kn->n", rest, rest), len(rest)
-    return rises(squares, expected, pooled_noise(noise, squares[~spoke], bits), bits)
-
-
-def _no_words(frame: _Frame) -> tuple[Bools, bool]:
-    """Words that tones explain, or an offset of the line, (n,); whether tones do."""
-    levels, active = frame.levels, frame.active
-    explained = None
-    if active.any():
-        explained = toned(levels, frame.measures.amplitude, active, frame.spec)
-    none = np.zeros_like(active) if explained is None else explained
-    if levels.level_unknown and active[0]:
-        none = none | (np.arange(active.size) == 0)
-    return none, explained is not None
-
-
 def _line_levels(frame: _Frame) -> Floats32:
     """The line's level in each bit, V; none where no row shows it."""
     levels, spec = frame.levels, frame.spec
     if levels.rows is None or spec.first_row == 0 or spec.scramble:
         return np.zeros(2, np.float32)
-    row: Floats32 = levels.rows[:, 0]
-    return row
+    return levels.rows[:, 0]
 
 
 def _disturbed(frame: _Frame) -> Bools:
@@ -435,3 +483,16 @@ def _middle(values: Floats32) -> np.float32:
     """The upper median; numpy's own takes ten times as long for the few values of a word."""
     middle: np.float32 = np.sort(values)[values.size // 2]
     return middle
+
+
+@cache
+def _weights(bits: int) -> Floats32:
+    """Value of each bit of a word, most significant first, (bits,)."""
+    return np.exp2(np.arange(bits - 1, -1, -1, dtype=np.float32))
+
+
+def _is_odd(words: NDArray[np.int32]) -> Bools:
+    """Whether words of up to 17 bits have an odd number of ones."""
+    for shift in (16, 8, 4, 2, 1):
+        words = words ^ (words >> shift)
+    return (words & 1).astype(bool)

@@ -94,8 +94,7 @@ class NodeHealth:
 
     def nodes(self, state: NodeState) -> list[int]:
         """Numbers, from 1 on, of the nodes in a state."""
-        numbers: list[int] = (np.flatnonzero(self.state == state) + 1).tolist()
-        return numbers
+        return (np.flatnonzero(self.state == state) + 1).tolist()
 
     @property
     def amplitude_v(self) -> Floats32:

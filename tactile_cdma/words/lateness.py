@@ -252,8 +252,7 @@ def _without_leakage(left: Floats32, meant: Floats32) -> Floats32:
     beside = np.stack((before, after)).reshape(2, *meant.shape)
     cause = beside[within].reshape(2, -1)
     share = np.linalg.lstsq(cause @ cause.T, cause @ left[within].ravel(), rcond=None)[0]
-    rest: Floats32 = left - np.tensordot(share.clip(0, LEAKED).astype(np.float32), beside, 1)
-    return rest
+    return left - np.tensordot(share.clip(0, LEAKED).astype(np.float32), beside, 1)
 
 
 def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Floats32:

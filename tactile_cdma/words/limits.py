@@ -24,3 +24,11 @@ UNLIKE = 0.2
 LOWER_SHARE = 0.5
 """Share of a word's strongest level below which its weakest one is that of fewer nodes. Chosen:
 three nodes give 3 and 1."""
+
+
+def most_square(bits: int) -> float:
+    """Sum of squares over the squared amplitude, of a word with one level that is off by UNLIKE.
+
+    Such a level adds 1/k − 1/k² of its square to the mean square of the word's k levels.
+    """
+    return bits + UNLIKE**2 * (bits - 1) / bits

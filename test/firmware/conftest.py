@@ -5,7 +5,7 @@
 import ctypes
 import fcntl
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -78,6 +78,12 @@ def emulator(built: Callable[[str], Path]) -> None:
 
 
 @pytest.fixture(scope="session")
+def node_images(built: Callable[[str], Path], emulator: None) -> None:
+    """The nodes' images, and what emulates them."""
+    built("node")
+
+
+@pytest.fixture(scope="session")
 def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specimen:
     """Compiles a program of specimens.c for an MCU; returns the node that runs it."""
     folder = tmp_path_factory.mktemp("avr")
@@ -92,3 +98,12 @@ def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specim
         return Node(image, mcu)
 
     return build
+
+
+@pytest.fixture(scope="module")
+def ros() -> Iterator[None]:
+    """What ROS nodes in this process need; skips the test where there is no ROS."""
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    rclpy.init()
+    yield
+    rclpy.shutdown()

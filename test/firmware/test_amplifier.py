@@ -43,8 +43,8 @@ from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.sim.nodes import NodeRules, node_frames
-from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tolerance import MOST_DRAWN, SKINS, scatter
 
@@ -205,15 +205,14 @@ def test_when_a_chip_is_first_sampled() -> None:
 def test_steps_have_settled_when_the_first_sample_is_taken(
     nodes: int, chip_s: float, circuit: str
 ) -> None:
-    spec = FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=1e4)
-    front = design(spec, 4, circuit=circuit)
+    _, front = skin(nodes, circuit, chip_s=chip_s)
     assert SETTLED / 20 < front.unsettled <= SETTLED
 
 
 def test_nodes_are_grouped_where_one_amplifier_is_too_slow() -> None:
     _, slow = skin(900)
     assert slow.groups == 1 and slow.polarity == -1
-    fast = design(FrameSpec(nodes=900, chip_s=2e-6, frame_period_s=PERIOD_S), 4)
+    _, fast = skin(900, chip_s=2e-6)
     assert fast.groups > 1 and fast.polarity == 1
     assert fast.groups * fast.nodes_stage.inputs >= 900
     assert fast.nodes_stage.inputs <= GROUP_NODES
@@ -235,65 +234,51 @@ def test_nodes_are_grouped_where_one_amplifier_is_too_slow() -> None:
 def test_where_amplifiers_are_too_slow_for_the_whole_range_a_part_is_used() -> None:
     """Few of many nodes at once get no less than all of them, until the parts are too slow."""
     for nodes, active in ((16, 0.01), (64, 0.1), (900, 0.001)):
-        spec = FrameSpec(nodes=nodes, chip_s=2e-6, frame_period_s=PERIOD_S)
-        front, every = design(spec, 4, active=active), design(spec, 4)
+        spec, every = skin(nodes, chip_s=2e-6)
+        front = design(spec, 4, active=active)
         assert front.amplitude_v > every.amplitude_v
         assert all(each.gain_bandwidth_hz <= MOST_GAIN_BANDWIDTH_HZ for each in front.stages)
     assert front.room > 5 * front.talking  # of the last one, with 900 nodes
     assert max(each.gain_bandwidth_hz for each in front.stages) > 0.8 * MOST_GAIN_BANDWIDTH_HZ
-    lower = design(FrameSpec(nodes=16, chip_s=0.5e-6, frame_period_s=PERIOD_S), 4)
+    _, lower = skin(16, chip_s=0.5e-6)
     assert 16 < lower.room < 17 and lower.nodes_stage.feedback_ohm == SUM_OHMS[-1]
     with pytest.raises(SpecError, match="use longer chips"):
-        design(FrameSpec(nodes=64, chip_s=0.5e-6, frame_period_s=PERIOD_S), 4)
+        skin(64, chip_s=0.5e-6)
 
 
 @pytest.mark.parametrize(("nodes", "chip_s"), [(16, 50e-6), (64, 50e-6), (900, 2e-6)])
 def test_inexact_parts_stay_within_what_was_allowed_for(nodes: int, chip_s: float) -> None:
-    """Skins drawn at random, against the deviation by hand; of half the supply, 1 % does."""
-    front = design(FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=PERIOD_S), 4)
-    drawn = scatter(front)
+    """Skins drawn at random, against the deviation by hand.
+
+    Of half the supply, 1 % does; with the paper's circuit it would leave a third of the skins
+    outside the range.
+    """
+    (_, front), (_, paper) = (skin(nodes, circuit, chip_s=chip_s) for circuit in (DIRECT, PAPER))
+    drawn, papers = scatter(front), scatter(paper)
     assert drawn.skins == SKINS
-    assert drawn.rest_v == pytest.approx(rest_deviation_v(front.stages, 3.3, None), rel=0.1)
-    assert drawn.left < 0.01
-    assert 0.015 < drawn.level < 0.04
+    for one, its in ((front, drawn), (paper, papers)):
+        expected_v = rest_deviation_v(one.stages, 3.3, one.attenuator)
+        assert its.rest_v == pytest.approx(expected_v, rel=0.1)
+        assert its.left < 0.01
+    assert 0.015 < drawn.level < 0.04 and 0.02 < papers.level < 0.06
     margin_v = 3.3 / 2 - RAIL_V - front.room_v
     assert margin_v == pytest.approx(SIGMAS * drawn.rest_v, rel=0.1)
     assert scatter(front, half_tolerance=0.05).left > 0.1
-
-
-@pytest.mark.parametrize(("nodes", "chip_s"), [(16, 50e-6), (64, 50e-6), (900, 2e-6)])
-def test_the_papers_circuit_wants_more_exact_parts(nodes: int, chip_s: float) -> None:
-    """Its half supply of 1 % would leave a third of the skins outside the range."""
-    spec = FrameSpec(nodes=nodes, chip_s=chip_s, frame_period_s=PERIOD_S)
-    front = design(spec, 4, circuit=PAPER)
-    drawn = scatter(front)
-    expected_v = rest_deviation_v(front.stages, 3.3, front.attenuator)
-    assert drawn.rest_v == pytest.approx(expected_v, rel=0.1)
-    assert drawn.left < 0.01
-    assert 0.02 < drawn.level < 0.06
-    coarse = scatter(front, half_tolerance=0.01)
-    assert coarse.rest_v > 4 * drawn.rest_v
-    assert coarse.left > 0.3
-    simpler = design(spec, 4)
-    assert max(s.gain_bandwidth_hz for s in simpler.stages) < 0.6 * max(
-        s.gain_bandwidth_hz for s in front.stages
-    )
-    assert simpler.amplitude_v > 0.95 * front.amplitude_v
-
-
-def test_of_large_skins_fewer_are_drawn() -> None:
-    front = skin(4000)[1]
-    assert scatter(front).skins == MOST_DRAWN // 4000 < SKINS
+    coarse = scatter(paper, half_tolerance=0.01)
+    assert coarse.rest_v > 4 * papers.rest_v and coarse.left > 0.3
+    fastest_hz = [max(stage.gain_bandwidth_hz for stage in one.stages) for one in (front, paper)]
+    assert fastest_hz[0] < 0.6 * fastest_hz[1]
+    assert front.amplitude_v > 0.95 * paper.amplitude_v
 
 
 def test_the_share_of_skins_is_that_of_exact_sums() -> None:
-    """A front end without room, and one with more than enough."""
-    front = design(FrameSpec(nodes=16, frame_period_s=PERIOD_S), 4)
-    stage = front.nodes_stage
-    bigger = replace(stage, feedback_ohm=1.2 * stage.feedback_ohm)
-    smaller = replace(stage, feedback_ohm=0.8 * stage.feedback_ohm)
-    assert scatter(replace(front, nodes_stage=bigger)).left == 1.0
-    assert scatter(replace(front, nodes_stage=smaller)).left == 0.0
+    """A front end without room, and one with more than enough; of large skins fewer are drawn."""
+    front = skin(16)[1]
+    for factor, left in ((1.2, 1.0), (0.8, 0.0)):
+        ohm = factor * front.nodes_stage.feedback_ohm
+        changed = replace(front, nodes_stage=replace(front.nodes_stage, feedback_ohm=ohm))
+        assert scatter(changed).left == left
+    assert scatter(skin(4000)[1]).skins == MOST_DRAWN // 4000 < SKINS
 
 
 def test_the_simulated_clipping_is_that_of_the_code_book() -> None:
@@ -362,9 +347,9 @@ def test_wrong_words_follow_from_rho() -> None:
 def symbols_of_scenes(order: int, frames: int) -> list[NDArray[np.float32]]:
     """Symbols ±1 of some frames of every scene of the simulator, 0.37 s apart, (k, N) each."""
     spec = FrameSpec(nodes=order - 1, order=order, chip_s=1e-6, frame_period_s=0.37)
-    place, symbols = SimOptions().skin(spec.nodes), []
-    for scene in SCENES.values():
-        for said in islice(node_frames(spec, scene, place, NodeRules(threshold=0)), frames):
+    symbols = []
+    for scene in SCENES:
+        for said in islice(truth(SimOptions(scene=scene, threshold=0), Setup(spec)), frames):
             bits = np.zeros((spec.bits, order), dtype=np.float32)
             bits[:, spec.rows] = 2.0 * word_bits(said.codes, spec.bits).T - 1.0
             symbols.append(bits)

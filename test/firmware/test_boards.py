@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 import make_boards
@@ -74,13 +75,16 @@ def front_of(nodes: int) -> FrontEnd:
     return design(config.spec, config.samples_per_chip)
 
 
-def fronts() -> dict[str, FrontEnd]:
-    """By board."""
-    few, many = front_of(16), front_of(900)
-    return {
-        board: many if board in ("strip-fast", *DIGITIZERS[1:], "group") else few
-        for board in BOARDS
-    }
+def front_for(board: str) -> FrontEnd:
+    return front_of(900 if board in ("strip-fast", "digitizer-fast", "group") else 16)
+
+
+def stage_of(board: str) -> Stage:
+    """Of the amplifier on a board."""
+    front = front_for(board)
+    stage = front.groups_stage if board == "digitizer-fast" else front.nodes_stage
+    assert stage is not None
+    return stage
 
 
 def value(board: Netlist, reference: str) -> float:
@@ -141,37 +145,26 @@ def test_without_kicad_it_says_that_only_connections_were_checked() -> None:
     assert result.returncode == 0, result.stderr
 
 
+def instead(old: str, new: str) -> Callable[[str], str]:
+    """A text with something else in the first place of `old`."""
+    return lambda text: text.replace(old, new, 1)
+
+
 @pytest.mark.parametrize(
     ("file", "damage", "told"),
     [
         ("electrodes.kicad_pcb", None, "No such file"),
-        (
-            "electrodes.kicad_pcb",
-            lambda text: text[: len(text) // 2],
-            "ends in it: is it truncated?",
-        ),
+        ("electrodes.kicad_pcb", lambda text: text[: len(text) // 2], "is it truncated?"),
         ("electrodes.kicad_pcb", lambda _: "PK\x03\x04", "was it written by KiCad?"),
-        ("electrodes.kicad_pcb", lambda text: text.replace("20241229", "20171130"), "save it with"),
-        (
-            "electrodes.kicad_pcb",
-            lambda text: text.replace("(at ", "(at x", 1),
-            "line 101: (at …): 'x10.5'",
-        ),
+        ("electrodes.kicad_pcb", instead("20241229", "20171130"), "save it with"),
+        ("electrodes.kicad_pcb", instead("(at ", "(at x"), "line 101: (at …): 'x10.5'"),
         ("electrodes.kicad_pcb", lambda text: f"{text})", "brackets do not match"),
-        (
-            "electrodes.kicad_pcb",
-            lambda text: text.replace("(net_name", "(name", 1),
-            "no (net_name",
-        ),
+        ("electrodes.kicad_pcb", instead("(net_name", "(name"), "no (net_name"),
         ("digitizer.kicad_pcb", lambda text: text[: text.find("(footprint")] + ")", "no net of"),
-        ("node.kicad_sch", lambda text: text.replace('"34k"', '"34q"'), "R4: '34q' is no value"),
-        (
-            "node.kicad_sch",
-            lambda text: text.replace('(lib_id "', '(lib_id "x', 1),
-            "not in (lib_symb",
-        ),
-        ("group.kicad_sch", lambda text: text.replace('"GND"', '"GND', 1), "a text in it does not"),
-        ("strip.kicad_sch", lambda text: text.replace("node.kic", "strip.kic"), "within itself"),
+        ("node.kicad_sch", instead('"34k"', '"34q"'), "R4: '34q' is no value"),
+        ("node.kicad_sch", instead('(lib_id "', '(lib_id "x'), "not in (lib_symb"),
+        ("group.kicad_sch", instead('"GND"', '"GND'), "a text in it does not"),
+        ("strip.kicad_sch", instead("node.kic", "strip.kic"), "within itself"),
     ],
 )
 def test_what_is_amiss_in_a_file_is_named(
@@ -212,19 +205,19 @@ def test_kicads_rules_find_nothing(kicad_folder: Path) -> None:
 
 
 @needs_kicad
-def test_kicads_rules_find_a_wire_that_is_missing(kicad_folder: Path) -> None:
-    file = kicad_folder / "digitizer.kicad_sch"
-    text = file.read_text()
-    file.write_text(re.sub(r"\n\(wire [^\n]*", "", text, count=1))
-    with pytest.raises(KicadError, match="not connected"):
-        check(kicad_folder)
-
-
-@needs_kicad
-def test_kicads_rules_find_a_track_that_is_missing(kicad_folder: Path) -> None:
-    file = kicad_folder / "electrodes.kicad_pcb"
-    file.write_text(re.sub(r"\n\t\(segment\n.*?\n\t\)", "", file.read_text(), count=1, flags=re.S))
-    with pytest.raises(KicadError, match="unconnected_items"):
+@pytest.mark.parametrize(
+    ("board", "missing", "told"),
+    [
+        ("digitizer.kicad_sch", r"\n\(wire [^\n]*", "not connected"),
+        ("electrodes.kicad_pcb", r"(?s)\n\t\(segment\n.*?\n\t\)", "unconnected_items"),
+    ],
+)
+def test_kicads_rules_find_what_is_missing(
+    board: str, missing: str, told: str, kicad_folder: Path
+) -> None:
+    file = kicad_folder / board
+    file.write_text(re.sub(missing, "", file.read_text(), count=1))
+    with pytest.raises(KicadError, match=told):
         check(kicad_folder)
 
 
@@ -245,9 +238,7 @@ def test_nets_are_those_that_kicad_finds(
 
 @pytest.mark.parametrize("symbol", PACKAGES)
 def test_pins_are_those_of_the_package(symbol: str, boards: dict[str, Netlist]) -> None:
-    found = [
-        c for board in boards.values() for c in board.components.values() if c.symbol == symbol
-    ]
+    found = [c for b in boards.values() for c in b.components.values() if c.symbol == symbol]
     assert found
     for component in found:
         names = [component.pins[str(i + 1)].split("/")[0] for i in range(len(component.pins))]
@@ -367,7 +358,7 @@ def test_cables_of_strips_digitizer_and_group_agree(boards: dict[str, Netlist]) 
 
 @pytest.mark.parametrize("strip", NODES)
 def test_a_nodes_values_are_the_calculators(strip: str, boards: dict[str, Netlist]) -> None:
-    board, front = boards[strip], fronts()[strip]
+    board, front = boards[strip], front_for(strip)
     for mcu in nodes_of(board):
         line = board.net(mcu, pin_at(board, mcu, NODES[strip]))
         into_line = across(board, "R", line, board.names["LINE"])
@@ -390,13 +381,6 @@ def test_64_nodes_differ_where_the_schematic_says_so(boards: dict[str, Netlist])
         assert component.fields["MPN64"] == part("R", f"{ohm[1]}k").number
 
 
-def stage_of(board: str) -> Stage:
-    front = fronts()[board]
-    stage = front.groups_stage if board == "digitizer-fast" else front.nodes_stage
-    assert stage is not None
-    return stage
-
-
 @pytest.mark.parametrize("name", [*DIGITIZERS, "group"])
 def test_an_amplifiers_values_are_the_calculators(name: str, boards: dict[str, Netlist]) -> None:
     board, stage = boards[name], stage_of(name)
@@ -415,7 +399,7 @@ def test_an_amplifiers_values_are_the_calculators(name: str, boards: dict[str, N
 
 @pytest.mark.parametrize("name", DIGITIZERS)
 def test_a_filters_values_are_the_calculators(name: str, boards: dict[str, Netlist]) -> None:
-    board, front = boards[name], fronts()[name]
+    board, front = boards[name], front_for(name)
     line = board.net(one(board, "Pico"), "GPIO26")
     assert across(board, "R", board.net(one(board, "OpAmp"), "OUT"), line) == front.filter_ohm
     assert across(board, "C", line, board.names["GND"]) == pytest.approx(front.filter_f)
@@ -450,19 +434,17 @@ def test_a_group_has_supply_half_and_sync_buffer_of_its_own(boards: dict[str, Ne
 
 def test_op_amps_are_as_fast_as_the_calculator_asks() -> None:
     few, more, many = (front_of(nodes) for nodes in (16, 64, 900))
-    groups = many.groups_stage
-    assert groups is not None
-    stages = {
-        "amplifier": [(few, few.nodes_stage), (more, more.nodes_stage)],
-        "group amplifier": [(many, many.nodes_stage)],
-        "sum": [(many, groups)],
-    }
-    assert {*stages} == set(OPAMPS)
-    for use, wanted in stages.items():
-        for front, stage in wanted:
-            assert OPAMPS[use].gain_bandwidth_hz >= TYPICAL * stage.gain_bandwidth_hz
-            assert OPAMPS[use].slew_v_per_s >= TYPICAL * front.slew_v_per_s
-            assert OPAMPS[use].rail_to_rail
+    uses = [
+        ("amplifier", few, few.nodes_stage),
+        ("amplifier", more, more.nodes_stage),
+        ("group amplifier", many, many.nodes_stage),
+        ("sum", many, stage_of("digitizer-fast")),
+    ]
+    assert {use for use, _, _ in uses} == OPAMPS.keys()
+    for use, front, stage in uses:
+        assert OPAMPS[use].gain_bandwidth_hz >= TYPICAL * stage.gain_bandwidth_hz
+        assert OPAMPS[use].slew_v_per_s >= TYPICAL * front.slew_v_per_s
+        assert OPAMPS[use].rail_to_rail
 
 
 def test_the_parts_list_counts_what_the_boards_show(boards: dict[str, Netlist]) -> None:
@@ -543,25 +525,17 @@ def test_sensors_are_a_grid_of_the_pitch_that_is_configured(
     sensors.sort(key=lambda reference: int(reference[1:]))
     file = {"strip": "wired_skin.yaml", "electrodes": "skin.yaml"}[board]
     pitch_mm = read_file(ROOT / "config" / file).get("pitch_mm")
-    middles = {
-        reference: tuple(
-            sum(axis) / 2 for axis in zip(*_extremes(layouts[board], reference), strict=True)
-        )
-        for reference in sensors
-    }
-    x0, y0 = middles[sensors[0]]
-    for i, reference in enumerate(sensors):
-        row, column = divmod(i, 4)
-        x, y = middles[reference]
-        assert (x - x0, y - y0) == pytest.approx((column * pitch_mm, row * pitch_mm), abs=1e-6)
+    middles = np.array([_middle(layouts[board], reference) for reference in sensors])
+    places = np.array([divmod(i, 4)[::-1] for i in range(len(sensors))])  # column, row
+    np.testing.assert_allclose(middles - middles[0], places * pitch_mm, atol=1e-6)
 
 
-def _extremes(copper: list[Copper], reference: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Upper left and lower right of a sensor's ring."""
-    pads = [i for i in copper if i.terminal == (reference, "2")]
-    low = [min(i.points[0][axis] - i.half[axis] for i in pads) for axis in (0, 1)]
-    high = [max(i.points[0][axis] + i.half[axis] for i in pads) for axis in (0, 1)]
-    return tuple(low), tuple(high)
+def _middle(copper: list[Copper], reference: str) -> np.ndarray:
+    """Of a sensor's ring: x, y."""
+    pads = [item for item in copper if item.terminal == (reference, "2")]
+    points, halves = np.array([i.points[0] for i in pads]), np.array([i.half for i in pads])
+    middle: np.ndarray = ((points - halves).min(axis=0) + (points + halves).max(axis=0)) / 2
+    return middle
 
 
 def test_an_assembly_list_has_every_part_once(boards: dict[str, Netlist]) -> None:

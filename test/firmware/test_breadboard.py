@@ -2,8 +2,7 @@
 
 """Nodes as Arduinos on a breadboard: memories in flash, other clocks, and no amplifier."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from breadboard import breadboard_line, breadboard_nodes
-from emulated import EmulatedSkin
+from emulated import EmulatedSkin, Node
 from skin import PressedSkin
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
@@ -21,43 +20,27 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_image import node_image
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.hardware.passive import passive_line
-from test.support.emulated_node import CLOCK_KNOWN, Bench, EmulatedNodes, Node, assert_says, volts
+from test.support.emulated_node import REST, Bench, assert_says
 from trial import press_and_decode
 
+pytestmark = pytest.mark.usefixtures("node_images")
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "breadboard.yaml"
 SPEC = FrameSpec(nodes=4, order=8)
-REST = 225
 LONG = 150
 """Frames after which an LED tells that a clock is wrong."""
 
 
-@pytest.fixture(scope="module")
-def build(built: Callable[[str], Path]) -> Path:
-    """Where images and emulation are."""
-    built("node")
-    return built("sim")
-
-
 @pytest.fixture
-def flashed(build: Path, tmp_path: Path) -> Callable[..., Node]:
+def flashed(tmp_path: Path) -> Callable[..., Node]:
     """A node flashed with a record of a number, as `tactile-cdma node --hex` makes it."""
 
-    def node(number: int, spec: FrameSpec = SPEC, crystal_mhz: int = 8, **plan: object) -> Node:
-        memory = node_memory(spec, number, threshold=0, rest=REST)
+    def node(number: int, crystal_mhz: int = 8, **plan: object) -> Node:
+        memory = node_memory(SPEC, number, threshold=0, rest=REST)
         image = tmp_path / f"{number}.hex"
         image.write_text(node_image("atmega328p", [memory], crystal_mhz, None))
         return replace(Node(image, "atmega328p"), **plan)
 
     return node
-
-
-@contextmanager
-def bench(node: Node, spec: FrameSpec = SPEC) -> Iterator[Bench]:
-    """One node, at rest."""
-    with EmulatedNodes([node]) as skin:
-        skin.press(volts(REST, spec.bits))
-        yield Bench(skin, spec)
-        assert skin.counters(0).faults == 0
 
 
 def leds(skin: Bench, first: int) -> set[bool]:
@@ -66,53 +49,50 @@ def leds(skin: Bench, first: int) -> set[bool]:
     for number in range(first, first + LONG):
         skin.frame(number)
         if number > first + LONG - 60:
-            shown.add(skin.skin.led(0))
+            shown.add(skin.led(0))
     return shown
 
 
 @pytest.mark.parametrize("crystal_mhz", [8, 16])
 def test_a_node_takes_its_record_from_flash(flashed: Callable[..., Node], crystal_mhz: int) -> None:
-    with bench(flashed(3, crystal_mhz=crystal_mhz, clock_hz=crystal_mhz * 1.01e6)) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        assert_says(skin, skin.frame(CLOCK_KNOWN), REST, number=3)
-        assert leds(skin, CLOCK_KNOWN + 1) == {False}
+    with Bench([flashed(3, crystal_mhz, clock_hz=crystal_mhz * 1.01e6)], SPEC) as skin:
+        number = skin.listen()
+        assert_says(skin, skin.frame(number), number=3)
+        assert leds(skin, number + 1) == {False}
 
 
 def test_a_valid_record_in_the_eeprom_goes_before_the_flash(flashed: Callable[..., Node]) -> None:
     own = node_memory(SPEC, 2, threshold=0, rest=REST)
     damaged = own[:-1] + bytes([own[-1] ^ 1])
     for memory, number in ((own, 2), (damaged, 3), (b"", 3)):
-        with bench(flashed(3, memory=memory)) as skin:
-            for frame in range(CLOCK_KNOWN):
-                skin.frame(frame)
-            assert_says(skin, skin.frame(CLOCK_KNOWN), REST, number=number)
+        with Bench([flashed(3, memory=memory)], SPEC) as skin:
+            assert_says(skin, skin.frame(skin.listen()), number=number)
 
 
 @pytest.mark.parametrize(("crystal_mhz", "clock_hz"), [(8, 16e6), (16, 8e6), (8, 4e6), (8, 12e6)])
 def test_at_another_clock_a_node_is_silent_and_its_led_blinks(
     flashed: Callable[..., Node], crystal_mhz: int, clock_hz: float
 ) -> None:
-    with bench(flashed(1, crystal_mhz=crystal_mhz, clock_hz=clock_hz)) as skin:
+    with Bench([flashed(1, crystal_mhz, clock_hz=clock_hz)], SPEC) as skin:
         assert leds(skin, 0) == {False, True}
-        assert len(skin.skin.edges(0)) == 0
+        assert len(skin.edges(0)) == 0
 
 
 def test_the_led_tells_of_another_frame_period_until_it_is_right(
     flashed: Callable[..., Node],
 ) -> None:
     slow = replace(SPEC, frame_period_s=1.25 * SPEC.frame_period_s)
-    with bench(flashed(1), slow) as skin:
+    with Bench([flashed(1)], slow) as skin:
         assert leds(skin, 0) == {False, True}
-        assert len(skin.skin.edges(0)) == 0
-        mended = Bench(skin.skin, SPEC)
+        assert len(skin.edges(0)) == 0
+        skin.spec = SPEC
         behind = LONG * 5 // 4 + 1
-        assert leds(mended, behind) == {False}
-        assert len(skin.skin.edges(0)) > 0
+        assert leds(skin, behind) == {False}
+        assert len(skin.edges(0)) > 0
 
 
 @pytest.mark.parametrize("talking", [1, 2, 4])
-def test_without_an_amplifier_each_adds_less_the_more_speak(build: Path, talking: int) -> None:
+def test_without_an_amplifier_each_adds_less_the_more_speak(talking: int) -> None:
     """Equally for all, of which one has 16 MHz and 5 V; and the words are right."""
     config = SkinConfig.of(read_file(CONFIG))
     spec, chip_ns = config.spec, round(config.spec.chip_s * 1e9)

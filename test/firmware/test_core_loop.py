@@ -10,6 +10,7 @@ import pytest
 
 from tactile_cdma.wire.messages import Ack, Command, GetInfo, Info, Packet, Samples, Start, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.core_digitizer import of_kind
 
 FIRST, LAST = 0, 1
 """Links: the preferred one, and the one that is always ready."""
@@ -20,8 +21,7 @@ class Loop:
 
     def __init__(self, core: ctypes.CDLL) -> None:
         self._core = core
-        self._core.loop_sent.restype = self._core.loop_sleeps.restype = c_size_t
-        self._core.loop_starts.restype = c_size_t
+        core.loop_sent.restype = c_size_t
         self._writer = PacketWriter()
         self._parsed = [0, 0]
         self.parsers = [PacketParser(), PacketParser()]
@@ -117,13 +117,13 @@ def test_a_host_that_does_not_read_gets_what_is_new(loop: Loop) -> None:
     loop.stuck = set()
     loop.sample(2048)
     loop.run(40)
-    samples = [packet for packet in loop.packets(LAST) if isinstance(packet, Samples)]
+    samples = of_kind(loop.packets(LAST), Samples)
     firsts = [packet.first_index for packet in samples]
     assert firsts[-1] >= 12 * 2048
     old = [p.counts.size for p in samples if p.first_index < 12 * 2048]
     assert 0 < 2 * sum(old) <= 4096 + 2 * max(old)
     loop.run(11, step_us=100_000)
-    (status,) = [packet for packet in loop.packets(LAST) if isinstance(packet, Status)][-1:]
+    status = of_kind(loop.packets(LAST), Status)[-1]
     assert status.packets_dropped == loop.parsers[LAST].counters.lost_packets > 10
     assert loop.errors(LAST) == 0
 
@@ -160,8 +160,7 @@ def test_bytes_of_two_links_are_never_one_packet(loop: Loop) -> None:
     loop.run(step_us=200_000)
     answers = loop.packets(LAST)
     assert kinds(answers).count(Ack) == 1
-    status = [packet for packet in answers if isinstance(packet, Status)][-1]
-    assert status.command_errors == 2
+    assert of_kind(answers, Status)[-1].command_errors == 2
 
 
 def test_a_packet_cut_by_a_change_of_links_spoils_no_other(loop: Loop) -> None:
@@ -192,7 +191,7 @@ def test_samples_pass_until_fewer_than_a_chunk_come(loop: Loop) -> None:
     assert loop.sleeps == sleeps  # more samples wait
     loop.run(8)
     assert loop.sleeps == sleeps + 8
-    samples = [packet for packet in loop.packets(LAST) if isinstance(packet, Samples)]
+    samples = of_kind(loop.packets(LAST), Samples)
     assert samples[0].first_index == 7 and samples[0].overrun
     assert all(a.first_index + a.counts.size == b.first_index for a, b in pairwise(samples))
 
@@ -206,7 +205,7 @@ def test_after_a_missed_pulse_what_was_sampled_is_sent_and_a_new_stream_begins(l
     loop.fail_pulses()
     loop.run(12, step_us=100_000)
     packets = loop.packets(LAST)
-    assert sum(packet.counts.size for packet in packets if isinstance(packet, Samples)) == 600
+    assert sum(packet.counts.size for packet in of_kind(packets, Samples)) == 600
     assert loop.starts == starts + 1
-    status = [packet for packet in packets if isinstance(packet, Status)][-1]
+    status = of_kind(packets, Status)[-1]
     assert status.sync_faults == 1 and status.streaming

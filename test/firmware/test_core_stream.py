@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.timeline import sample_count
 from tactile_cdma.sim.nodes import RollCalls
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
@@ -34,20 +35,16 @@ from tactile_cdma.wire._protocol import (
 )
 from tactile_cdma.wire.cobs import cobs_decode
 from tactile_cdma.wire.messages import (
-    Ack,
     Configure,
     FrameLayout,
     Groups,
-    Info,
     Pack,
-    Packet,
     Quiet,
     RollCall,
     Samples,
     Start,
-    Status,
 )
-from test.support.core_digitizer import Board, CoreDigitizer
+from test.support.core_digitizer import Board, CoreDigitizer, of_kind
 from test.support.examples import examples
 from test.support.firmware import FIRMWARE
 
@@ -62,18 +59,10 @@ def place(packet: Samples | Quiet, index: int, time_us: int) -> Samples | Quiet:
     return replace(packet, device_time_us=packet.device_time_us + time_us, **moved)
 
 
-def of_line(packets: list[Packet]) -> list[Samples | Quiet]:
-    """The packets of samples; all others must be reports."""
-    assert all(isinstance(packet, Samples | Quiet | Ack | Info | Status) for packet in packets)
-    return [packet for packet in packets if isinstance(packet, Samples | Quiet)]
-
-
 def configured(core: ctypes.CDLL, asked: Configure, **more: object) -> CoreDigitizer:
     """A digitizer that streams, commanded at START_US."""
     digitizer = CoreDigitizer(core, now_us=START_US, **{"output": 1 << 23, **more})  # type: ignore[arg-type]
-    digitizer.send(asked, Start())
-    acks = [packet for packet in digitizer.packets() if isinstance(packet, Ack)]
-    assert [ack.result for ack in acks] == [0, 0]
+    assert digitizer.results(asked, Start()) == [0, 0]
     return digitizer
 
 
@@ -154,7 +143,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
             [counts] if chunk is None else np.split(counts, range(chunk, len(counts), chunk))
         ):
             digitizer.samples(part)
-    got = [p for p in of_line(digitizer.packets()) if p.first_index >= before]
+    got = [p for p in digitizer.packets(Samples, Quiet) if p.first_index >= before]
     assert got[-1].first_index >= expected[-3].first_index  # little is held back
     assert got == [
         place(packet, before, START_US + first_mark_us) for packet in expected[: len(got)]
@@ -171,26 +160,20 @@ GAP = FrameLayout.of(FrameSpec(frame_period_s=21.4e-3), 4)  # of 900 samples; th
 
 
 def sizes(digitizer: CoreDigitizer) -> list[tuple[type, int]]:
-    return [
-        (type(packet), packet.count if isinstance(packet, Quiet) else len(packet.counts))
-        for packet in of_line(digitizer.packets())
-    ]
+    return [(type(packet), sample_count(packet)) for packet in digitizer.packets(Samples, Quiet)]
 
 
 def test_a_gap_after_silence_waits_if_it_can_be_held_and_while_it_is_silent(
     core: ctypes.CDLL,
 ) -> None:
-    pieces = [(Quiet, 240), (Quiet, 240), (Quiet, 240), (Quiet, 180)]
-    for capacity, gap in ((900, [(Quiet, 900)]), (899, pieces)):
+    for capacity, sent in (  # once the frame, the gap but for a sample, that and most of a frame…
+        (900, ([80, 812], [], [], [900, 812])),
+        (899, ([80, 812], [240, 240, 240], [180], [812])),
+    ):
         digitizer = configured(core, Configure(GAP, quiet_uv=100_000), capacity=capacity)
-        digitizer.samples(np.full(80 + 812, MIDDLE))
-        assert sizes(digitizer) == [(Quiet, 80), (Quiet, 812)]
-        digitizer.samples(np.full(899, MIDDLE))
-        assert sizes(digitizer) == ([] if len(gap) == 1 else pieces[:-1])
-        digitizer.samples(np.full(1 + 811, MIDDLE))
-        assert sizes(digitizer) == ([] if len(gap) == 1 else pieces[-1:])  # still waits
-        digitizer.samples(np.full(1, MIDDLE))
-        assert sizes(digitizer) == [*(gap if len(gap) == 1 else []), (Quiet, 812)]
+        for size, expected in zip((80 + 812, 899, 1 + 811, 1), sent, strict=True):
+            digitizer.samples(np.full(size, MIDDLE))
+            assert sizes(digitizer) == [(Quiet, each) for each in expected]
 
 
 def test_a_gap_that_becomes_loud_is_sent_at_once(core: ctypes.CDLL) -> None:
@@ -413,8 +396,7 @@ def test_packets_follow_the_rules_exactly(
     quiet_uv = 100_000 if quiet and integrated else 0
     asked = Configure(frame, SyncMode.DRIVE, integrated, quiet_uv)
     digitizer = CoreDigitizer(core, capacity=capacity, output=1 << 20, now_us=START_US)
-    digitizer.send(asked, *[Pack()] * packs, Start())
-    accepted = not any(isinstance(p, Ack) and p.result for p in digitizer.packets())
+    accepted = not any(digitizer.results(asked, *[Pack()] * packs, Start()))
     assert not (accepted and integrated and drifts(frame))
     assume(accepted)
     size *= 1 + 9 * integrated
@@ -426,6 +408,7 @@ def test_packets_follow_the_rules_exactly(
         counts = np.where(level, counts, 2048 + counts % 2).astype(np.uint16)
     lost = {number for begin, length in losses for number in range(begin, begin + length)}
     lost = {number for number in lost if number < size}
+    digitizer.lost(0)  # is nothing
     number, turn = 0, 0
     while number < size:
         end = min(size, number + chunks[turn % len(chunks)])
@@ -444,8 +427,9 @@ def test_packets_follow_the_rules_exactly(
     fits = not integrated or frame.chip_ns < SHORT_NS
     kinds = {body[0] for body in map(cobs_decode, sent.split(b"\0")[:-1]) if body}
     assert kinds <= {PacketType.QUIET, PacketType.PACKED if packs and fits else PacketType.SAMPLES}
-    got = of_line(digitizer.parser.feed(sent))
+    got = of_kind(digitizer.parser.feed(sent), Samples, Quiet)
     assert not digitizer.parser.counters.malformed
+    assert integrated or digitizer.status(START_US + 10**9).samples_lost == len(lost)
     if integrated:
         quiet_counts = int(quiet_uv * 1e-6 / (digitizer.board.volts_per_count / 8))
         expected = rules.integrated(counts, lost, quiet_counts)
@@ -466,8 +450,7 @@ def test_a_frame_longer_than_a_packet(core: ctypes.CDLL, packs: bool) -> None:
     """Where there is room to hold it, it is quiet as a whole; if not, packets are full."""
     asked = Configure(THOUSAND, SyncMode.DRIVE, True, 2 * round(3.3 / 4096 * 1e6))
     digitizer = CoreDigitizer(core, capacity=2 * MAX_SAMPLES, output=1 << 20, now_us=START_US)
-    digitizer.send(asked, *[Pack()] * packs, Start())
-    digitizer.packets()
+    digitizer.results(asked, *[Pack()] * packs, Start())
     period, first = 9980, 500
     line = 2048 + (np.arange(first + 6 * period) % 2)
     touched = first + 2 * period
@@ -475,15 +458,13 @@ def test_a_frame_longer_than_a_packet(core: ctypes.CDLL, packs: bool) -> None:
     line[touched + period + 10] = 3000
     line[touched + 2 * period + 920] = 3000  # in a guard, which is not sent
     digitizer.samples(line.astype(np.uint16))
-    packets = of_line(digitizer.packets())
-    sizes = [
-        packet.count if isinstance(packet, Quiet) else packet.counts.size for packet in packets
-    ]
+    packets = digitizer.packets(Samples, Quiet)
+    sizes = [sample_count(packet) for packet in packets]
     assert [type(packet) for packet in packets] == [Quiet] * 2 + [Samples] * 4 + [Quiet] * 2
     assert sizes == [WHOLE] * 2 + [MAX_SAMPLES, WHOLE - MAX_SAMPLES] * 2 + [WHOLE] * 2
     assert [packet.sync for packet in packets] == [True] * 3 + [False, True, False, True, True]
     assert [packet.first_index for packet in packets] == [*np.cumsum([0, *sizes[:-1]])]
-    words = np.concatenate([packet.counts for packet in packets if isinstance(packet, Samples)])
+    words = np.concatenate([packet.counts for packet in of_kind(packets, Samples)])
     chips = np.array([line[touched + place] for place in Rules(asked, 96, 1).places])
     np.testing.assert_array_equal(words[:WHOLE], 8 * chips)
     mark_us = START_US + 2 * touched
@@ -547,10 +528,7 @@ def test_a_chips_only_sample_stays_in_its_place(
 ) -> None:
     frame = replace(THOUSAND, chip_ns=chip_ns, frame_period_us=100_000)
     assert drifts(frame) == bool(result)
-    digitizer = CoreDigitizer(core, output=1 << 20)
-    digitizer.send(Configure(frame, SyncMode.DRIVE, True))
-    (ack,) = [packet for packet in digitizer.packets() if isinstance(packet, Ack)]
-    assert ack.result == result
+    assert CoreDigitizer(core).results(Configure(frame, SyncMode.DRIVE, True)) == [result]
 
 
 def test_the_sums_of_a_long_silent_frame(core: ctypes.CDLL) -> None:
@@ -560,7 +538,7 @@ def test_the_sums_of_a_long_silent_frame(core: ctypes.CDLL) -> None:
         core, Configure(frame, SyncMode.DRIVE, True, 5000), capacity=90_000, output=1 << 22
     )
     digitizer.samples(np.full(500 + 81_920, 4095))
-    (quiet,) = of_line(digitizer.packets())
+    (quiet,) = digitizer.packets(Samples, Quiet)
     assert isinstance(quiet, Quiet)
     level = 8 * 4095
     sums = (quiet.count, quiet.sum, quiet.sum_of_squares)

@@ -2,10 +2,7 @@
 
 """The image that sends chips by a shift register: its pin, to the cycle, against the encoder."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,37 +10,33 @@ from numpy.typing import NDArray
 
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.hardware.node_memory import FAST, MCUS, node_memory
+from tactile_cdma.hardware.node_memory import FAST, MCUS
 from test.support.emulated_node import (
     CALL,
     CLOCK_KNOWN,
     FRAME,
-    LEAD_NS,
-    MEASURED_NS,
-    POWER_UP_NS,
+    REST,
     RESTART,
     UNIT_NS,
     Bench,
-    EmulatedNodes,
-    Node,
     assert_says,
-    image,
+    bench,
+    node_for,
     slots,
     volts,
 )
 from test.support.node_limits import limits
 
+pytestmark = pytest.mark.usefixtures("node_images")
 CYCLE_NS = 125
 ROUNDING_NS = 10
 """Of the emulation's times of edges and cycles."""
 PRELUDE_NS = 4_000
 """Longest time before a sub-slot, beside half a chip, for which the transmitter drives the line."""
 PPM = 1e-6
-REST = 225
 SCRAMBLED_S = MCUS[FAST].scrambled_chip_ns * 1e-9
 SPARSE_S = MCUS[FAST].sparse_chip_ns * 1e-9
 SPARSE: dict[str, bool | str] = {"codes": "sparse", "scramble": True}
-SPEECH = {"threshold": 0, "rest": REST}
 CODES = (0, 1023, 0b0101101110)
 
 
@@ -82,36 +75,6 @@ SHAPES = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def build(built: Callable[[str], Path]) -> Path:
-    """Where images and emulation are."""
-    built("node")
-    return built("sim")
-
-
-@contextmanager
-def bench(
-    build: Path,
-    spec: FrameSpec,
-    nodes: tuple[int, ...] = (1,),
-    clock_hz: float = 8e6,
-    start_ns: int = 0,
-    **options: int | bool | None,
-) -> Iterator[Bench]:
-    """Nodes of these numbers, from 1; no emulation that they were not made for."""
-    made = [
-        Node(image(build, FAST), FAST, node_memory(spec, node, mcu=FAST, **(SPEECH | options)),
-             clock_hz=clock_hz, start_ns=start_ns)
-        for node in nodes
-    ]  # fmt: skip
-    with EmulatedNodes(made) as skin:
-        skin.press(volts(REST >> (10 - spec.bits), spec.bits))
-        yield Bench(skin, spec)
-        for node in range(len(nodes)):
-            counters = skin.counters(node)
-            assert not (counters.faults or counters.deep_sleeps or counters.pull_ups)
-
-
 def said(bench: Bench, start_ns: int, node: int = 0, chip_ns: float | None = None) -> NDArray:
     """Levels of all places of a frame at its pin, (span,), 0 where released; sampled at mid-chip.
 
@@ -142,63 +105,63 @@ def said(bench: Bench, start_ns: int, node: int = 0, chip_ns: float | None = Non
     return levels
 
 
-def wanted(spec: FrameSpec, node: int, code: int) -> NDArray[np.int8]:
+def wanted(spec: FrameSpec, node: int = 1, code: int = REST) -> NDArray[np.int8]:
     """The same by the host's encoder; node counts from 1."""
     active = np.arange(spec.nodes) == node - 1
     chips = line_chips(spec, np.full(spec.nodes, code), active, amplitude_v=1.0)
     return (frame_levels(chips, spec) * spec.polarity).astype(np.int8)
 
 
+def assert_says_rest(bench: Bench, start_ns: int) -> None:
+    """Check that a skin's first node transmitted its code at rest in a frame."""
+    if bench.nodes[0].mcu == FAST:
+        np.testing.assert_array_equal(said(bench, start_ns), wanted(bench.spec))
+    else:
+        assert_says(bench, start_ns)
+
+
 @pytest.mark.parametrize("error", [-100 * PPM, 0.0, 100 * PPM])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_words_of_every_shape(build: Path, shape: str, error: float) -> None:
+def test_words_of_every_shape(shape: str, error: float) -> None:
     """First and last node; all chips of a bit by the node's own crystal, a bit by the sync line."""
     spec = SHAPES[shape]
     which = (1, spec.nodes) if spec.nodes > 1 else (1,)
-    with bench(build, spec, which, 8e6 * (1 + error)) as skin:
-        for number in range(CLOCK_KNOWN + 1):  # one more: a long row takes 40 ms to read
-            skin.frame(number)
+    with bench(spec, FAST, which, clock_hz=8e6 * (1 + error)) as skin:
+        skin.frame(skin.listen())  # one more: a long row takes 40 ms to read
         for number, code in enumerate(CODES, CLOCK_KNOWN + 1):
             code >>= 10 - spec.bits
-            skin.skin.press(volts(code, spec.bits))
+            skin.press(volts(code, spec.bits))
             start = skin.frame(number)
             for place, node in enumerate(which):
                 levels = said(skin, start, place, spec.chip_s * 1e9 / (1 + error))
                 np.testing.assert_array_equal(levels, wanted(spec, node, code))
 
 
-def test_every_code_at_any_time_of_the_timer(build: Path) -> None:
+def test_every_code_at_any_time_of_the_timer() -> None:
     """Also where the timer overflows in the middle of a bit."""
     spec = replace(fast(1, 16, 1e-6), frame_period_s=2.049e-3)
-    with bench(build, spec) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        for code in range(1024):
-            skin.skin.press(volts(code, 10))
-            start = skin.frame(number + 1 + code)
-            np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, code))
-            skin.skin.forget(start)
-
-
-def test_clock_survives_bits_that_outlast_the_timer(build: Path) -> None:
-    """A bit of 65 ms holds all interrupts off; the timer's overflows are counted meanwhile."""
-    spec = fast(4000, 4096, 16e-6)
-    with bench(build, spec) as skin:
-        for number in range(CLOCK_KNOWN + 2):
+    with bench(spec, FAST) as skin:
+        for number, code in enumerate(range(1024), skin.listen()):
+            skin.press(volts(code, 10))
             start = skin.frame(number)
-        np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
-        assert skin.skin.counters(0).watchdog_resets == 0
+            np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, code))
+            skin.forget(start)
 
 
-def test_before_a_bit_nodes_send_no_common_level(build: Path) -> None:
+def test_clock_survives_bits_that_outlast_the_timer() -> None:
+    """A bit of 65 ms holds all interrupts off; the timer's overflows are counted meanwhile."""
+    with bench(fast(4000, 4096, 16e-6), FAST) as skin:
+        number = skin.listen()
+        skin.frame(number)
+        assert_says_rest(skin, skin.frame(number + 1))
+        assert skin.counters(0).watchdog_resets == 0
+
+
+def test_before_a_bit_nodes_send_no_common_level() -> None:
     """A transmitter that idles drives high; all at once would saturate the amplifier."""
-    spec = fast(60, 64)
-    nodes = tuple(range(1, 61))
-    with bench(build, spec, nodes) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        start = skin.frame(CLOCK_KNOWN)
-        skin.skin.run(start + 1_000_000)
+    with bench(fast(60, 64), FAST, range(1, 61)) as skin:
+        start = skin.frame(skin.listen())
+        skin.run(start + 1_000_000)
         instants = start + np.arange(-PRELUDE_NS, 0, CYCLE_NS) + CYCLE_NS // 2
         levels = np.zeros((60, instants.size))
         for node in range(60):
@@ -213,82 +176,61 @@ def test_before_a_bit_nodes_send_no_common_level(build: Path) -> None:
         assert np.flatnonzero(common).tolist() == np.flatnonzero(driven)[:3].tolist()
 
 
-def test_silent_nodes_leave_the_line_released(build: Path) -> None:
-    with bench(build, fast(15, 16), threshold=1, heartbeat=0) as skin:
+def test_silent_nodes_leave_the_line_released() -> None:
+    with bench(fast(15, 16), FAST, threshold=1, heartbeat=0) as skin:
         for number in range(6):
-            assert not len(skin.heard(0, skin.frame(number)))
-        skin.skin.press(volts(400, 10))
+            assert not skin.spoke(skin.frame(number))
+        skin.press(volts(400, 10))
         start = skin.frame(6)
         np.testing.assert_array_equal(said(skin, start), wanted(skin.spec, 1, 400))
 
 
 @pytest.mark.parametrize("order", [2, 4, 16])
-def test_roll_call(build: Path, order: int) -> None:
+def test_roll_call(order: int) -> None:
     """Right after its long pulse a node is in time, whenever that falls; the others are silent."""
     spec = fast(order - 1, order, bits=8)
-    memories = [node_memory(spec, node, mcu=FAST, **SPEECH) for node in range(1, spec.nodes + 1)]
     nodes = [
-        Node(image(build, FAST), FAST, memory, start_ns=37 * phase)
-        for memory in memories[:3]
+        node_for(spec, number, FAST, start_ns=37 * phase)
+        for number in range(1, min(3, spec.nodes) + 1)
         for phase in range(40)
     ]
-    with EmulatedNodes(nodes) as emulated:
-        emulated.press(volts(REST >> 2, 8))
-        skin = Bench(emulated, spec)
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        for turn in range(spec.nodes):
-            start = skin.frame(CLOCK_KNOWN + turn, CALL if turn == 0 else FRAME)
+    with Bench(nodes, spec) as skin:
+        for turn, number in enumerate(range(skin.listen(), CLOCK_KNOWN + spec.nodes)):
+            start = skin.frame(number, CALL if turn == 0 else FRAME)
             for place in range(len(nodes)):
-                levels = wanted(spec, turn + 1, REST >> 2) * (place // 40 == turn)
+                levels = wanted(spec, turn + 1) * (place // 40 == turn)
                 np.testing.assert_array_equal(said(skin, start, place), levels)
 
 
-def test_missing_restart_ends_the_frame(build: Path) -> None:
+def test_missing_restart_ends_the_frame() -> None:
     spec = fast(15, 16)
-    with bench(build, spec) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        start = skin.frame(CLOCK_KNOWN, skip=[4])
-        levels, pitch = wanted(spec, 1, REST), spec.resync_chips + spec.guard_chips
+    with bench(spec, FAST) as skin:
+        number = skin.listen()
+        start = skin.frame(number, skip=[4])
+        levels, pitch = wanted(spec), spec.resync_chips + spec.guard_chips
         levels[4 * pitch :] = 0
         np.testing.assert_array_equal(said(skin, start), levels)
-        start = skin.frame(CLOCK_KNOWN + 1)
-        np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
+        assert_says_rest(skin, skin.frame(number + 1))
 
 
 @pytest.mark.parametrize("mcu", ["atmega328p", FAST])
 @pytest.mark.parametrize("width_ns", [60, 120, 370])
-def test_spikes_in_pulses_cost_nothing(build: Path, mcu: str, width_ns: int) -> None:
+def test_spikes_in_pulses_cost_nothing(mcu: str, width_ns: int) -> None:
     """The noise canceller drops what is shorter than 4 cycles, high or low."""
-    spec = fast(15, 16) if mcu == FAST else FrameSpec(nodes=4, order=16)
-    node = Node(image(build, mcu), mcu, node_memory(spec, 1, mcu=mcu, **SPEECH))
-    with EmulatedNodes([node]) as emulated:
-        emulated.press(volts(REST, 10))
-        skin = Bench(emulated, spec)
+    with bench(fast(15, 16) if mcu == FAST else FrameSpec(nodes=4, order=16), mcu) as skin:
         for number in range(CLOCK_KNOWN + 4):
-            start = POWER_UP_NS + number * skin.period_ns
-            for slot in range(slots(spec)):
-                at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s * 1e9
-                rise = start + round(at) - LEAD_NS
+            start = skin.start(number)
+            for slot, rise in enumerate(skin.rises(start)):
                 length = (RESTART if slot else FRAME) * UNIT_NS
                 dip = rise + 3_000 + 1_000 * number
                 skin.pulse(rise - 5_000, width_ns)
                 skin.pulse(rise, dip - rise)
                 skin.pulse(dip + width_ns, length - (dip + width_ns - rise))
-            skin.skin.run(start + skin.period_ns - MEASURED_NS)
+            skin.end(start)
             if number < CLOCK_KNOWN:
-                assert not len(skin.heard(0, start))
+                assert not skin.spoke(start)
             else:
-                assert_says_rest(skin, mcu, start)
-
-
-def assert_says_rest(bench: Bench, mcu: str, start_ns: int) -> None:
-    """Check that a skin's first node transmitted its code at rest in a frame."""
-    if mcu == FAST:
-        np.testing.assert_array_equal(said(bench, start_ns), wanted(bench.spec, 1, REST))
-    else:
-        assert_says(bench, start_ns, REST)
+                assert_says_rest(skin, start)
 
 
 TIMER_TURN_S = 2**16 / 8e6
@@ -300,82 +242,62 @@ LONG_PAUSES = {
 """Of 200 µs, in none of which the timer overflows: it does 4.6 ms after frames begin."""
 
 
-@contextmanager
-def long_pauses(build: Path, mcu: str) -> Iterator[Bench]:
-    """A node that knows its clock."""
-    spec = LONG_PAUSES[mcu]
-    node = Node(image(build, mcu), mcu, node_memory(spec, 1, mcu=mcu, **SPEECH))
-    with EmulatedNodes([node]) as emulated:
-        emulated.press(volts(REST, 10))
-        skin = Bench(emulated, spec)
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        yield skin
-
-
 @pytest.mark.parametrize("mcu", LONG_PAUSES)
-def test_spikes_in_pauses_begin_no_bit(build: Path, mcu: str) -> None:
+def test_spikes_in_pauses_begin_no_bit(mcu: str) -> None:
     """Its interrupt finds it over. Not in the first pause, in which the node has other work.
 
     Nor just before a pulse, which is then served late: by 15 µs with gcc-avr 14.
     """
-    with long_pauses(build, mcu) as skin:
-        for number, early_us in enumerate(range(18, 200 - 64 - 14, 7), CLOCK_KNOWN):
+    with bench(LONG_PAUSES[mcu], mcu) as skin:
+        for number, early_us in enumerate(range(18, 200 - 64 - 14, 7), skin.listen()):
             spikes = dict.fromkeys(range(2, slots(skin.spec)), (1000 * early_us, 1000))
-            assert_says_rest(skin, mcu, skin.frame(number, before=spikes))
+            assert_says_rest(skin, skin.frame(number, before=spikes))
 
 
 @pytest.mark.parametrize("mcu", LONG_PAUSES)
 @pytest.mark.parametrize("width_us", [1, 26, 40])
-def test_what_hides_no_restart(build: Path, mcu: str, width_us: int) -> None:
+def test_what_hides_no_restart(mcu: str, width_us: int) -> None:
     """Spikes hide none from slow chips; other pulses that end and are served in time hide none."""
     early_us = np.arange(max(55, width_us + 25), 120, 7) if width_us > 1 else np.arange(1.7, 30)
     if mcu == FAST:
         early_us = early_us[(early_us < 9) | (early_us > 16)]  # 14 with gcc-avr 12, 15 with 14
-    with long_pauses(build, mcu) as skin:
-        for number, early in enumerate(early_us, CLOCK_KNOWN):
+    with bench(LONG_PAUSES[mcu], mcu) as skin:
+        for number, early in enumerate(early_us, skin.listen()):
             other = {3: (round(1000 * early), 1000 * width_us)}
-            assert_says_rest(skin, mcu, skin.frame(number, before=other))
+            assert_says_rest(skin, skin.frame(number, before=other))
 
 
 @pytest.mark.parametrize("width_us", [26, 40])
-def test_pulses_that_nobody_answers_bend_no_chip_of_a_bits_end(build: Path, width_us: int) -> None:
+def test_pulses_that_nobody_answers_bend_no_chip_of_a_bits_end(width_us: int) -> None:
     """In the last 64 µs of a bit: a restart's pulse could come then, so the node gets ready."""
-    with bench(build, fast(15, 16, 16e-6)) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        for number, early_us in enumerate(range(60, 80, 3), CLOCK_KNOWN):
-            start = skin.frame(number, before={1: (1000 * early_us, 1000 * width_us)})
-            np.testing.assert_array_equal(said(skin, start), wanted(skin.spec, 1, REST))
+    with bench(fast(15, 16, 16e-6), FAST) as skin:
+        for number, early_us in enumerate(range(60, 80, 3), skin.listen()):
+            other = {1: (1000 * early_us, 1000 * width_us)}
+            assert_says_rest(skin, skin.frame(number, before=other))
 
 
-def test_pulses_at_any_time_of_the_timer(build: Path) -> None:
+def test_pulses_at_any_time_of_the_timer() -> None:
     """Each frame is 3 µs further in the timer's turn than the one before."""
     spec = replace(fast(31, 32), frame_period_s=2.563e-3)
-    with bench(build, spec, start_ns=12_345) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        for number in range(CLOCK_KNOWN, 900):
+    with bench(spec, FAST, start_ns=12_345) as skin:
+        for number in range(skin.listen(), 900):
             start = skin.frame(number)
-            np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
-            skin.skin.forget(start)
+            assert_says_rest(skin, start)
+            skin.forget(start)
 
 
-def test_glitches_and_wrong_pulses_bend_no_chip(build: Path) -> None:
-    spec = fast(31, 32)
-    with bench(build, spec) as skin:
-        for number in range(CLOCK_KNOWN):
-            skin.frame(number)
-        for number in range(CLOCK_KNOWN, CLOCK_KNOWN + 8):
-            start = POWER_UP_NS + number * skin.period_ns
-            skin.pulse(start - LEAD_NS)
-            skin.pulse(start - LEAD_NS + 40_000, 10_000)  # while it waits for its first chip
+def test_glitches_and_wrong_pulses_bend_no_chip() -> None:
+    with bench(fast(31, 32), FAST) as skin:
+        for number in range(skin.listen(), CLOCK_KNOWN + 8):
+            start = skin.start(number)
+            first, *restarts = skin.rises(start)
+            skin.pulse(first)
+            skin.pulse(first + 40_000, 10_000)  # while it waits for its first chip
             skin.pulse(start + 20_000 + 500 * number, UNIT_NS)  # while it talks
-            for slot in range(1, slots(spec)):
-                at = slot * (spec.resync_chips + spec.guard_chips) * spec.chip_s
-                skin.pulse(start + round(at * 1e9) - LEAD_NS, RESTART * UNIT_NS)
-            skin.skin.run(start + skin.period_ns - MEASURED_NS)
-            np.testing.assert_array_equal(said(skin, start), wanted(spec, 1, REST))
+            for rise in restarts:
+                skin.pulse(rise, RESTART * UNIT_NS)
+            skin.end(start)
+            assert_says_rest(skin, start)
 
 
 def test_the_limits_themselves_were_tried() -> None:

@@ -7,6 +7,7 @@ Past finds stay fixed, and the harnesses detect planted faults.
 
 import shutil
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -19,65 +20,91 @@ MUTANTS = {"board": 20}
 """Of harnesses whose inputs take long: a whole board is emulated for each. Of others 200."""
 OBJECTS = BUILD / "fuzz" / "standalone"
 KERNEL = FIRMWARE.parent / "kernel"
-DEFECTS = {  # harness, file; what is there; what is there instead; what must be found
-    "a field is read from the wrong place": (
-        "framing",
-        "packet.c",
+WRONG, UNCOUNTED = "wrong value", "uncounted loss"
+
+
+class Defect(NamedTuple):
+    """What must be found (fault) by a harness when a file has `wrong` in place of `right`."""
+
+    harness: str
+    file: str
+    fault: str
+    right: str
+    wrong: str
+
+    @property
+    def sources(self) -> Path:
+        return KERNEL if self.harness in ("kernel", "stream") else CORE
+
+
+DEFECTS = {
+    "a field is read from the wrong place": Defect("framing", "packet.c", "crash",
         "reader->payload[place - sizeof reader->header] = byte",
-        "reader->payload[place - 1] = byte",
-        "crash",
-    ),
-    "the end of a packet is off by one": (
-        "framing",
-        "packet.c",
+        "reader->payload[place - 1] = byte"),
+    "the end of a packet is off by one": Defect("framing", "packet.c", WRONG,
         "reader->payload_size = reader->raw - sizeof reader->header",
-        "reader->payload_size = reader->raw",
-        "wrong value",
-    ),
-    "a wrong CRC is not counted": (
-        "framing",
-        "packet.c",
+        "reader->payload_size = reader->raw"),
+    "a wrong CRC is not counted": Defect("framing", "packet.c", UNCOUNTED,
         "        reader->errors++;\n        return false;",
-        "        return false;",
-        "uncounted loss",
-    ),
-    "a loop without end": ("framing", "cobs.c", "            from++;\n", "", "hang"),
-    "a chip's only sample drifts": (
-        "setup",
-        "setup.c",
+        "        return false;"),
+    "a loop without end": Defect("framing", "cobs.c", "hang",
+        "            from++;\n",
+        ""),
+    "a chip's only sample drifts": Defect("setup", "setup.c", WRONG,
         " || (mean == 1 && chip_length(setup) % STRIDE_MILLI != 0)",
-        "",
-        "wrong value",
-    ),
-    "chips are left out in pairs, of an odd row": (
-        "node",
-        "node_memory.c",
+        ""),
+    "chips are left out in pairs, of an odd row": Defect("node", "node_memory.c", WRONG,
         " && record->order % 2 == 0",
-        "",
-        "wrong value",
-    ),
-    "chips too short to be flipped are": (
-        "node",
-        "node_memory.c",
+        ""),
+    "chips too short to be flipped are": Defect("node", "node_memory.c", WRONG,
         "record->scramble ? limits->scrambled_chip_ns : limits->chip_ns",
-        "limits->chip_ns",
-        "wrong value",
-    ),
-    "nobody packs": (
-        "digitizer",
-        "digitizer.c",
+        "limits->chip_ns"),
+    "nobody packs": Defect("digitizer", "digitizer.c", WRONG,
         "dg->stream.packs = true",
-        "dg->stream.packs = false",
-        "wrong value",
-    ),
-    "a new configuration packs": (
-        "digitizer",
-        "digitizer.c",
+        "dg->stream.packs = false"),
+    "a new configuration packs": Defect("digitizer", "digitizer.c", WRONG,
         "    dg->stream.packs = false;\n",
-        "",
-        "wrong value",
-    ),
-}
+        ""),
+    "a butterfly subtracts the wrong way": Defect("kernel", "transform_lanes.h", WRONG,
+        "x[i | half] = a - b",
+        "x[i | half] = b - a"),
+    "the last columns of a dense factor are left out": Defect("kernel", "transform.c", WRONG,
+        "    to[(first + column) * order + i] = ",
+        "    if (column + 1 < number) to[(first + column) * order + i] = "),
+    "a block may end beyond its run": Defect("kernel", "scanner.c", "crash",
+        "        if (length > size - in)\n            return SIZE_MAX;\n",
+        ""),
+    "the sum of a block of nodes goes to the one before": Defect("kernel", "words.c", WRONG,
+        "measure_block(levels + first, step, bits, nodes - first, measures, first)",
+        "measure_block(levels + first, step, bits, nodes - first, measures, first - 1 + !first)"),
+    "a contact ends where its first taxel's neighbours do": Defect("kernel", "contacts.c", WRONG,
+        "waiting[left++] = near[n];",
+        "(void)waiting;"),
+    "a run that is too long is not counted": Defect("kernel", "scanner.c", UNCOUNTED,
+        "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",
+        "    if (size > MAX_RUN - before) {"),
+    "a mark within a frame begins another": Defect("stream", "frame_stream.c", WRONG,
+        "        return decide(stream, stream->end, true);\n    if (stream->gap_begin",
+        "        stream->start = -1;\n    if (stream->gap_begin"),
+    "a packet that is off in time continues the stream": Defect("stream", "frame_stream.c", WRONG,
+        "return least_s - slack_s <= ahead_s",
+        "return least_s - 1e9 <= ahead_s"),
+    "a packet follows while another one is held back": Defect("stream", "frame_stream.c", WRONG,
+        "|| !stream->began || stream->holds ||",
+        "|| !stream->began ||"),
+    "a frame waits for one sample too many": Defect("stream", "frame_stream.c", UNCOUNTED,
+        "bool is_due = stream->end >= stream->due;",
+        "bool is_due = stream->end > stream->due;"),
+    "the first samples of a long frame are forgotten": Defect("stream", "frame_stream.c", WRONG,
+        "    if (stream->start < 0 && stream->rules.marked)\n",
+        "    if (stream->rules.marked)\n"),
+    "a frame that is cut off is not told": Defect("stream", "frame_stream.c", UNCOUNTED,
+        "*cut_short = reset(stream);",
+        "*cut_short = reset(stream) && answer == STREAM_TAKE_HELD;"),
+    "words are silence": Defect("stream", "marked_frame.c", WRONG,
+        "if (power <= rules->silent_power + ",
+        "if (power <= 17 * rules->silent_power + "),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", harnesses())
@@ -101,126 +128,31 @@ def test_a_slice_of_what_libfuzzer_tries(name: str) -> None:
     assert found.inputs > 0
 
 
-def planted(name: str, sources: Path, defect: tuple[str, str, str], folder: Path) -> Path:
-    """A harness with a defect in one file of some sources; the others are as make built them."""
+def planted(defect: Defect, folder: Path) -> Path:
+    """A harness with a defect in one file of its sources; the others are as make built them."""
     build("fuzz-standalone")
-    file, right, wrong = defect
+    sources, file = defect.sources, defect.file
     text = (sources / file).read_text()
-    assert text.count(right) == 1
+    assert text.count(defect.right) == 1
     changed = folder / file
-    changed.write_text(text.replace(right, wrong))
+    changed.write_text(text.replace(defect.right, defect.wrong))
     if changed.suffix == ".h":
         [user] = [path for path in sources.glob("*.c") if f'"{file}"' in path.read_text()]
         changed = Path(shutil.copy(user, folder))
     include = ("-I", sources, "-I", FIRMWARE / "fuzz")
     run(need("cc"), *STRICT, *include, *SANITIZE, "-c", changed, cwd=folder)
     objects = [path for path in OBJECTS.glob("fuzz/*.o") if not path.stem.startswith("fuzz_")]
-    objects += [OBJECTS / "fuzz" / f"fuzz_{name}.o", *OBJECTS.glob("core/*.o")]
+    objects += [OBJECTS / "fuzz" / f"fuzz_{defect.harness}.o", *OBJECTS.glob("core/*.o")]
     objects += OBJECTS.glob("kernel_sources/*.o") if sources == KERNEL else ()
     objects = [path for path in objects if path.stem != changed.stem]
-    program = folder / name
+    program = folder / defect.harness
     run(need("cc"), *SANITIZE, folder / f"{changed.stem}.o", *objects, "-lm", "-o", program)
     return program
 
 
-@pytest.mark.parametrize("defect", DEFECTS)
-def test_a_planted_defect_is_found(defect: str, tmp_path: Path) -> None:
-    name, *change, fault = DEFECTS[defect]
-    program = planted(name, CORE, (change[0], change[1], change[2]), tmp_path)
-    found = fuzz(program, "standalone", 3000, 1, 3, 2)
-    assert found.fault == fault, found.said
-
-
-KERNEL_DEFECTS = {
-    "a butterfly subtracts the wrong way": (
-        "transform_lanes.h",
-        "x[i | half] = a - b",
-        "x[i | half] = b - a",
-        "wrong value",
-    ),
-    "the last columns of a dense factor are left out": (
-        "transform.c",
-        "    to[(first + column) * order + i] = ",
-        "    if (column + 1 < number) to[(first + column) * order + i] = ",
-        "wrong value",
-    ),
-    "a block may end beyond its run": (
-        "scanner.c",
-        "        if (length > size - in)\n            return SIZE_MAX;\n",
-        "",
-        "crash",
-    ),
-    "the sum of a block of nodes goes to the one before": (
-        "words.c",
-        "measure_block(levels + first, step, bits, nodes - first, measures, first)",
-        "measure_block(levels + first, step, bits, nodes - first, measures, first - 1 + !first)",
-        "wrong value",
-    ),
-    "a contact ends where its first taxel's neighbours do": (
-        "contacts.c",
-        "waiting[left++] = near[n];",
-        "(void)waiting;",
-        "wrong value",
-    ),
-    "a run that is too long is not counted": (
-        "scanner.c",
-        "    if (size > MAX_RUN - before) {\n        scanner->seen.resyncs++;",
-        "    if (size > MAX_RUN - before) {",
-        "uncounted loss",
-    ),
-}
-
-
-STREAM_DEFECTS = {
-    "a mark within a frame begins another": (
-        "frame_stream.c",
-        "        return decide(stream, stream->end, true);\n    if (stream->gap_begin",
-        "        stream->start = -1;\n    if (stream->gap_begin",
-        "wrong value",
-    ),
-    "a packet that is off in time continues the stream": (
-        "frame_stream.c",
-        "return least_s - slack_s <= ahead_s",
-        "return least_s - 1e9 <= ahead_s",
-        "wrong value",
-    ),
-    "a packet follows while another one is held back": (
-        "frame_stream.c",
-        "|| !stream->began || stream->holds ||",
-        "|| !stream->began ||",
-        "wrong value",
-    ),
-    "a frame waits for one sample too many": (
-        "frame_stream.c",
-        "bool is_due = stream->end >= stream->due;",
-        "bool is_due = stream->end > stream->due;",
-        "uncounted loss",
-    ),
-    "the first samples of a long frame are forgotten": (
-        "frame_stream.c",
-        "    if (stream->start < 0 && stream->rules.marked)\n",
-        "    if (stream->rules.marked)\n",
-        "wrong value",
-    ),
-    "a frame that is cut off is not told": (
-        "frame_stream.c",
-        "*cut_short = reset(stream);",
-        "*cut_short = reset(stream) && answer == STREAM_TAKE_HELD;",
-        "uncounted loss",
-    ),
-    "words are silence": (
-        "marked_frame.c",
-        "if (power <= rules->silent_power + ",
-        "if (power <= 17 * rules->silent_power + ",
-        "wrong value",
-    ),
-}
-
-
-@pytest.mark.parametrize("defect", KERNEL_DEFECTS | STREAM_DEFECTS)
-def test_a_defect_planted_in_the_kernel_is_found(defect: str, tmp_path: Path) -> None:
-    name = "stream" if defect in STREAM_DEFECTS else "kernel"
-    *change, fault = (KERNEL_DEFECTS | STREAM_DEFECTS)[defect]
-    program = planted(name, KERNEL, (change[0], change[1], change[2]), tmp_path)
-    found = fuzz(program, "standalone", 20_000, 1, 20, 10)
-    assert found.fault == fault, found.said
+@pytest.mark.parametrize("name", DEFECTS)
+def test_a_planted_defect_is_found(name: str, tmp_path: Path) -> None:
+    defect = DEFECTS[name]
+    limits = (20_000, 1, 20, 10) if defect.sources == KERNEL else (3000, 1, 3, 2)
+    found = fuzz(planted(defect, tmp_path), "standalone", *limits)
+    assert found.fault == defect.fault, found.said

@@ -3,7 +3,6 @@
 """Sixteen nodes with one image get their numbers by being pressed, with mistakes and repairs."""
 
 import queue
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,10 +73,8 @@ def config() -> SkinConfig:
 
 
 @pytest.fixture
-def nodes(built: Callable[[str], Path], tmp_path: Path, config: SkinConfig) -> list[Node]:
+def nodes(node_images: None, tmp_path: Path, config: SkinConfig) -> list[Node]:
     """All with the same flash; the first one has that of node 9 in its EEPROM, from earlier."""
-    built("node")
-    built("sim")
     memories = [node_memory(config.spec, number) for number in range(1, 17)]
     image = tmp_path / "any.hex"
     image.write_text(node_image("atmega328p", memories, 8, None))

@@ -2,7 +2,6 @@
 
 """The emulated skin in real time."""
 
-from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 
 from emulated import EmulatedSkin
 from serve import SLOW, STEP_S, LiveSkin, nodes_for
-from skin import PressedSkin, reference_amplifier, reference_nodes
+from skin import PressedSkin, reference_amplifier
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.scene import SCENES
@@ -43,25 +42,11 @@ def test_an_emulation_that_falls_behind_says_so_once(
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_nodes_that_are_not_wired_are_not_heard(
-    first: int, emulator: None, built: Callable[[str], Path]
-) -> None:
-    built("node")
-    config = SkinConfig.of({"nodes": 4, "rows": 2, "columns": 2, "amplitude_mv": 97.06})
-    nodes = reference_nodes(config, threshold=0)[:first]
-    with EmulatedSkin(nodes, reference_amplifier(config)) as skin:
-        trial = press_and_decode(PressedSkin(config, SCENES["moving"], skin, skin), config, 5)
-    assert trial.frames >= 5
-    assert trial.silent == trial.wrong == trial.frames * (4 - first)  # what is missing is wrong
-
-
-@pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("file", ["wired_skin.yaml", "wired_64.yaml", "thousand_skin.yaml"])
 def test_first_node_of_every_skin_that_can_be_built_is_heard(
-    file: str, first: int, emulator: None, built: Callable[[str], Path]
+    file: str, first: int, node_images: None
 ) -> None:
     """At its heartbeat, once a second: bring-up can be rehearsed with this parameter file."""
-    built("node")
     config = SkinConfig.of(read_file(CONFIG / file))
     with EmulatedSkin(nodes_for(config)[:first], reference_amplifier(config)) as skin:
         pressed = PressedSkin(config, SCENES["idle"], skin, skin)

@@ -3,7 +3,6 @@
 """`make firmware-test`: sixteen different nodes, pressed and decoded; it must be able to fail."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,17 +13,11 @@ from skin import reference_amplifier, reference_nodes
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from test.support.firmware import need
 
+pytestmark = pytest.mark.usefixtures("node_images")
 CONFIG = SkinConfig.of(read_file(PARAMS))
 FRAMES = 60
 MOST_US = 0.5
-
-
-@pytest.fixture(scope="module", autouse=True)
-def images(built: Callable[[str], Path], emulator: None) -> None:
-    need("avr-gcc")
-    built("node")
 
 
 def figure(measured: str, name: str) -> float:

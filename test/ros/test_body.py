@@ -141,8 +141,6 @@ class Body:
 
     def end(self) -> None:
         self._ending.close()
-        for node in (self.client, *self.drivers):
-            node.destroy_node()
         for process in self.processes:
             process.send_signal(signal.SIGINT)
         codes = [process.wait(PATIENCE_S) for process in self.processes]

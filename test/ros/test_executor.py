@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from tactile_cdma.ros.common.executor import LeanExecutor
-from tactile_cdma.ros.common.following import Following
+from tactile_cdma.ros.common.following import Following, Topic
 from test.support.waiting import PATIENCE_S
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -147,7 +147,7 @@ def test_publishers_hear_of_subscribers_that_ask_for_more(world: World) -> None:
 
 
 def test_polled_topics_wake_nobody_and_wait_until_they_are_polled(world: World) -> None:
-    topic = (Header, "said", world.hear, LATCHED)
+    topic = Topic(Header, "said", world.hear, LATCHED)
     polled, woken = Following(world.node, topic, is_polled=True), Following(world.peer, topic)
     for following in (polled, woken):
         following.follow(True)
@@ -165,7 +165,7 @@ def test_polled_topics_wake_nobody_and_wait_until_they_are_polled(world: World) 
 
 def test_raw_topics_are_bytes(world: World) -> None:
     got: list[Any] = []
-    Following(world.node, (Header, "said", got.append, LATCHED), raw=True).follow(True)
+    Following(world.node, Topic(Header, "said", got.append, LATCHED, raw=True)).follow(True)
     world.publisher("it")
     world.until(lambda: got)
     assert isinstance(got[0], bytes)

@@ -26,6 +26,7 @@ from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.viewers.body_view import BodyViewer, line
 from tactile_cdma.ros.viewers.view import Viewer, draw, in_use
 from tactile_cdma.views.terminal import Look, Numbers
+from test.support.spinning import living
 from torture.load.hostile import lie
 
 TAXELS = 16
@@ -63,9 +64,8 @@ def info(height: int = 4) -> TactileSkinInfo:
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    viewer = Viewer("/skin/tactile")
-    yield viewer
-    viewer.destroy_node()
+    with living(Viewer("/skin/tactile")) as viewer:
+        yield viewer
 
 
 def told_lies(taken: list[tuple[Callable[[Any], object], Any]], times: int) -> Iterator[bool]:
@@ -133,7 +133,7 @@ def test_a_body_goes_on_and_never_claims_touched_and_untouched() -> None:
     [feed] = body._feeds.values()
     taken: list[tuple[Callable[[Any], object], Any]] = [
         (lambda message: feed._take_contacts(serialize_message(message), RECEIVED), CONTACTS),
-        (lambda message: feed._take_array(message, RECEIVED), ARRAY),
+        (lambda message: feed._take_array(serialize_message(message), RECEIVED), ARRAY),
         (feed._take_info, info()),
         (body._transforms._take, POSES),
     ]

@@ -6,6 +6,7 @@ import gc
 import os
 import tempfile
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,15 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
+from tactile_cdma.config.body_file import Patch
 from tactile_cdma.driver.driver import CONNECTING
+from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.failures import FAILURES
+from tactile_cdma.ros.driver import patches
 from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.ros.driver.patches import PatchesNode
+from tactile_cdma.ros.viewers.body_view import BodyViewer
+from tactile_cdma.ros.viewers.view import Viewer
 from tactile_cdma.wire.port import Port
 from test.support.boards import Board, plugged
 from test.support.mute_host import mute_host
@@ -41,10 +48,10 @@ TRANSITIONS = {
 }
 
 
-def transition_id(state: str, name: str) -> int:
-    if name == "shutdown":
-        name = f"{state if state != FINALIZED else UNCONFIGURED}_shutdown"
-    return int(getattr(Transition, f"TRANSITION_{name.upper()}"))
+def full_name(state: str, name: str) -> str:
+    """There is a way to shut down from every state."""
+    origin = UNCONFIGURED if state == FINALIZED else state
+    return f"{origin}_shutdown" if name == "shutdown" else name
 
 
 def readers() -> list[threading.Thread]:
@@ -87,7 +94,7 @@ class Lifecycle(RuleBasedStateMachine):
         expected = TRANSITIONS.get((self.state, name))
         if name == "configure" and (not self.is_plugged or self.held):
             expected = None
-        assert self.client.change(transition_id(self.state, name)) == (expected is not None)
+        assert self.client.change(full_name(self.state, name)) == (expected is not None)
         self.state = expected or self.state
 
     @rule()
@@ -186,7 +193,7 @@ def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: P
     path = tmp_path / "skin"
     others, before = open_ports(), FAILURES.count
     with plugged(Board, path), running(Defective, port=str(path)) as (node, client):
-        wait_for(lambda: any("internal error" in status.message for status in client.diagnostics))
+        wait_for(lambda: client.says("internal error"))
         wait_for(lambda: readers() == [] and open_ports() == others + 1)
         assert FAILURES.count > before
         node.defects.clear()
@@ -209,16 +216,14 @@ def test_a_defect_in_a_transition_ends_no_node(
     with running(Defective, autostart=False, port="sim://") as (node, client):
         state = UNCONFIGURED
         if transition != "configure":
-            assert client.change(Transition.TRANSITION_CONFIGURE)
-            assert client.change(Transition.TRANSITION_ACTIVATE)
+            assert client.change("configure", "activate")
             state = ACTIVE
         before, node.defects = FAILURES.count, dict(defects)
-        assert not client.change(transition_id(state, transition))
+        assert not client.change(full_name(state, transition))
         assert client.state() == getattr(State, f"PRIMARY_STATE_{ends.upper()}")
         assert FAILURES.count == before + (1 + (ends == FINALIZED))
         if ends != FINALIZED:
-            assert client.change(Transition.TRANSITION_CONFIGURE)
-            assert client.change(Transition.TRANSITION_ACTIVATE)
+            assert client.change("configure", "activate")
             wait_for(lambda: client.arrays)
 
 
@@ -228,8 +233,8 @@ def test_a_manager_learns_why_a_node_cannot_start_and_then_starts_and_ends_it(
     """As nav2's does: transitions by their number, and after each a look at the state."""
     with running(autostart=False, port=str(tmp_path / "none")) as (_, client):
         for _ in range(2):
-            assert not client.change(Transition.TRANSITION_CONFIGURE)
-        assert not client.change(Transition.TRANSITION_ACTIVATE)
+            assert not client.change("configure")
+        assert not client.change("activate")
         said = capfd.readouterr().err
         assert said.count("cannot configure: ") == said.count("/none: no such port") == 2
         assert (
@@ -239,7 +244,7 @@ def test_a_manager_learns_why_a_node_cannot_start_and_then_starts_and_ends_it(
         state = UNCONFIGURED
         life = ("configure", "activate", "deactivate", "cleanup")
         for name in (*life, *life, "shutdown"):
-            assert client.change(transition_id(state, name))
+            assert client.change(full_name(state, name))
             state = TRANSITIONS[state, name]
             assert client.state() == getattr(State, f"PRIMARY_STATE_{state.upper()}")
 
@@ -258,6 +263,47 @@ def test_a_destroyed_node_leaves_no_services_behind() -> None:
     finally:
         watcher.destroy_node()
         gc.enable()
+
+
+class Unstarted(SkinNode):
+    """Raises when all of it is there, and streams."""
+
+    def _start(self) -> None:
+        super()._start()
+        raise ArithmeticError
+
+
+NO_BOOL = Parameter("start_type_description_service", value="x")  # the last that rclpy looks at
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        Unstarted,
+        lambda: SkinNode(parameter_overrides=[Parameter("port")]),
+        BodyNode,
+        lambda: BodyNode(parameter_overrides=[NO_BOOL]),
+        lambda: PatchesNode([Patch("palm", None, {}, {})]),
+        lambda: Viewer("a b/tactile"),
+        lambda: BodyViewer("a b"),
+    ],
+)
+def test_a_node_whose_constructor_raises_leaves_nothing_behind(
+    make: Callable[[], rclpy.node.Node], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though the exception is kept, whose traceback refers to the node."""
+    monkeypatch.setattr(patches, "LOOK_S", "no time")
+    watcher, others = rclpy.create_node("watcher"), open_ports()
+    try:
+        with pytest.raises(Exception) as kept:
+            make()
+        publishers = watcher.get_publishers_info_by_topic("/parameter_events")
+        assert [publisher.node_name for publisher in publishers] == ["watcher"]
+        assert watcher.get_node_names() == ["watcher"]
+        assert readers() == [] and open_ports() == others
+        assert kept.tb is not None
+    finally:
+        watcher.destroy_node()
 
 
 def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:
@@ -285,9 +331,8 @@ def test_a_host_that_does_not_answer_holds_up_nothing() -> None:
         wait_for(lambda: client.diagnostics[-1].message == CONNECTING)
         for names in (down, up, down):
             attempts = [each for each in threading.enumerate() if each.name == f"skin {url}"]
-            for name in names:
-                assert client.change(transition_id("", name))
+            assert client.change(*names)
             assert all(each.is_alive() for each in attempts), "waited for an attempt to connect"
         assert client.set(port="socket://") == (True, "")
-        assert not client.change(transition_id("", "configure"))
+        assert not client.change("configure")
         wait_for(lambda: "host and port" in client.diagnostics[-1].message)

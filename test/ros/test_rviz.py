@@ -26,13 +26,13 @@ from rclpy.qos import (
 )
 
 from tactile_cdma.config.body_file import read_body
-from tactile_cdma.config.parameters import BY_NAME
+from tactile_cdma.config.parameters import BY_NAME, DEFAULTS
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.mesh import MOST_SQUARES
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.body.node import BodyNode
-from tactile_cdma.ros.rviz_file import body_view, patch_values, skin_view
+from tactile_cdma.ros.rviz_file import body_view, skin_view
 from test.support.skin_client import Client, running
 from test.support.waiting import wait_for
 
@@ -232,7 +232,7 @@ def test_the_camera_sees_a_whole_body_from_near(patches: slice) -> None:
     view = made["Visualization Manager"]["Views"]["Current"]
     places_m = []
     for patch in body.patches:
-        values = patch_values(patch)
+        values = {**DEFAULTS, **patch.values}
         pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
         places_m.append(pose.apply(SkinConfig.of(values).layout.positions_m.astype(float)))
     # rviz's orbit: the camera is at this place of a ball round the focal point.

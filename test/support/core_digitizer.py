@@ -7,6 +7,7 @@ from __future__ import annotations
 import ctypes
 import struct
 import weakref
+from collections.abc import Iterable
 from ctypes import POINTER, byref, c_bool, c_size_t, c_uint8, c_uint16, c_uint32, c_uint64
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US
-from tactile_cdma.wire.messages import Command, Packet
+from tactile_cdma.wire.messages import Ack, Command, Packet, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 
@@ -157,14 +158,28 @@ class CoreDigitizer:
         self.given += taken
         return taken
 
-    def packets(self) -> list[Packet]:
-        """Packets sent since the last call; all must be intact."""
+    def packets(self, *kinds: type[Packet]) -> list[Any]:
+        """Packets sent since the last call, which must be intact; those of some kinds, or all."""
         received = self.parser.feed(self.take())
         seen = self.parser.counters
         assert not seen.crc_errors + seen.framing_errors + seen.malformed + seen.unknown
-        packets = [packet for packet in received if isinstance(packet, Packet)]
-        assert len(packets) == len(received)
-        return packets
+        return of_kind(received, *kinds or (Packet,))
+
+    def results(self, *commands: Command) -> list[int]:
+        """Results of these commands, as acknowledged."""
+        self.send(*commands)
+        return [ack.result for ack in self.packets(Ack)]
+
+    def status(self, now_us: int = 1_000_000) -> Status:
+        """The report at this time; drops all packets before it."""
+        self.time(now_us)
+        status: Status = self.packets(Status)[-1]
+        return status
+
+
+def of_kind(packets: Iterable[object], *kinds: type[Packet]) -> list[Any]:
+    """Those of some kinds."""
+    return [packet for packet in packets if isinstance(packet, kinds)]
 
 
 def declare(core: ctypes.CDLL) -> None:

@@ -2,20 +2,22 @@
 
 """Node images under test: a scripted sync line, and the expected pin levels."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulated import EDGE, EmulatedNodes, Node
-from tactile_cdma.code.encode import frame_levels, line_chips
+from emulated import EmulatedNodes, Node
+from skin import IMAGES
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.hardware.node_memory import node_memory
+from trial import expected_edges
 
 UNIT_NS, LEAD_NS, DIGIT_NS = 16_000, 64_000, 128_000
 RESTART, FRAME, CALL = 1, 2, 3
 VREF = 3.3
+REST = 225
+"""Code at rest."""
 POWER_UP_NS = 20_000_000
 """Time from power-up to the first frame pulse."""
 MEASURED_NS = 950_000
@@ -30,13 +32,18 @@ CLOCK_KNOWN = 2
 """Frames in which a node measures its clock before it transmits."""
 
 
-@dataclass
-class Bench:
-    """Nodes and a sync line that is driven pulse by pulse; all times in ns."""
+class Bench(EmulatedNodes):
+    """Nodes at rest, and a sync line that is driven pulse by pulse; all times in ns."""
 
-    skin: EmulatedNodes
-    spec: FrameSpec
-    pulses: list[tuple[int, int]] = field(default_factory=list)
+    def __init__(self, nodes: Sequence[Node], spec: FrameSpec) -> None:
+        super().__init__(nodes)
+        self.spec = spec
+        self.press(volts(REST, spec.bits))
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        counted = [self.counters(node) for node in range(len(self.nodes))]
+        self.close()
+        assert kind or not any(c.faults or c.deep_sleeps or c.pull_ups for c in counted)
 
     @property
     def period_ns(self) -> int:
@@ -45,8 +52,8 @@ class Bench:
 
     def pulse(self, rise_ns: int, length_ns: int = FRAME * UNIT_NS) -> None:
         """Send a pulse of any length at any time."""
-        self.skin.sync(rise_ns, True)
-        self.skin.sync(rise_ns + length_ns, False)
+        self.sync(rise_ns, True)
+        self.sync(rise_ns + length_ns, False)
 
     def frame(
         self,
@@ -63,28 +70,72 @@ class Bench:
         other pulses, by the sub-slot before whose own they come: how long before, and their length.
         turn: what pulses before the frame say of whose turn it is.
         """
-        start = POWER_UP_NS + number * self.period_ns + late_ns
+        start = self.start(number) + late_ns
         for digit in range(turn.bit_length() - 1, -1, -1):
             if turn >> digit & 1:
                 self.pulse(start - LEAD_NS - (digit + 1) * DIGIT_NS, RESTART * UNIT_NS)
-        for slot in range(slots(self.spec)):
-            at = slot * (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
-            rise = start + round(at * 1e9) - LEAD_NS
+        for slot, rise in enumerate(self.rises(start)):
             if before and slot in before:
                 early_ns, length_ns = before[slot]
                 self.pulse(rise - early_ns, length_ns)
             if slot not in skip:
                 self.pulse(rise, (RESTART if slot else units) * UNIT_NS)
-        self.skin.run(start + self.period_ns - MEASURED_NS)
+        self.end(start)
         return start
+
+    def start(self, number: int) -> int:
+        """When the first chip of a frame is due."""
+        return POWER_UP_NS + number * self.period_ns
+
+    def rises(self, start_ns: int) -> list[int]:
+        """When the pulses of the frame's sub-slots begin."""
+        pitch_s = (self.spec.resync_chips + self.spec.guard_chips) * self.spec.chip_s
+        return [start_ns + round(s * pitch_s * 1e9) - LEAD_NS for s in range(slots(self.spec))]
+
+    def end(self, start_ns: int) -> None:
+        """Run to the end of the frame that begins at a time."""
+        self.run(start_ns + self.period_ns - MEASURED_NS)
+
+    def listen(self) -> int:
+        """Run the frames in which nodes learn their clocks; return the number of the next one."""
+        for number in range(CLOCK_KNOWN):
+            assert self.spoke(self.frame(number)) == []
+        return CLOCK_KNOWN
 
     def heard(self, node: int, start_ns: int) -> NDArray[np.void]:
         """Edges of a node's pin in the frame that began at a time."""
-        edges = self.skin.edges(node)
-        inside = (edges["t_ns"] >= start_ns - LEAD_NS) & (
-            edges["t_ns"] < start_ns + self.period_ns - LEAD_NS
-        )
-        return edges[inside]
+        edges = self.edges(node)
+        begin_ns = start_ns - LEAD_NS
+        return edges[(edges["t_ns"] >= begin_ns) & (edges["t_ns"] < begin_ns + self.period_ns)]
+
+    def spoke(self, start_ns: int) -> list[int]:
+        """Which nodes, from 0, drove their pins in a frame."""
+        return [node for node in range(len(self.nodes)) if len(self.heard(node, start_ns))]
+
+
+def node_for(
+    spec: FrameSpec,
+    number: int = 1,
+    mcu: str = "atmega328p",
+    *,
+    clock_hz: float = 8e6,
+    start_ns: int = 0,
+    **options: int | bool | None,
+) -> Node:
+    """The node of this number, from 1, with the host's memory for it.
+
+    It transmits in every frame unless the options, those of node_memory, say otherwise.
+    """
+    memory = node_memory(spec, number, mcu=mcu, **({"threshold": 0, "rest": REST} | options))
+    image = IMAGES / f"node-{mcu}.elf"
+    return Node(image, mcu, memory, clock_hz=clock_hz, start_ns=start_ns)
+
+
+def bench(
+    spec: FrameSpec, mcu: str = "atmega328p", numbers: Iterable[int] = (1,), **more: float | None
+) -> Bench:
+    """Nodes of these numbers, from 1. more: what node_for takes."""
+    return Bench([node_for(spec, number, mcu, **more) for number in numbers], spec)  # type: ignore[arg-type]
 
 
 def slots(spec: FrameSpec) -> int:
@@ -99,28 +150,20 @@ def expected(
 
     chip_ns: duration of a chip by the node's clock, within each sub-slot.
     """
-    codes = np.full(spec.nodes, code)
-    active = np.arange(spec.nodes) == node
-    chips = line_chips(spec, codes, active, amplitude_v=1.0)
-    levels = np.append(frame_levels(chips * spec.polarity, spec), 0).astype(np.int8)
-    changed = np.flatnonzero(np.diff(levels, prepend=0))
-    nominal_ns = spec.chip_s * 1e9
-    since, slot_start = changed, np.zeros(len(changed))
-    if spec.resync_chips:
-        pitch = spec.resync_chips + spec.guard_chips
-        # the end of a sub-slot, and all that is in it, is counted from its beginning
-        slot_start = changed // pitch * pitch
-        since = changed - slot_start
-    edges = np.zeros(len(changed), EDGE)
+    edges = expected_edges(spec, node, code)
+    chips, nominal_ns = edges["t_ns"].copy(), spec.chip_s * 1e9
+    # the end of a sub-slot, and all that is in it, is counted from its beginning
+    pitch = spec.resync_chips + spec.guard_chips
+    slot_start = chips // pitch * pitch if spec.resync_chips else 0
+    since = chips - slot_start
     edges["t_ns"] = np.round(start_ns + slot_start * nominal_ns + since * (chip_ns or nominal_ns))
-    edges["level"] = levels[changed]
     return edges
 
 
 def assert_says(
     bench: Bench,
     start_ns: int,
-    code: int,
+    code: int = REST,
     number: int = 1,
     node: int = 0,
     *,
@@ -131,18 +174,10 @@ def assert_says(
     wanted = expected(bench.spec, number - 1, code, start_ns)
     np.testing.assert_array_equal(heard["level"], wanted["level"])
     worst_ns = np.abs(heard["t_ns"] - wanted["t_ns"]).max()
-    busy = bench.spec.resync_chips and bench.skin.nodes[node].mcu == "attiny85"
+    busy = bench.spec.resync_chips and bench.nodes[node].mcu == "attiny85"
     assert worst_ns <= (BUSY_NS if busy else most_ns)
 
 
 def volts(code: int, bits: int) -> float:
     """A sensor's voltage in the middle of a code, the first bits of the converter's 10."""
     return ((code + 0.5) / (1 << bits) - 0.5 / 1024) * VREF
-
-
-def image(build: Path, mcu: str) -> Path:
-    """A node's image."""
-    return build / "node" / f"node-{mcu}.elf"
-
-
-__all__ = ["EDGE", "SLOW", "Bench", "EmulatedNodes", "Node", "expected", "image", "slots", "volts"]

@@ -2,6 +2,6 @@
 
 """Fixtures of tests of many rooms."""
 
-from test.support.command_line import refused
+from test.support.command_line import printed, refused
 
-__all__ = ["refused"]
+__all__ = ["printed", "refused"]

@@ -17,8 +17,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tactile_cdma.base.errors import RestError
-from tactile_cdma.rest.rest_file import RestState, read_rest
-from tactile_cdma.rest.rest_store import RestStore
+from tactile_cdma.rest.rest_file import RestState, RestStore, read_rest
 
 from ..outcome import Outcome, Plan
 

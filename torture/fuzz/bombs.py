@@ -22,10 +22,9 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.recording.capture import is_text, read_bytes
 from tactile_cdma.recording.container import MAGIC, RecordingParser
 from tactile_cdma.recording.container import MOST_BYTES as MOST_RECORD
-from tactile_cdma.recording.recording_file import describe, read_end, survey
+from tactile_cdma.recording.recording_file import describe, is_text, read_bytes, read_end, survey
 from tactile_cdma.recording.scope_csv import MOST_CSV_BYTES, read_scope_csv
 from tactile_cdma.rest.rest_file import read_rest
 

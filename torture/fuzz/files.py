@@ -33,10 +33,9 @@ from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
-from tactile_cdma.recording.capture import is_text, read_bytes
 from tactile_cdma.recording.container import Description, RecordingEncoder, RecordingParser
 from tactile_cdma.recording.offline import RawCapture, decode_scope
-from tactile_cdma.recording.recording_file import describe, survey
+from tactile_cdma.recording.recording_file import describe, is_text, read_bytes, survey
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.rest.rest_file import RestState, read_rest, write_rest
 from test.support.calibrations import write_calibration

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from tactile_cdma.base.errors import ParameterError, PortError, SpecError, TactileError
-from tactile_cdma.replay.options import ReplayOptions
+from tactile_cdma.replay.player import ReplayOptions
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.discovery import SerialPort, find_usb
 from tactile_cdma.wire.identity import parse_id, shown_id

@@ -33,7 +33,7 @@ from ..sources.opening import Wanted, has_times, open_source
 from ..tables import known
 from ..touch import TouchStream, slots
 from . import ABOUT
-from .features import Feature, cells, column, features_of, obstacle
+from .features import cells, column, features_of, obstacle
 from .writer import DatasetWriter
 
 PAUSE_S = 10.0
@@ -90,12 +90,11 @@ def write_lerobot(
     sources = [open_source(path, wanted) for path in paths]
     if not patches_of(sources[0].streams):
         raise CaptureError(f"{paths[0]}: no frames of a skin in this bag")
-    lacking = _lacking(sources, plan.clock)
-    layout = _Layout.of(sources[0], plan, lacking)
-    for source in sources:
-        layout.check(source)
+    layout = _Layout(sources, plan)
     outcome = Outcome(fps=layout.fps)
-    outcome.notes += [f"{path}: no {name}, which is left out" for name, path in lacking.items()]
+    outcome.notes += [
+        f"{path}: no {name}, which is left out" for name, path in layout.lacking.items()
+    ]
     with (
         whole_folder(folder) as unfinished,
         DatasetWriter(unfinished, layout.features, layout.fps) as writer,
@@ -105,7 +104,7 @@ def write_lerobot(
         firsts: dict[str, dict[str, Any]] = {}  # by patch
         for source in sources:
             before = writer.frames
-            _export(source, plan, layout, writer, outcome, progress)
+            _export(source, layout, writer, outcome, progress)
             if writer.frames == before:
                 outcome.notes.append(f"{source.path}: no row in its episodes")
                 continue
@@ -119,8 +118,7 @@ def write_lerobot(
             reason = "; ".join(outcome.left_out) or "no sample lies in an episode"
             raise CaptureError(f"{paths[0]}: no row is whole: {reason}")
         writer.finish()
-        content = _about(layout, plan, about) | {"files": files}
-        writer.write_json(ABOUT, content)
+        writer.write_json(ABOUT, layout.about() | {"patches": about, "files": files})
         outcome.notes += [
             f"{name}: {count} values are not finite, and not in its statistics"
             for name, count in writer.not_finite.items()
@@ -129,50 +127,52 @@ def write_lerobot(
     return outcome
 
 
-def _lacking(sources: Sequence[SampleSource], clock: str | None) -> dict[str, Path]:
-    """Columns of contacts and wrench, but for the clock's, that a file does not have: which one."""
-    columns = [{column(stream) for stream in source.streams.values()} for source in sources]
-    derived = {
-        column(stream)
-        for source in sources
-        for stream in source.streams.values()
-        if stream.kind in DERIVED and stream.topic != clock
-    }
-    return {
-        name: source.path
-        for name in sorted(derived)
-        for source, its in zip(sources, columns, strict=True)
-        if name not in its
-    }
-
-
-@dataclass(frozen=True, slots=True)
 class _Layout:
-    """What all files of a dataset have in common, as the first one has it.
+    """What all files of a dataset have in common.
 
-    lacking: columns that are left out. slots: of the patches, by feature: a recording's streams
-    have other keys than a bag's.
+    lacking: columns of contacts and wrench, but for the clock's, that a file does not have, and are
+    left out: which file. slots: of the patches, by feature: a recording's streams have other keys
+    than a bag's. Raises CaptureError where streams of a file differ from those of the first one.
     """
 
-    streams: Mapping[str, SampleStream]
-    lacking: Collection[str]
-    slots: Mapping[str, int]
-    features: Sequence[Feature]
-    fps: int
+    def __init__(self, sources: Sequence[SampleSource], plan: Plan) -> None:
+        self.plan = plan
+        derived = {
+            column(stream)
+            for source in sources
+            for stream in source.streams.values()
+            if stream.kind in DERIVED and stream.topic != plan.clock
+        }
+        self.lacking = {
+            name: source.path
+            for name in sorted(derived)
+            for source in sources
+            if name not in map(column, source.streams.values())
+        }
+        self._streams = self.taken(sources[0])
+        self._patches = patches_of(self._streams).values()
+        self.fps = plan.fps or _rate(sources[0], str(self.clock(sources[0])))
+        self.slots = {patch.name: slots(patch, self.fps, plan.mode) for patch in self._patches}
+        self.features = features_of(self._streams.values(), self.slots, plan.mode)
+        for source in sources:
+            self._check(source)
 
-    @classmethod
-    def of(cls, source: SampleSource, plan: Plan, lacking: Collection[str]) -> _Layout:
-        streams = _streams(source, lacking)
-        clock = _clock(source, streams, plan)
-        fps = plan.fps or _rate(source, str(clock))
-        patches = patches_of(streams).values()
-        counts = {patch.name: slots(patch, fps, plan.mode) for patch in patches}
-        features = features_of(streams.values(), counts, plan.mode)
-        return cls(streams, lacking, counts, features, fps)
+    def taken(self, source: SampleSource) -> dict[str, SampleStream]:
+        """The streams of a file that become columns."""
+        return {k: one for k, one in source.streams.items() if column(one) not in self.lacking}
 
-    def check(self, source: SampleSource) -> None:
-        """Raises CaptureError for a file whose streams differ."""
-        mine, its = (_shapes(streams) for streams in (self.streams, _streams(source, self.lacking)))
+    def clock(self, source: SampleSource) -> str | None:
+        """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
+        if self.plan.clock is None:
+            return None
+        keys = {stream.topic: key for key, stream in self.taken(source).items()}
+        if self.plan.clock not in keys:
+            there = ", ".join(keys)
+            raise CaptureError(f"{source.path}: {self.plan.clock} is not exported (but {there})")
+        return keys[self.plan.clock]
+
+    def _check(self, source: SampleSource) -> None:
+        mine, its = (_shapes(streams) for streams in (self._streams, self.taken(source)))
         for name in sorted(mine.keys() | its.keys()):
             if name not in its:
                 problem = f"does not have {name}, which the first file has"
@@ -187,8 +187,33 @@ class _Layout:
                 "by one"
             )
         others = {patch.name: patch for patch in patches_of(source.streams).values()}
-        for patch in patches_of(self.streams).values():
+        for patch in self._patches:
             check_taxels(patch, others[patch.name], source.path)
+
+    def about(self) -> dict[str, Any]:
+        plan = self.plan
+        taxels = {
+            patch.name: {
+                "rows": patch.rows,
+                "columns": patch.columns,
+                "node": patch.nodes.tolist(),
+                "position_m": known(patch.positions_m),
+                "normal": known(patch.normals),
+                "area_m2": known(patch.areas_m2),
+                "samples": self.slots[patch.name],
+            }
+            for patch in self._patches
+        }
+        return {
+            "package_version": __version__,
+            "samples": plan.mode,
+            "nan": plan.policy,
+            "stale_s": stale_s(self.fps),
+            "clock": plan.clock or f"{self.fps} per s from the beginning of each episode",
+            "from_first_complete": plan.from_first_complete,
+            "units": {one.name: one.unit for one in self.features if one.unit},
+            "taxels": taxels,
+        }
 
 
 def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
@@ -203,22 +228,19 @@ def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
 
 def _export(
     source: SampleSource,
-    plan: Plan,
     layout: _Layout,
     writer: DatasetWriter,
     outcome: Outcome,
     progress: Progress,
 ) -> None:
     """Write the episodes of one file."""
-    episodes, patches = plan.episodes(source), patches_of(source.streams)
+    plan, patches, taken = layout.plan, patches_of(source.streams), layout.taken(source)
+    episodes, streams = plan.episodes(source), list(taken.values())
     touch = {
         key: TouchStream(len(patch), layout.slots[patch.name], plan.mode, plan.policy)
         for key, patch in patches.items()
     }
-    taken = _streams(source, layout.lacking)
-    clock = _clock(source, taken, plan)
-    aligner = Aligner(taken, touch, episodes, layout.fps, clock)
-    streams = list(taken.values())
+    aligner = Aligner(taken, touch, episodes, layout.fps, layout.clock(source))
     going: int | None = None  # the episode that the last row belonged to
     last_ns = 0
     parts = 0  # episodes that were begun because the one before was too long
@@ -270,11 +292,6 @@ def _said_of_stopped(stream: SampleStream, rows: int) -> str:
     return f"{column(stream)}: {stream.topic} had stopped in {rows} rows, where nothing is valid"
 
 
-def _streams(source: SampleSource, lacking: Collection[str]) -> dict[str, SampleStream]:
-    """The streams of a file, but for columns that another file lacks."""
-    return {key: one for key, one in source.streams.items() if column(one) not in lacking}
-
-
 def _rows(
     source: SampleSource,
     streams: Collection[str],
@@ -295,17 +312,6 @@ def _rows(
         yield row, False
 
 
-def _clock(source: SampleSource, streams: Mapping[str, SampleStream], plan: Plan) -> str | None:
-    """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
-    if plan.clock is None:
-        return None
-    keys = {stream.topic: key for key, stream in streams.items()}
-    if plan.clock not in keys:
-        there = ", ".join(keys)
-        raise CaptureError(f"{source.path}: {plan.clock} is not exported (but {there})")
-    return keys[plan.clock]
-
-
 def _rate(source: SampleSource, key: str) -> int:
     """Ticks per s of a stream, from the first of its stamps; raises CaptureError."""
     until_ns = source.begin_ns + round(RATE_S * NANO)
@@ -323,29 +329,3 @@ def _rate(source: SampleSource, key: str) -> int:
             "dataset has 1 row per s at least: --fps 1"
         )
     return rate
-
-
-def _about(layout: _Layout, plan: Plan, patches: list[dict[str, Any]]) -> dict[str, Any]:
-    taxels = {
-        patch.name: {
-            "rows": patch.rows,
-            "columns": patch.columns,
-            "node": patch.nodes.tolist(),
-            "position_m": known(patch.positions_m),
-            "normal": known(patch.normals),
-            "area_m2": known(patch.areas_m2),
-            "samples": layout.slots[patch.name],
-        }
-        for patch in patches_of(layout.streams).values()
-    }
-    return {
-        "package_version": __version__,
-        "samples": plan.mode,
-        "nan": plan.policy,
-        "stale_s": stale_s(layout.fps),
-        "clock": plan.clock or f"{layout.fps} per s from the beginning of each episode",
-        "from_first_complete": plan.from_first_complete,
-        "units": {one.name: one.unit for one in layout.features if one.unit},
-        "taxels": taxels,
-        "patches": patches,
-    }

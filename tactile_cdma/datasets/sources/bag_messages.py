@@ -12,7 +12,7 @@ import numpy as np
 from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...driver.digitizer import Origin
-from ..samples import NANO, PatchInfo, SkinFrame, feature_name
+from ..samples import NANO, PatchInfo, SkinFrame, feature_name, in_order
 
 ARRAY, INFO = "tactile_cdma/msg/TactileArray", "tactile_cdma/msg/TactileSkinInfo"
 CONTACTS_TYPE, WRENCH_TYPE = "tactile_cdma/msg/TactileContacts", "geometry_msgs/msg/WrenchStamped"
@@ -171,10 +171,7 @@ def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
 
     None for a message without them: another program's.
     """
-    its, values = vector_names(message), _values(message)
-    if its == names:
-        return values
-    return values[[its.index(name) for name in names]] if set(names) <= set(its) else None
+    return in_order(_values(message), vector_names(message), names)
 
 
 def vector_names(message: Any) -> tuple[str, ...]:

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.errors import CaptureError
-from ...base.optional import needed_for
+from ...base.errors import CaptureError, needed_for
 
 ENCODINGS = {
     "rgb8": (3, (0, 1, 2)),

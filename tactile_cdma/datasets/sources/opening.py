@@ -3,12 +3,11 @@
 """Opens a recording, raw bytes or a bag as a source, whichever a path names."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ...base.errors import CaptureError, ParameterError
-from ...base.optional import needed_for
+from ...base.errors import CaptureError, ParameterError, needed_for
 from ...config.parameters import Value
 from ...recording.recording_file import is_recording
 from ..samples import MOST_SHOWN, SampleSource
@@ -41,7 +40,13 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
         with needed_for("a bag", "rosbags"):
             from .bag_source import BagSource  # slow to load, and needed here only
 
-        refuse_parameters(path, wanted.asked)
+        if wanted.asked:
+            names = ", ".join(sorted(wanted.asked)[:MOST_SHOWN])
+            more = ", …" if len(wanted.asked) > MOST_SHOWN else ""
+            raise ParameterError(
+                f"{path}: --params and the skin's options ({names}{more}) are for recordings, "
+                "which are decoded with them; what this holds was decoded before"
+            )
         bag = BagSource(path, wanted)
         _log.debug("%s is a bag with %s", path, ", ".join(bag.streams) or "nothing wanted")
         return bag
@@ -52,16 +57,6 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
         if value:
             raise CaptureError(f"{path}: {option} is for bags: recordings have no topics")
     return source
-
-
-def refuse_parameters(path: Path, asked: Mapping[str, Value]) -> None:
-    """Raises ParameterError where parameters are to override those of what is decoded already."""
-    if asked:
-        names = ", ".join(sorted(asked)[:MOST_SHOWN]) + (", …" if len(asked) > MOST_SHOWN else "")
-        raise ParameterError(
-            f"{path}: --params and the skin's options ({names}) are for recordings, which are "
-            "decoded with them; what this holds was decoded before"
-        )
 
 
 def has_times(path: Path) -> bool:

@@ -3,17 +3,22 @@
 """Recordings (.skin) and raw bytes as a source: decoded again, with contacts and wrench."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ... import __version__
+from ...base.arrays import Floats32
 from ...base.errors import CaptureError
 from ...config.parameters import Value
+from ...config.skin_config import SkinConfig
+from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
-from ...readings.contact import ContactTracker
-from ...recording.capture import is_text
+from ...readings.contact import Contacts, ContactTracker
 from ...recording.offline import RawCapture
-from ...recording.recording_file import describe, is_recording, read_end
+from ...recording.recording_file import describe, is_recording, is_text, read_end
 from ..samples import (
     DERIVED,
     NANO,
@@ -25,7 +30,6 @@ from ..samples import (
     feature_name,
     skin_stream,
 )
-from ..skin_samples import patch_info, samples_of
 
 
 class RecordingSource:
@@ -99,3 +103,50 @@ def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:
         voltage_v=readings.voltage_v,
         status=readings.status,
     )
+
+
+def patch_info(
+    config: SkinConfig, source: Source, name: str, about: Mapping[str, Any]
+) -> PatchInfo:
+    """A patch that is decoded here. source: who measures. about: what else is known of it."""
+    layout = config.layout
+    return PatchInfo(
+        name=name,
+        topic="",
+        rows=layout.rows,
+        columns=layout.columns,
+        nodes=layout.nodes.astype(np.uint16),
+        positions_m=layout.positions_m.astype(np.float32),
+        normals=layout.normals.astype(np.float32),
+        areas_m2=layout.areas_m2.astype(np.float32),
+        frame_period_s=config.spec.frame_period_s,
+        about={
+            "origin": source.origin.name.lower(),
+            "measured_by": source.measured_by.name.lower(),
+            "skin": config.skin,
+            "digitizer_id": (source.digitizer_id or b"").hex().upper(),
+            "calibration_id": config.calibration.identity,
+            "package_version": __version__,
+            **about,
+        },
+    )
+
+
+def samples_of(
+    keys: Sequence[str], frame: SkinFrame, found: Contacts | None, stamp_ns: int, seen_ns: int
+) -> Iterator[Sample]:
+    """Samples of a frame and, unless None, of its contacts.
+
+    keys: of the streams of touch, contacts and wrench.
+    """
+    tactile, contacts, wrench = keys
+    yield Sample(tactile, stamp_ns, seen_ns, frame)
+    if found is not None:
+        yield Sample(contacts, stamp_ns, seen_ns, _contacts(found))
+        yield Sample(wrench, stamp_ns, seen_ns, found.wrench.astype(np.float32))
+
+
+def _contacts(found: Contacts) -> Floats32:
+    """(7,) by samples.CONTACT_NAMES."""
+    counts = float(found.touched), float(found.untouched), float(len(found))
+    return np.array([*counts, found.total_area_m2, *found.centre_m], dtype=np.float32)

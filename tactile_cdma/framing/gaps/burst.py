@@ -116,7 +116,7 @@ class BurstSearch:
         self.bit_cells = math.ceil(spec.order * self.chip / cell) + 1
         # Every bit has the same energy, and any two bits' time holds a whole one.
         self.bit_halves = math.ceil(2 * (1 + MAX_STRETCH) * self.bit_cells) * self.group
-        self.least_power = least_power(spec)
+        self.least_power = least_power(spec.node_swing_v)
         self._mean = np.full(self.half, 1 / self.half)
 
     @cached_property
@@ -278,5 +278,4 @@ def _windows(off: Floats, width: int) -> tuple[Floats, Floats, Floats]:
 def _window_sums(values: Floats, width: int) -> Floats:
     """Sums of all windows of this many values, (m − width + 1,)."""
     sums = np.concatenate((np.zeros(1), np.cumsum(values)))
-    windows: Floats = np.subtract(sums[width:], sums[:-width])
-    return windows
+    return np.subtract(sums[width:], sums[:-width])

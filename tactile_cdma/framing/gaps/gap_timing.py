@@ -17,7 +17,7 @@ from ...base.sums import dot, sums
 from ...code.amplitude import FAINT_SHARE, rises
 from ...code.frame import FrameSpec
 from ...code.separate import NodeLevels, node_levels
-from ..fit import Fit, Line, WordFit, even_words, integrate, lowest_power, read_words
+from ..fit import Fit, Line, WordFit, even_words, integrate, least_power, read_words
 from ..judge import Judgement
 from ..limits import LIMITS
 from ..raster import Expected, Raster
@@ -389,7 +389,7 @@ class GapTiming(Timing):
         """Learn from a frame's words and the gap beside it."""
         self._gap = gap
         if self._spec.node_swing_v is None:
-            self._search.least_power = lowest_power(float(words.amplitude.max()))
+            self._search.least_power = least_power(float(words.amplitude.max()))
 
     def _emit(
         self,

@@ -49,7 +49,7 @@ from ..fit import (
     read_words,
     refine,
 )
-from ..judge import RULED_OUT, Judge, Judgement
+from ..judge import RULED_OUT, Judgement, choose
 from ..limits import LIMITS
 from ..raster import WIDE, Expected
 from ..timing import Rails, within_rails
@@ -145,7 +145,6 @@ class GapSearch(BurstSearch):
         """See BurstSearch. rails_v: see share_clipped."""
         super().__init__(spec, rate_hz)
         self._rails_v = rails_v
-        self._judge = Judge(spec)
         self._code = compiled_code(spec)
         self._values = np.empty(0)
         self._make_room()
@@ -303,7 +302,7 @@ class GapSearch(BurstSearch):
             chip = np.full(start.size, fit.chip)
             # Two nodes that cancel at the start of every bit are possible, but not likely.
             unlikely = np.log1p(np.square((start - burst.first) / (0.5 * fit.chip)))
-            found = self._judge.choose(line, start, chip, noise, unlikely, expected)
+            found = choose(line, start, chip, self.spec, noise, unlikely, expected)
             shift = round((found.fit.start - fit.start) / fit.chip)
             earliest, latest = min(earliest, shift - _BEYOND), max(latest, shift + _BEYOND)
             if (earliest, latest) == shifts or latest - earliest > _MOST_SHIFTS:
@@ -332,8 +331,7 @@ class GapSearch(BurstSearch):
         """Log-likelihood in white noise, no sharper than distortion allows, (c,)."""
         energy = self.spec.chips * chips * power
         unit = 2 * LIMITS.distortion**2 / self.spec.chips * float(energy.max())
-        score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
-        return score
+        return energy / max(2 * self.half * burst.variance, unit, 1e-30)
 
     @cached_property
     def _tones(self) -> tuple[int, Floats]:

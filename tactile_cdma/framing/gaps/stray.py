@@ -94,12 +94,11 @@ def strays(
     units = least, math.sqrt(noise / fit.chip)
     edge = max(map(abs, _beside_levels(volts, fit, spec)))
     perhaps, surely = (edge > max(map(mul, most, units)) for most in (PERHAPS, SURELY))
-    equal, silent = _has_equal_bits(words, spec), words.amplitude[0] == 0
     if surely:
         return np.ones(spec.nodes, np.bool_)
-    found = np.zeros(spec.nodes, np.bool_)
+    found, silent = np.zeros(spec.nodes, np.bool_), words.amplitude[0] == 0
     asks = perhaps or not placed
-    if has_twins(spec) and (asks or _asks(words, equal, noise / fit.chip, least, spec)):
+    if has_twins(spec) and (asks or _asks(words, noise / fit.chip, least, spec)):
         found = _of_others(Line(volts), fit, words, noise / fit.chip, placed, spec)
     if _turned(line, fit, noise, spec) > TURNED * least**2:
         found |= _between(line, fit, words, least, spec)
@@ -124,21 +123,16 @@ def _beside_levels(volts: Floats, fit: Fit, spec: FrameSpec) -> list[float]:
     return found
 
 
-def _asks(words: WordFit, equal: Bools, noise: float, least: float, spec: FrameSpec) -> bool:
+def _asks(words: WordFit, noise: float, least: float, spec: FrameSpec) -> bool:
     """Whether words leave more than noise, of that variance, V², or too little shows in noise."""
     left = words.misfit.item() * words.power.item() - noise * (
         1 + SCATTER * math.sqrt(2 / spec.chips)
     )
     if left > LEFT * least**2 / spec.order:
         return True
-    return noise > (CLEAR * least) ** 2 and bool(equal.any())
-
-
-def _has_equal_bits(words: WordFit, spec: FrameSpec) -> Bools:
-    """Which of the words that were spoken change their bits once at most."""
     is_set = words.rows[0, :, spec.node_slice][:, words.amplitude[0] > 0] > 0
-    changes: Bools = np.count_nonzero(is_set[1:] != is_set[:-1], axis=0) <= 1
-    return changes
+    changes_once = np.count_nonzero(is_set[1:] != is_set[:-1], axis=0) <= 1
+    return noise > (CLEAR * least) ** 2 and bool(changes_once.any())
 
 
 def _turned(line: Line, fit: Fit, noise: float, spec: FrameSpec) -> float:
@@ -156,9 +150,9 @@ def _of_others(
     """Words that may be those of other nodes, (n,) bool. noise: of a chip, V²."""
     edges: Floats = np.arange(-MOST_LATE, spec.chips + MOST_LATE + 1, dtype=np.float64)
     left = line.means(fit.start + fit.chip * edges)
-    left[MOST_LATE:-MOST_LATE] -= _chips_of(words, spec) + words.pedestal[0]
+    left[MOST_LATE:-MOST_LATE] -= words.chips(spec).ravel() + words.pedestal[0]
     found, twins = np.zeros(spec.nodes, np.bool_), _twins(spec)
-    level = np.sign(words.rows[0, :, spec.node_slice]) * words.amplitude[0]
+    level = words.signs(spec)[0] * words.amplitude[0]
     for late in set(twins.late.tolist()):
         of_active = twins.of((twins.late == late) & (words.amplitude[0][twins.own] > 0))
         own = of_active.own
@@ -229,19 +223,12 @@ def _twins(spec: FrameSpec) -> _Twins:
     return _Twins(*(np.concatenate(each) for each in zip(*found, strict=True)))
 
 
-def _chips_of(words: WordFit, spec: FrameSpec) -> Floats32:
-    """The chips that words mean, (k N,) V."""
-    symbols = np.zeros_like(words.rows[0])
-    symbols[:, spec.node_slice] = np.sign(words.rows[0, :, spec.node_slice]) * words.amplitude[0]
-    return chips_of(symbols, spec).ravel()
-
-
 def _between(line: Line, fit: Fit, words: WordFit, least: float, spec: FrameSpec) -> Bools:
     """Nodes whose words show between chips, or in those of neighbours, (n,) bool.
 
     What words that are in time leave there is fitted by shares of the nearest chips.
     """
-    chips, found = _chips_of(words, spec), np.zeros(spec.nodes, np.bool_)
+    chips, found = words.chips(spec).ravel(), np.zeros(spec.nodes, np.bool_)
     reach = MOST_LATE + 2
     around = np.pad(chips, reach)
     for halves in (*range(-2 * MOST_LATE - 1, 0), *range(1, 2 * MOST_LATE + 2)):

@@ -30,18 +30,12 @@ from ...messages.cdr import Heading, TaxelArray
 from ...messages.rounds import Rounds
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
-from ..common.convert import (
-    UNKNOWN_WRENCH,
-    is_known,
-    nanoseconds,
-    point_cloud,
-    wrench_stamped,
-)
+from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
+from ..common.nodes import TAKEN, all_or_nothing, changing
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.touches import Touches
 from ..common.transforms import TransformListener
-from ..common.unchanged import TAKEN, changing
 from .contacts import body_contacts
 from .names import body_names
 from .parameters import body_setup, declared
@@ -62,6 +56,7 @@ REPORT_S = 1.0
 class BodyNode(Node):
     """Combines what the drivers of a body's patches publish."""
 
+    @all_or_nothing
     def __init__(self, **node_options: Any) -> None:
         """Raises TactileError for wrong parameters."""
         super().__init__(NODE_NAME, **node_options)
@@ -104,12 +99,9 @@ class BodyNode(Node):
 
     def _tick(self) -> None:
         """Follow what is asked for; publish that patches are absent where nothing comes."""
-        contacts = bool(
-            self._contacts.get_subscription_count() or self._wrench.get_subscription_count()
-        )
-        points = bool(self._points.get_subscription_count())
-        names = bool(self._names.get_subscription_count())
-        taxels = bool(self._tactile.get_subscription_count())
+        topics = self._contacts, self._wrench, self._points, self._names, self._tactile
+        asked = [bool(topic.get_subscription_count()) for topic in topics]
+        contacts, (points, names, taxels) = asked[0] or asked[1], asked[2:]
         for feed in self._feeds.values():
             feed.follow(contacts, points or names, taxels)
         self._transforms.follow(contacts or points or names or taxels)
@@ -245,11 +237,11 @@ class BodyNode(Node):
         self._are_points_due, self._drawn = False, present
         for feed in present:
             feed.is_new = False
-            pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
+            pose = self._pose(feed, feed.array.heading.frame_id) if feed.array else None
             max_pa, gamma = self._values["colour_max_kpa"] * 1e3, self._values["colour_gamma"]
             cloud = feed.points(max_pa, pose, gamma) if pose else None
             if feed.array and cloud is not None:
-                stamps_ns.append(nanoseconds(feed.array.header.stamp))
+                stamps_ns.append(feed.array.heading.stamp_ns)
                 clouds.append(cloud)
         # Kept until the next one, as by the driver's Pictures.
         self._cloud = point_cloud(BODY_POINT, clouds, self._heading(stamps_ns))
@@ -262,7 +254,7 @@ class BodyNode(Node):
         places_m = {}
         for feed in self._feeds.values():
             feed.poll_points()
-            pose = self._pose(feed, feed.array.header.frame_id) if feed.array else None
+            pose = self._pose(feed, feed.array.heading.frame_id) if feed.array else None
             if pose and (taxels_m := feed.taxels_m) is not None:
                 places_m[feed.node_name] = pose.apply(taxels_m)
         if places_m:

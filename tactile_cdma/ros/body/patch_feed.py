@@ -13,22 +13,20 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
-from ...base.arrays import Floats, Floats32
+from ...base.arrays import Floats
 from ...messages.cdr import TaxelArray, read_array
 from ...places.poses import Pose
 from ...readings.status import is_certain
 from ...readings.taxels import Coverage
 from ...views.cloud import Cloud
-from ..common.convert import nanoseconds, places_of, readings_of
-from ..common.following import Following
+from ..common.convert import places_of
+from ..common.following import Following, Topic
 from ..common.qos import FRESH, LATCHED
 from ..common.touches import Touches
 from .tactile import Places
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """QoS of arrays: points are drawn less often than arrays arrive."""
-NewContacts = Callable[["PatchFeed", Touches], None]
-NewTaxels = Callable[["PatchFeed", TaxelArray], None]
 MessageInfo = dict[str, int]
 """What the middleware knows of a message: source_timestamp, received_timestamp, ns."""
 
@@ -36,9 +34,9 @@ MessageInfo = dict[str, int]
 class PatchFeed:
     """The latest messages of one patch.
 
-    node_name: fully qualified name of the patch's driver. contacts, array, taxels: the latest
-    messages; None: none since they are followed. is_new: the array has not been drawn. places: of
-    the taxels, by the latest info.
+    node_name: fully qualified name of the patch's driver. contacts, taxels: the latest messages;
+    array: the latest that was polled; None: none since they are followed. is_new: the array has not
+    been drawn. places: of the taxels, by the latest info.
     """
 
     def __init__(
@@ -46,15 +44,14 @@ class PatchFeed:
         node: Node,
         node_name: str,
         index: int,
-        on_contacts: NewContacts,
-        on_taxels: NewTaxels,
+        on_contacts: Callable[["PatchFeed", Touches], None],
+        on_taxels: Callable[["PatchFeed", TaxelArray], None],
     ) -> None:
         self.node_name = node_name
         self.contacts: Touches | None = None
         self.taxels: TaxelArray | None = None
         self.places: Places | None = None
-        self.array: TactileArray | None = None
-        self._readings: tuple[Floats32, NDArray[np.uint8]] | None = None  # of array
+        self.array: TaxelArray | None = None
         self.is_new = False
         self._heard_s, self._stamp_ns = -math.inf, 0
         self._late_s = self._underway_s = math.inf
@@ -62,27 +59,27 @@ class PatchFeed:
         self._counted, self._reported_s = 0, -math.inf
         self._node, self._index = node, index
         self._on_contacts, self._on_taxels = on_contacts, on_taxels
-        self._cloud: tuple[int, Cloud] | None = None
+        self._cloud: tuple[int, Cloud] | None = None  # and the info_id that it is of
+        contacts, info, array = (f"{node_name}/{name}" for name in ("contacts", "info", "tactile"))
         self._for_contacts = Following(
-            node, (TactileContacts, f"{node_name}/contacts", self._take_contacts, FRESH), raw=True
+            node, Topic(TactileContacts, contacts, self._take_contacts, FRESH, raw=True)
         )
-        self._for_taxels = (
-            Following(node, (TactileSkinInfo, f"{node_name}/info", self._take_places, LATCHED)),
-            Following(
-                node, (TactileArray, f"{node_name}/tactile", self._take_taxels, FRESH), raw=True
-            ),
+        self._for_taxels = Following(
+            node,
+            Topic(TactileSkinInfo, info, self._take_places, LATCHED),
+            Topic(TactileArray, array, self._take_taxels, FRESH, raw=True),
         )
         self._for_points = Following(
             node,
-            (TactileSkinInfo, f"{node_name}/info", self._take_info, LATCHED),
-            (TactileArray, f"{node_name}/tactile", self._take_array, LATEST),
+            Topic(TactileSkinInfo, info, self._take_info, LATCHED),
+            Topic(TactileArray, array, self._take_array, LATEST, raw=True),
             is_polled=True,
         )
 
     @property
     def is_followed(self) -> bool:
         """Whether it is subscribed to."""
-        return bool(self._for_contacts or self._for_points or self._for_taxels[1])
+        return bool(self._for_contacts or self._for_points or self._for_taxels)
 
     def silent_s(self, now_s: float) -> float:
         """Time since the last message, s; infinite if there was none."""
@@ -125,9 +122,8 @@ class PatchFeed:
         """How much of the patch its latest message is of; None without any."""
         if self.contacts:
             return Coverage(self.contacts.taxels_valid, self.contacts.taxels_in_service)
-        if self.taxels:
-            return Coverage.of(self.taxels.pressure_pa, self.taxels.status)
-        return Coverage.of(*self._readings) if self._readings else None
+        latest = self.taxels or self.array
+        return Coverage.of(latest.pressure_pa, latest.status) if latest else None
 
     @property
     def has_driver(self) -> bool:
@@ -147,14 +143,13 @@ class PatchFeed:
         """
         self._for_contacts.follow(contacts)
         self._for_points.follow(points)
-        for following in self._for_taxels:
-            following.follow(taxels)
+        self._for_taxels.follow(taxels)
         if not taxels:
             self.taxels = None
         if not contacts:
             self.contacts = None
         if not points:
-            self.array = self._readings = self._cloud = None
+            self.array = self._cloud = None
             self.is_new = False
 
     def poll_points(self) -> None:
@@ -171,14 +166,14 @@ class PatchFeed:
 
         max_pa, pose, gamma: see Cloud.points.
         """
-        if self.array is None or self._readings is None or self._cloud is None:
+        if self.array is None or self._cloud is None:
             return None
         info_id, cloud = self._cloud
+        pressure_pa = self.array.pressure_pa
         # A restarted driver counts from 1 again: the same id may mean another skin.
-        pressure_pa, status = self._readings
         if self.array.info_id != info_id or len(pressure_pa) != len(cloud):
             return None
-        certain_pa = np.where(is_certain(status), pressure_pa, np.float32(np.nan))
+        certain_pa = np.where(is_certain(self.array.status), pressure_pa, np.float32(np.nan))
         return cloud.points(certain_pa, max_pa, pose, gamma)
 
     def _hear(self, stamp_ns: int, info: MessageInfo) -> None:
@@ -204,10 +199,10 @@ class PatchFeed:
         self.places = None  # those of before may be of another skin
         self.places = Places(message)
 
-    def _take_array(self, message: TactileArray, info: MessageInfo) -> None:
-        self._readings = readings_of(message)
-        self._hear(nanoseconds(message.header.stamp), info)
-        self.array, self.is_new = message, True
+    def _take_array(self, message: bytes, info: MessageInfo) -> None:
+        self.array = read_array(message)
+        self._hear(self.array.heading.stamp_ns, info)
+        self.is_new = True
 
     def _take_info(self, message: TactileSkinInfo) -> None:
         self._cloud = None

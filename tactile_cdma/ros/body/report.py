@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from ...base.listing import listed
+from ...base.text import listed
 from ..common.convert import diagnostic
 from ..common.failures import FAILED, FAILURES
 from .patch_feed import PatchFeed

@@ -13,7 +13,7 @@ from typing import Any
 from rclpy._rclpy_pybind11 import InvalidHandle
 
 from ...base.errors import TactileError
-from ...base.plain_text import plain_lines
+from ...base.text import plain_lines
 
 FAILED = "failed callbacks"
 """Their count in /diagnostics."""

@@ -3,6 +3,7 @@
 """Subscriptions that exist only while somebody asks for what they bring."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -11,21 +12,25 @@ from rclpy.subscription import Subscription
 from .executor import Polled, take_message
 from .failures import FAILURES
 
-Topic = tuple[type, str, Callable[..., None], QoSProfile]
-"""Type of the messages, name, callback (see take_message), QoS."""
+
+class Topic(NamedTuple):
+    """callback: see take_message; raw: it gets serialised messages, bytes."""
+
+    kind: type
+    name: str
+    callback: Callable[..., None]
+    qos: QoSProfile
+    raw: bool = False
 
 
 class Following:
     """Some topics of a node, subscribed to together or not at all.
 
-    is_polled: messages stay in the middleware until poll(); else executors wait for them. raw:
-    callbacks get serialised messages, bytes.
+    is_polled: messages stay in the middleware until poll(); else executors wait for them.
     """
 
-    def __init__(
-        self, node: Node, *topics: Topic, is_polled: bool = False, raw: bool = False
-    ) -> None:
-        self._node, self._topics, self._raw = node, topics, raw
+    def __init__(self, node: Node, *topics: Topic, is_polled: bool = False) -> None:
+        self._node, self._topics = node, topics
         self._group = Polled() if is_polled else None
         self._subscriptions: list[Subscription] = []
 
@@ -39,11 +44,11 @@ class Following:
             return
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        topics = self._topics if asked else ()
-        self._subscriptions = [
-            self._node.create_subscription(*topic, callback_group=self._group, raw=self._raw)
-            for topic in topics
-        ]
+        self._subscriptions.clear()
+        for *topic, raw in self._topics if asked else ():  # one by one: a later one may raise
+            self._subscriptions.append(
+                self._node.create_subscription(*topic, callback_group=self._group, raw=raw)
+            )
 
     def poll(self) -> None:
         """Call back for one message of each topic, if there is one."""

@@ -8,7 +8,7 @@ from tf2_msgs.msg import TFMessage
 
 from ...base.errors import TransformError
 from ...places.poses import Pose
-from .following import Following
+from .following import Following, Topic
 from .tf_tree import TfTree
 
 QUEUE = 100
@@ -26,8 +26,8 @@ class TransformListener:
         self._node = node
         self.follow = Following(
             node,
-            (TFMessage, "/tf_static", self._take, STATIC),
-            (TFMessage, "/tf", self._take, QoSProfile(depth=QUEUE)),
+            Topic(TFMessage, "/tf_static", self._take, STATIC),
+            Topic(TFMessage, "/tf", self._take, QoSProfile(depth=QUEUE)),
         ).follow
 
     def _take(self, message: TFMessage) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from ...base.listing import listed
+from ...base.text import listed
 from ...driver import checkup
 from ...driver.digitizer import SourceWatch
 from ...driver.driver import NOT_YET, Driver
@@ -170,7 +170,7 @@ def _node_values(driver: Driver, window: Window) -> Values:
     taxels, health, tracker = pipeline.taxels, pipeline.health, pipeline.taxels.chain.tracker
     drift_v = taxels.baseline.drift_v
     drifting = int(np.abs(drift_v).argmax())
-    strays = tracker.strays_lsb(taxels.now_s) if tracker is not None else {}
+    strays = tracker.strays_lsb(taxels.now_s)
     off = [f"{node} ({lsb:+.1f} LSB)" for node, lsb in strays.items()]
     node, rho = checkup.weakest(pipeline, window)
     return {

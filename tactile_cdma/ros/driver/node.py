@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
 from ...base.errors import ParameterError, RestError, TactileError
-from ...base.plain_text import plain
+from ...base.text import plain
 from ...config.body_file import NODE_NAME
 from ...config.parameters import SIMULATION, Values
 from ...config.skin_config import CURVE_PARAMETERS, SkinConfig
@@ -31,10 +31,9 @@ from ...rest.rest_keeper import RestKeeper
 from ...wire.messages import Info
 from ...wire.port import Port
 from ...wire.port_failures import is_remote
-from ..common.lifecycle import ManagedNode, reported
+from ..common.nodes import TAKEN, ManagedNode, all_or_nothing, changing, reported
 from ..common.process import run_node
 from ..common.qos import LATCHED
-from ..common.unchanged import TAKEN, changing
 from .diagnostics import SkinReport
 from .frames import FramePublishers
 from .mount import TF_STATIC, Mount, transform_of
@@ -65,6 +64,7 @@ class SkinNode(ManagedNode):
     pictures: what people look at. look_timer: calls their `look`.
     """
 
+    @all_or_nothing
     def __init__(self, **node_options: Any) -> None:
         super().__init__(
             NODE_NAME, automatically_declare_parameters_from_overrides=True, **node_options
@@ -162,7 +162,6 @@ class SkinNode(ManagedNode):
                 self.get_logger().info(f"opening {plain(url)}")
             if not is_remote(url):  # else the driver does it, which holds up nothing
                 self._port = Port(url, int(self._live["baud"]), config.layout)
-            self._objects.configure(self._port)
         except TactileError as error:
             if self.is_asked or str(error) != self._last_failure:
                 self._last_failure = str(error)
@@ -170,6 +169,7 @@ class SkinNode(ManagedNode):
             return TransitionCallbackReturn.FAILURE
         self._last_failure, self._declared.fixed = "", True
         self._watch = watch
+        self._objects.configure(self._port)
         log = self.get_logger()
         self._rest = RestKeeper(config, url, path, log, self._publish_info, no_path)
         self._mount.show(self._live, config.layout)
@@ -237,7 +237,8 @@ class SkinNode(ManagedNode):
 
     def destroy_node(self) -> None:
         """Join the driver's thread before its publishers go."""
-        self.release()
+        if hasattr(self, "_start_timer"):  # else its constructor has raised before it held anything
+            self.release()
         super().destroy_node()
 
     def _start(self) -> None:

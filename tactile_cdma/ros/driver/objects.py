@@ -5,6 +5,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from rclpy.lifecycle import LifecycleNode
 from rclpy.subscription import Subscription
 
@@ -28,13 +29,15 @@ from ...wire.port import Port
 from ..common.qos import RELIABLE
 
 TOPIC = "~/sim/objects"
-_SIZES = {
-    SimObject.SPHERE: ("a sphere", ("radius",)),
-    SimObject.CYLINDER: ("a cylinder", ("radius", "length")),
-    SimObject.BOX: ("a box", ("x", "y", "z")),
-    SimObject.CAPSULE: ("a capsule", ("radius", "length")),
-    SimObject.ELLIPSOID: ("an ellipsoid", ("x", "y", "z")),
+_EDGES = "x", "y", "z"
+_SHAPES: dict[int, tuple[str, Any, tuple[str, ...]]] = {
+    SimObject.SPHERE: ("a sphere", Sphere, ("radius",)),
+    SimObject.CYLINDER: ("a cylinder", Cylinder, ("radius", "length")),
+    SimObject.BOX: ("a box", Box, _EDGES),
+    SimObject.CAPSULE: ("a capsule", Capsule, ("radius", "length")),
+    SimObject.ELLIPSOID: ("an ellipsoid", Ellipsoid, _EDGES),
 }
+"""What a shape is called, its class, and the numbers of its size."""
 
 
 class ObjectsInput:
@@ -82,24 +85,21 @@ class ObjectsInput:
 
 def indenter(message: SimObject) -> Indenter:
     """An object of a message; raises ParameterError for one that cannot be."""
-    what, names = _SIZES.get(message.shape, ("", ()))
-    if not what:
-        raise ParameterError(f"shape is {message.shape}; SimObject has {sorted(_SIZES)}")
+    if message.shape not in _SHAPES:
+        raise ParameterError(f"shape is {message.shape}; SimObject has {sorted(_SHAPES)}")
+    what, kind, names = _SHAPES[message.shape]
     size = [float(edge) for edge in message.size]
     if len(size) != len(names):
         raise ParameterError(f"{what} has the size ({', '.join(names)}), not {len(size)} values")
     where, turned = message.pose.position, message.pose.orientation
-    common: dict[str, Any] = {
-        "position_m": (where.x, where.y, where.z),
-        "orientation_xyzw": (turned.x, turned.y, turned.z, turned.w),
-        "stiffness_pa_per_m": message.stiffness or STIFFNESS_PA_PER_M,
-    }
-    if message.shape == SimObject.SPHERE:
-        return Sphere(radius_m=size[0], **common)
-    if message.shape in (SimObject.CYLINDER, SimObject.CAPSULE):
-        kind = Cylinder if message.shape == SimObject.CYLINDER else Capsule
-        return kind(radius_m=size[0], length_m=size[1], **common)
-    return (Box if message.shape == SimObject.BOX else Ellipsoid)(size_m=size, **common)
+    lengths_m = {f"{name}_m": length_m for name, length_m in zip(names, size, strict=True)}
+    made: Indenter = kind(
+        **({"size_m": size} if names == _EDGES else lengths_m),
+        position_m=(where.x, where.y, where.z),
+        orientation_xyzw=(turned.x, turned.y, turned.z, turned.w),
+        stiffness_pa_per_m=message.stiffness or STIFFNESS_PA_PER_M,
+    )
+    return made
 
 
 def sim_objects(objects: Sequence[Indenter]) -> SimObjects:
@@ -113,15 +113,10 @@ def _message(thing: Indenter) -> SimObject:
     where, turned = message.pose.position, message.pose.orientation
     where.x, where.y, where.z = map(float, thing.position_m)
     turned.x, turned.y, turned.z, turned.w = map(float, thing.orientation_xyzw)
-    match thing:
-        case Sphere():
-            message.shape, message.size = SimObject.SPHERE, [float(thing.radius_m)]
-        case Cylinder() | Capsule():
-            kind = SimObject.CYLINDER if isinstance(thing, Cylinder) else SimObject.CAPSULE
-            message.shape, message.size = kind, [float(thing.radius_m), float(thing.length_m)]
-        case Box() | Ellipsoid():
-            kind = SimObject.BOX if isinstance(thing, Box) else SimObject.ELLIPSOID
-            message.shape, message.size = kind, [float(edge) for edge in thing.size_m]
-        case _:
-            raise ParameterError(f"SimObject has no shape for a {type(thing).__name__}")
-    return message
+    for shape, (_, kind, names) in _SHAPES.items():
+        if isinstance(thing, kind):
+            fields = ["size_m"] if names == _EDGES else [f"{name}_m" for name in names]
+            size = np.hstack([getattr(thing, field) for field in fields])
+            message.shape, message.size = shape, size.astype(float).tolist()
+            return message
+    raise ParameterError(f"SimObject has no shape for a {type(thing).__name__}")

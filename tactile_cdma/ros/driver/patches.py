@@ -20,10 +20,11 @@ from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Header
 
 from ...base.errors import TactileError
-from ...base.plain_text import plain
+from ...base.text import plain
 from ...config.body_file import Patch, read_body
 from ..common.convert import diagnostic
 from ..common.failures import FAILURES
+from ..common.nodes import all_or_nothing
 from ..common.process import run_node
 from .node import SkinNode
 from .pictures import LOOK_S, Pictures
@@ -40,11 +41,12 @@ class PatchesNode(Node):
     and the log say why, and it is tried again with its parameter file as it is then.
     """
 
+    @all_or_nothing
     def __init__(self, patches: Sequence[Patch]) -> None:
+        self._nodes: list[SkinNode] = []  # first, as destroy_node ends them
         super().__init__("patches", namespace=f"/{patches[0].name}")
         self._untried, self._failed = deque(patches), list[Patch]()
         self._faults: dict[str, str] = {}  # by node
-        self._nodes: list[SkinNode] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
         self._next = self.create_timer(NEXT_S, self._make_next, clock=steady)

@@ -15,8 +15,8 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileContact, TactileContacts
 
-from ...base.listing import listed
-from ...base.plain_text import plain
+from ...base.text import listed, plain
+from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import RELIABLE
 from .complaints import Complaints
@@ -31,6 +31,7 @@ MOST_NAMED = 2
 class BodyViewer(Node):
     """Counts the body's messages and keeps the latest."""
 
+    @all_or_nothing
     def __init__(self, body: str) -> None:
         super().__init__("body_viewer")
         self.latest: TactileContacts | None = None

@@ -4,7 +4,7 @@
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from ...base.plain_text import plain
+from ...base.text import plain
 
 LEVELS = {
     DiagnosticStatus.OK: "OK",

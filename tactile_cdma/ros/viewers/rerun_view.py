@@ -18,6 +18,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.errors import TransformError
 from ...config.arguments import positive
+from ..common.nodes import all_or_nothing
 from ..common.process import running
 from ..common.qos import LATCHED, QUEUE
 from ..common.transforms import COMPLAINT_S, TransformListener
@@ -44,6 +45,7 @@ WEB_PORT = 9090
 class RerunView(Node):
     """Subscribes to patches and logs them. patches: their full names; empty: all that appear."""
 
+    @all_or_nothing
     def __init__(self, recording: rr.RecordingStream, patches: list[str], max_pa: float) -> None:
         super().__init__("skin_rerun")
         self._recording = recording

@@ -22,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 
-from ...base.plain_text import plain
+from ...base.text import plain
 from ...config.arguments import positive
 from ...places.layout import Layout
 from ...readings.status import Status, is_in_service
@@ -30,6 +30,7 @@ from ...readings.taxels import Coverage
 from ...views.history import History
 from ...views.terminal import Look, Numbers, Reading, scale, screen, sparkline, status_lines
 from ..common.convert import nanoseconds, readings_of
+from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
@@ -58,6 +59,7 @@ class Viewer(Node):
     what to do; empty: there is one.
     """
 
+    @all_or_nothing
     def __init__(self, topic: str) -> None:
         super().__init__("skin_view")
         self.tally = Tally()

@@ -40,14 +40,13 @@ class BatchCover:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self.areas_m2 = instance("layout", layout, Layout).areas_m2.astype(np.float64)
-        places = layout.positions_m, layout.normals, layout.areas_m2
-        points_m = Foundation(*places, layout.aspect).points_m
-        self._per_taxel = points_m.shape[1]
-        self._points_m = points_m.reshape(-1, 3)
+        places = instance("layout", layout, Layout).positions_m, layout.normals, layout.areas_m2
+        cover = Foundation(*places, layout.aspect)
+        self.areas_m2, self._is_flat = cover.areas_m2, cover.is_flat
+        self._per_taxel = cover.points_m.shape[1]
+        self._points_m = cover.points_m.reshape(-1, 3)
         self._normals = layout.normals.astype(np.float64).repeat(self._per_taxel, axis=0)
         self._point_m2 = (self.areas_m2 / self._per_taxel).repeat(self._per_taxel)
-        self._is_flat = bool((np.ptp(self._normals, axis=0) == 0).all())
         self._is_even = bool(np.allclose(self.areas_m2, self.areas_m2[0], rtol=1e-6))
 
     def pressure_pa(
@@ -63,8 +62,7 @@ class BatchCover:
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin. NaN where
-        something of this is, or a force is negative. Raises ParameterError for other shapes, or no
-        Indenter.
+        one of these is, or a force is negative. Raises ParameterError for other shapes or objects.
         """
         if not isinstance(thing, Indenter) or isinstance(thing, HeightMap):
             raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
@@ -143,8 +141,7 @@ class BatchCover:
         """By how much to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
 
         With the points in the order in which the skin is reached, Σ aᵢ·max(s − eᵢ, 0) is the
-        greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ), so that s is the least of their solutions. −∞
-        where no point is below the object.
+        greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ): s is the least of their solutions; −∞: none.
         """
         point_m2 = here(self._point_m2)
         if self._is_even:

@@ -5,7 +5,7 @@
 On a line without faults the driver hears every word that a node sends. So all between the nodes'
 words and the driver's is left out; what is before it, sensors, converters and the rule by which
 nodes speak, is computed as in the simulator, and what is after it is looked up in a table of all
-codes, which the driver's own Taxels has filled. test_batch.py compares both ways code by code.
+codes, which the driver's own Taxels has filled. test_sim_batch.py compares both ways code by code.
 
 Every function of arrays is one of the array API standard, so that numpy, torch and JAX do, on any
 device; nothing depends on values, so that it can be compiled (jax.jit, torch.compile).
@@ -53,8 +53,7 @@ class BatchFrame(NamedTuple):
     """One frame of e skins of t taxels, as the driver's; arrays of the kind that was given.
 
     pressure_pa: (e, t) float32, Pa, NaN without a valid reading. status: (e, t) uint8, bits of
-    Status. active: (e, t) bool, whether the taxel's node spoke. codes: (e, t) integers, the word
-    that it sent last.
+    Status. active: (e, t) bool, whose nodes spoke. codes: (e, t) integers, their last words.
     """
 
     pressure_pa: Array
@@ -114,7 +113,9 @@ class SkinBatch:
         spec = instance("config", config, SkinConfig).spec
         options = SimOptions.from_url(argument("simulator", simulator, ""), config.layout)
         _check(config, options)
-        least = math.ceil(delay_s(config) / spec.frame_period_s)
+        # From the moment when the nodes measure until the frame is published.
+        delay_s = spec.frame_s + TAIL_CHIPS * spec.chip_s + PUBLISHING_S
+        least = math.ceil(delay_s / spec.frame_period_s)
         late = least if delay_frames is None else delay_frames
         self.delay_frames: int = argument("delay_frames", late, 0, (0, MOST_DELAY_FRAMES))
         self.envs: int = argument("envs", envs, 1, (1, MOST_ENVS))
@@ -260,12 +261,6 @@ class SkinBatch:
             raise ParameterError(
                 f"{name} is {len(state.late)} frames late, and this batch {self.delay_frames}"
             )
-
-
-def delay_s(config: SkinConfig) -> float:
-    """From the moment when the nodes measure until the frame is published, s."""
-    spec = config.spec
-    return spec.frame_s + TAIL_CHIPS * spec.chip_s + PUBLISHING_S
 
 
 class _Tables(NamedTuple):

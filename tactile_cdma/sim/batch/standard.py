@@ -5,8 +5,7 @@
 import reprlib
 from typing import Any
 
-from ...base.errors import ParameterError
-from ...base.optional import needed_for
+from ...base.errors import ParameterError, needed_for
 from ...config.python_arguments import unmasked
 
 Array = Any

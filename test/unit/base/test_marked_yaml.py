@@ -76,14 +76,11 @@ def test_a_whole_number_is_written_in_one_way(tmp_path: Path, text: str) -> None
 def test_long_texts_and_too_many_values_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "long.yaml"
-    path.write_text("a: " + "x" * (MOST_TEXT + 1))
     with pytest.raises(LayoutError, match="line 1: a text of more than"):
-        read_marked(path, LayoutError)
+        read(tmp_path, "a: " + "x" * (MOST_TEXT + 1))
     monkeypatch.setattr("tactile_cdma.base.marked_yaml.MOST_EVENTS", 100)
-    path.write_text("a: [" + "1,\n" * 100 + "1]")
     with pytest.raises(LayoutError, match="holds more than 100 values"):
-        read_marked(path, LayoutError)
+        read(tmp_path, "a: [" + "1,\n" * 100 + "1]")
 
 
 def test_folders_and_missing_files_are_refused(

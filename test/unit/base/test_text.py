@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Text for people: lists that stay short, and untrusted text made harmless."""
+"""Text for people: lists that stay short, untrusted text made harmless, misspelt names."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import LayoutError, PortError, TactileError
-from tactile_cdma.base.listing import listed
-from tactile_cdma.base.plain_text import MOST_SHOWN, plain
+from tactile_cdma.base.text import MOST_SHOWN, closest, listed, plain, suggestion
 from tactile_cdma.wire.discovery import SerialPort
 
 
@@ -51,3 +50,22 @@ def test_items_are_shown_as_asked_and_only_those_shown() -> None:
     made: list[int] = []
     assert listed([1, 2, 3], most=2, show=mark) == "#1, #2 and 1 more"
     assert made == [1, 2]
+
+
+KNOWN = ("nodes", "node_clocks", "port")
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("nodez", "nodes"), ("PROT", "port"), ("node_clock", "node_clocks")]
+)
+def test_a_name_that_resembles_a_known_one_is_suggested(name: str, meant: str) -> None:
+    assert closest(name, iter(KNOWN)) == meant
+    assert suggestion(name, KNOWN, "known: all") == f"; did you mean {meant!r}?"
+
+
+def test_for_any_other_the_message_ends_otherwise() -> None:
+    assert closest("zebra", KNOWN) is None
+    assert suggestion("zebra", KNOWN) == ""
+    assert closest("code", ["node"]) == "node"
+    assert closest("code", ["node"], alike=0.8) is None
+    assert suggestion("zebra", KNOWN, "known: all") == "; known: all"

@@ -25,18 +25,6 @@ def test_displacement_grows_with_the_chips_counted() -> None:
     assert some.moved_chips(clocks([0, 0], [0, 0]), spec) == pytest.approx(0.9)
 
 
-def test_unknown_nodes_take_the_median() -> None:
-    some = NodeClocks(
-        np.array([0.1, 0.0, 0.2, 0.6]), np.array([0.01, 0, 0.0, 0.002]), np.array([1, 0, 1, 1])
-    )
-    guessed = some.with_guesses()
-    assert (guessed.delay_chips[1], guessed.rate_error[1]) == (0.2, 0.002)
-    assert not guessed.known[1]
-    assert np.array_equal(guessed.delay_chips[[0, 2, 3]], some.delay_chips[[0, 2, 3]])
-    unknown = NodeClocks(np.array([0.1, 0.0, 0.2]), np.zeros(3), np.zeros(3, bool))
-    assert unknown.with_guesses().delay_chips.tolist() == [0.1, 0.0, 0.2]
-
-
 @pytest.mark.parametrize(
     ("delay", "rate", "known", "word"),
     [

@@ -49,7 +49,6 @@ def test_clocks_are_found_as_exactly_as_decorrelation_needs(nodes: int, order: i
         assert not heard.refusal
         assert heard.delay_chips == pytest.approx(delay, abs=0.06 if order < 64 else 0.03)
         assert heard.rate_error == pytest.approx(rate, abs=0.08 / order)
-        assert heard.amplitude_v == pytest.approx(0.3, rel=0.2)
         assert heard.rho == pytest.approx(12, rel=0.3)
     known = roll.clocks().known
     assert np.count_nonzero(known) == 4
@@ -61,15 +60,13 @@ def test_where_samples_cannot_tell_the_estimate_lies_in_the_middle(rate: float) 
     roll = RollCallListener(spec_of(16, 20), 2.0)
     heard = hear(roll, 5, lone(roll, 5, 0.45, rate))
     assert heard.delay_chips == pytest.approx(0.5, abs=0.1)
-    assert heard.delay_std > 0.1
-    assert abs(heard.left) < 0.01
+    assert not heard.refusal
 
 
 def test_unipolar_nodes_are_heard() -> None:
     roll = RollCallListener(spec_of(16, 20, drive=UNIPOLAR), 4.0)
     heard = hear(roll, 3, lone(roll, 3, 0.2, 0.01))
     assert not heard.refusal
-    assert heard.amplitude_v == pytest.approx(0.3, rel=0.02)
     assert heard.rate_error == pytest.approx(0.01, abs=0.004)
 
 
@@ -93,6 +90,17 @@ def test_nobody_somebody_else_and_two_are_refused(order: int) -> None:
     assert not roll.clocks().known.any()
     assert not hear(roll, 7, line, noise).refusal
     assert roll.clocks().known.tolist() == [node == 7 for node in range(order - 4)]
+
+
+def test_unknown_nodes_take_the_median() -> None:
+    roll = RollCallListener(spec_of(4, 8), 2.0)
+    assert not roll.clocks().delay_chips.any()
+    for node, delay, rate in ((0, 0.1, 0.01), (2, 0.2, 0.0), (3, 0.6, 0.002)):
+        roll.heard[node] = HeardClock(delay, rate, 12.0, "")
+    clocks = roll.clocks()
+    assert clocks.known.tolist() == [True, False, True, True]
+    assert clocks.delay_chips.tolist() == [0.1, 0.2, 0.2, 0.6]
+    assert clocks.rate_error.tolist() == [0.01, 0.002, 0.0, 0.002]
 
 
 def test_misuse_is_refused() -> None:

@@ -8,22 +8,20 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from tactile_cdma.commands.cli import main
-from tactile_cdma.commands.layout_picture import draw_layout
+from tactile_cdma.commands.layout import draw_layout
 from tactile_cdma.places.layout import Layout
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 
 LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
 
 
-def test_a_layout_is_told_in_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["layout", str(LAYOUTS / "list.yaml")]) == 0
-    said = capsys.readouterr().out
+def test_a_layout_is_told_in_numbers(printed: Printed) -> None:
+    said = printed("layout", LAYOUTS / "list.yaml").out
     for words in ("pad: irregular, 19 taxels, 20 nodes", "neighbours of a taxel: 3…6", "node 20"):
         assert words in said
 
 
-def test_a_skin_in_pieces_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_skin_in_pieces_is_told(tmp_path: Path, printed: Printed) -> None:
     head = "schema: tactile_cdma/layout\nversion: 1\nshape: list\n"
     places = [(x, y) for x in (0, 8, 16) for y in (0, 2, 4, 6)]
     taxels = "".join(
@@ -31,23 +29,23 @@ def test_a_skin_in_pieces_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
     path = tmp_path / "tip.yaml"
     path.write_text(f"{head}taxels:\n{taxels}")
-    assert main(["layout", str(path)]) == 0
-    assert "in 3 pieces of 4, 4, 4 taxels" in capsys.readouterr().out
+    assert "in 3 pieces of 4, 4, 4 taxels" in printed("layout", path).out
     path.write_text(f"{head}pitch_mm: [8, 2]\ntaxels:\n{taxels}")
-    assert main(["layout", str(path), "--png", str(tmp_path / "tip.png")]) == 0
-    said = capsys.readouterr().out
+    said = printed("layout", path, "--png", tmp_path / "tip.png").out
     assert "pieces of" not in said
     assert "pitch 8 × 2 mm" in said
     assert "area 1.92 cm², 16…16 mm² each" in said
 
 
-def test_a_layout_is_checked_against_the_parameters(tmp_path: Path, refused: Refused) -> None:
+def test_a_layout_is_checked_against_the_parameters(
+    tmp_path: Path, printed: Printed, refused: Refused
+) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("/**:\n  ros__parameters:\n    nodes: 24\n")
     said = refused("layout", LAYOUTS / "sphere.yaml", "--params", params)
     assert "node 25, but the skin has 24 nodes" in said
     params.write_text("/**:\n  ros__parameters:\n    nodes: 25\n")
-    assert main(["layout", str(LAYOUTS / "sphere.yaml"), "--params", str(params)]) == 0
+    printed("layout", LAYOUTS / "sphere.yaml", "--params", params)
 
 
 def taxel_colours(path: Path) -> set[tuple[int, ...]]:
@@ -57,10 +55,11 @@ def taxel_colours(path: Path) -> set[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize("name", ["grid", "cylinder", "sphere", "list"])
-def test_the_picture_is_to_scale_and_always_the_same(name: str, tmp_path: Path) -> None:
+def test_the_picture_is_to_scale_and_always_the_same(
+    name: str, tmp_path: Path, printed: Printed
+) -> None:
     for out in ("a.png", "b.png"):
-        command = ["layout", str(LAYOUTS / f"{name}.yaml"), "--png", str(tmp_path / out)]
-        assert main(command) == 0
+        printed("layout", LAYOUTS / f"{name}.yaml", "--png", tmp_path / out)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     height, width = matplotlib.image.imread(tmp_path / "a.png").shape[:2]
     across = {"grid": 4, "cylinder": 12, "sphere": 5, "list": 5}[name]
@@ -82,12 +81,10 @@ def test_a_large_skin_is_drawn_without_numbers(tmp_path: Path) -> None:
     assert max(matplotlib.image.imread(path).shape) < 4300
 
 
-def test_an_unwritable_picture_is_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unwritable_picture_is_an_error(tmp_path: Path, printed: Printed) -> None:
     out = tmp_path / "none" / "out.png"
-    assert main(["layout", str(LAYOUTS / "grid.yaml"), "--png", str(out)]) == 1
-    assert f"{out}: No such file or directory" in capsys.readouterr().err
+    said = printed("layout", LAYOUTS / "grid.yaml", "--png", out, code=1).err
+    assert f"{out}: No such file or directory" in said
 
 
 def test_a_picture_does_not_replace_its_layout(tmp_path: Path, refused: Refused) -> None:

@@ -121,13 +121,25 @@ def test_patches_can_be_selected_by_name(tmp_path: Path) -> None:
             "  b: {parameters: {frame_id: a, parent_frame: hand}}",
             "line 3: patch 'b' has frame_id 'a', and so has 'a'",
         ),
+        ("process: two\npatches: {a: {}}", "process is 'two'; it must be one, per_patch, or"),
+        ("process: {p: [a, b]}\npatches: {a: {}}", "process 'p': 'b' is no patch"),
+        ("process: {p: [a], q: [a]}\npatches: {a: {}}", "process 'q': 'a' is in two processes"),
+        ("patches: {a: {repeat: [x, y]}}", "patch 'a' is repeated: its name must have {}"),
+        ("patches: {'a{}': {repeat: [1, 1]}}", "repeat has an item twice"),
+        ("patches: {'a{}': {repeat: [1]}, a1: {}}", "repeat makes another patch 'a1'"),
+        ("patches: {'a{}': {repeat: no}}", "repeat is 'no'; it must be a list"),
+        ("patches: {'a{}': {repeat: []}}", "repeat has 0 entries; it must have 1…"),
+        ("patches: {'a{}': {repeat: {b: {nods: 1}}}}", "nods"),
+        ("defaults: {port: sim://}\npatches: {a: {}}", "unknown key 'port' in defaults"),
+        ("defaults: 5\npatches: {a: {}}", "defaults is '5'; it must be keys with values"),
     ],
 )
 def test_wrong_files_are_refused_with_line_and_reason(
     tmp_path: Path, text: str, message: str
 ) -> None:
-    with pytest.raises(BodyError, match=re.escape(message)):
+    with pytest.raises(BodyError, match=re.escape(message)) as refused:
         read(tmp_path, text)
+    assert "line " in str(refused.value)
 
 
 def test_ports_in_parameter_files_count_and_simulations_do_not(tmp_path: Path) -> None:
@@ -157,8 +169,8 @@ def test_the_shipped_body_is_one_that_drivers_take() -> None:
 
 
 def test_defaults_and_repeats_write_out_what_patches_have_in_common(tmp_path: Path) -> None:
-    path = tmp_path / "body.yaml"
-    path.write_text(
+    body = read(
+        tmp_path,
         """
 process: {hand: [ff_tip, mf_tip], arm: [palm]}
 defaults: {parameters: {nodes: 24, frame_period_ms: 16.0}}
@@ -169,9 +181,8 @@ patches:
   "{}_mid":
     repeat: {ff: {port: usb://E1}, mf: {port: "replay://a b.skin?loop=1", nodes: 16}}
   palm:
-"""
+""",
     )
-    body = read_body(path)
     found = {patch.name: patch.values for patch in body.patches}
     assert list(found) == ["ff_tip", "mf_tip", "ff_mid", "mf_mid", "palm"]
     assert found["mf_tip"]["parent_frame"] == "mfdistal"
@@ -185,16 +196,16 @@ patches:
 
 
 def test_an_item_stands_in_the_texts_of_defaults_and_in_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "body.yaml"
-    path.write_text(
+    for item in "ff", "mf":
+        (tmp_path / f"{item}.yaml").write_text(f"/**: {{ros__parameters: {{skin: of {item}}}}}")
+    body = read(
+        tmp_path,
         """
 defaults: {params_file: "{}.yaml", parameters: {parent_frame: "{}distal"}}
 patches: {"{}_tip": {repeat: {ff: {skin: "{}1"}, mf: {}}}}
-"""
+""",
     )
-    for item in "ff", "mf":
-        (tmp_path / f"{item}.yaml").write_text(f"/**: {{ros__parameters: {{skin: of {item}}}}}")
-    found = {patch.name: patch.values for patch in read_body(path).patches}
+    found = {patch.name: patch.values for patch in body.patches}
     assert [values["parent_frame"] for values in found.values()] == ["ffdistal", "mfdistal"]
     assert [values["skin"] for values in found.values()] == ["ff1", "of mf"]
 
@@ -203,13 +214,11 @@ def test_more_processes_than_dds_lets_find_each_other_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By hand, Fast DDS on LOCALHOST: of 90 participants a late one finds 32, of 110 none."""
-    path = tmp_path / "body.yaml"
 
     def processes(patches: int, process: str, reach: str) -> int:
-        names = [*range(patches)]
-        path.write_text(f"process: {process}\npatches: {{'p{{}}': {{repeat: {names}}}}}")
+        text = f"process: {process}\npatches: {{'p{{}}': {{repeat: {[*range(patches)]}}}}}"
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
-        return len(read_body(path).processes())
+        return len(read(tmp_path, text).processes())
 
     assert processes(110, "one", "LOCALHOST") == 1
     assert [processes(28, "per_patch", "localhost"), processes(90, "per_patch", "")] == [28, 90]
@@ -217,27 +226,3 @@ def test_more_processes_than_dds_lets_find_each_other_are_refused(
         processes(110, "per_patch", "SUBNET")
     with pytest.raises(BodyError, match=r"29 processes .* 28 .*=LOCALHOST: .* process: one"):
         processes(29, "per_patch", "LOCALHOST")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("process: two\npatches: {a: {}}", "process is 'two'; it must be one, per_patch, or"),
-        ("process: {p: [a, b]}\npatches: {a: {}}", "process 'p': 'b' is no patch"),
-        ("process: {p: [a], q: [a]}\npatches: {a: {}}", "process 'q': 'a' is in two processes"),
-        ("patches: {a: {repeat: [x, y]}}", "patch 'a' is repeated: its name must have {}"),
-        ("patches: {'a{}': {repeat: [1, 1]}}", "repeat has an item twice"),
-        ("patches: {'a{}': {repeat: [1]}, a1: {}}", "repeat makes another patch 'a1'"),
-        ("patches: {'a{}': {repeat: no}}", "repeat is 'no'; it must be a list"),
-        ("patches: {'a{}': {repeat: []}}", "repeat has 0 entries; it must have 1…"),
-        ("patches: {'a{}': {repeat: {b: {nods: 1}}}}", "nods"),
-        ("defaults: {port: sim://}\npatches: {a: {}}", "unknown key 'port' in defaults"),
-        ("defaults: 5\npatches: {a: {}}", "defaults is '5'; it must be keys with values"),
-    ],
-)
-def test_wrong_repeats_and_processes_are_refused(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "body.yaml"
-    path.write_text(text)
-    with pytest.raises(BodyError, match=re.escape(message)) as refused:
-        read_body(path)
-    assert "line " in str(refused.value)

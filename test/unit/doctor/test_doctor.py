@@ -15,7 +15,7 @@ from tactile_cdma.base import kernel, shipped
 from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor import installation
-from tactile_cdma.doctor.report import Grade, exit_code
+from tactile_cdma.doctor.report import Grade
 from tactile_cdma.driver import pipeline
 from tactile_cdma.wire.messages import FrameLayout, Info
 from tactile_cdma.wire.packets import PacketWriter, wrap
@@ -88,20 +88,17 @@ def test_a_digitizer_that_only_introduces_itself(doctor: Doctor) -> None:
 
 
 @pytest.mark.parametrize(
-    ("port", "subject", "said"),
+    ("port", "said"),
     [
-        ("/dev/ttyNOSUCH", "port", "no such port"),
-        ("usb://NOSUCH", "port", "no port has this USB serial number"),
-        (__file__, "port", "not a serial port"),
-        ("nonsense://", "port", "unknown kind of port"),
-        ("sim://?scene=nonsense", "port", "scene"),
-        ("socket://127.0.0.1:1", "port", "refused"),
+        ("usb://NOSUCH", "no port has this USB serial number"),
+        (__file__, "not a serial port"),
+        ("sim://?scene=nonsense", "scene"),
     ],
 )
-def test_ports_that_do_not_open(doctor: Doctor, port: str, subject: str, said: str) -> None:
+def test_ports_that_do_not_open(doctor: Doctor, port: str, said: str) -> None:
     code, found = doctor(port)
     assert code == 1
-    assert said in found[subject]
+    assert said in found["port"]
 
 
 def test_a_busy_port(doctor: Doctor) -> None:
@@ -212,8 +209,6 @@ def test_versions_outside_of_their_ranges(tmp_path: Path, monkeypatch: pytest.Mo
         Grade.WARNING,
     )
     assert "outside of the tested >=99" in old.text
-    assert exit_code([old]) == 0
-    assert exit_code([old, missing]) == 1
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from itertools import zip_longest
 
 import numpy as np
@@ -16,7 +17,7 @@ from tactile_cdma.code.frame import UNIPOLAR
 from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor.report import Check, Grade
-from tactile_cdma.doctor.stream import RawStream, judge
+from tactile_cdma.doctor.stream import Chunks, judge
 from tactile_cdma.driver.session import Session
 from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -42,14 +43,14 @@ def packets_of(url: str, asked: SkinConfig | None = None) -> list[Packet]:
     return [packet for packet in packets if isinstance(packet, Packet)]
 
 
-def stream_of(packets: list[Packet]) -> RawStream:
+def stream_of(packets: list[Packet]) -> Chunks:
     """The same packets on a port, each read when its samples were taken."""
     writer, t_host, chunks = PacketWriter(), 100.0, []
     for packet in packets:
         if isinstance(packet, Samples | Quiet):
             t_host = 100.0 + packet.device_time_us * 1e-6
         chunks.append((writer.encode(packet), t_host))
-    return RawStream(chunks, None)
+    return chunks
 
 
 def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
@@ -60,6 +61,11 @@ def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
     for check in judge(stream_of(packets), config, SECONDS):
         found.setdefault(check.subject, []).append(check)
     return found
+
+
+def judged(chunks: Chunks) -> dict[str, Check]:
+    """By subject, what is said of bytes and the times when they were read."""
+    return {check.subject: check for check in judge(chunks, SkinConfig.of({}), SECONDS)}
 
 
 def with_node(packets: list[Packet], others: list[Packet], share: float) -> list[Packet]:
@@ -74,28 +80,18 @@ def with_node(packets: list[Packet], others: list[Packet], share: float) -> list
     return result
 
 
-def only(node: int) -> str:
-    dead = ",".join(str(other) for other in range(1, 17) if other != node)
-    return f"{ALL_TALK}&dead={dead}"
+@cache
+def talk(options: str) -> list[Packet]:
+    """Of a skin on which all nodes speak."""
+    return packets_of(f"{ALL_TALK}&{options}")
 
 
-@pytest.fixture(scope="module")
-def sound() -> list[Packet]:
-    return packets_of(f"{ALL_TALK}&seed=1")
+SOUND, WITHOUT_5 = "seed=1", "seed=1&dead=5"
+ONLY_5 = "seed=2&dead=1,2,3,4,6,7,8,9,10,11,12,13,14,15,16"
 
 
-@pytest.fixture(scope="module")
-def without_5() -> list[Packet]:
-    return packets_of(f"{ALL_TALK}&seed=1&dead=5")
-
-
-@pytest.fixture(scope="module")
-def node_5() -> list[Packet]:
-    return packets_of(f"{only(5)}&seed=2")
-
-
-def test_a_sound_skin_has_nothing_to_complain_of(sound: list[Packet]) -> None:
-    found = checks(sound)
+def test_a_sound_skin_has_nothing_to_complain_of() -> None:
+    found = checks(talk(SOUND))
     verdicts = {check.verdict for subject in found.values() for check in subject}
     assert verdicts == {Grade.OK}
     assert found["nodes"][0].text == "16 of 16 spoke"
@@ -182,8 +178,8 @@ def test_a_line_on_which_no_word_is_clear_is_not_called_unpowered(line: str) -> 
     assert not any("powered" in check.text for check in told)
 
 
-def test_a_node_that_says_nothing_is_named(without_5: list[Packet]) -> None:
-    [nodes] = checks(without_5)["nodes"]
+def test_a_node_that_says_nothing_is_named() -> None:
+    [nodes] = checks(talk(WITHOUT_5))["nodes"]
     assert nodes.verdict is Grade.WARNING
     assert "15 of 16 spoke, not heard: node 5:" in nodes.text
     assert f"--seconds {2 * SECONDS:g} listens longer" in nodes.text
@@ -198,25 +194,22 @@ def test_silence_in_one_value_per_chip_is_told_by_the_stated_amplitude() -> None
 
 
 def test_frames_that_waited_do_not_come_faster_than_they_were_sent() -> None:
-    chunks = stream_of(packets_of(ALL_TALK)).chunks
+    chunks = stream_of(packets_of(ALL_TALK))
     late_s = chunks[len(chunks) // 2][1]
-    waited = RawStream([(data, max(t_host, late_s)) for data, t_host in chunks], None)
-    found = {check.subject: check for check in judge(waited, SkinConfig.of({}), SECONDS)}
+    found = judged([(data, max(t_host, late_s)) for data, t_host in chunks])
     assert found["frames"].text == "78.1 of 78.1 per s, 0 lost"
 
 
-def test_a_weak_node_is_named(without_5: list[Packet], node_5: list[Packet]) -> None:
-    heard, weak = checks(with_node(without_5, node_5, 0.4))["nodes"]
+def test_a_weak_node_is_named() -> None:
+    heard, weak = checks(with_node(talk(WITHOUT_5), talk(ONLY_5), 0.4))["nodes"]
     assert heard.text == "16 of 16 spoke"
     assert weak.verdict is Grade.WARNING
     assert "weaker on the line than they should be: node 5;" in weak.text
 
 
 @pytest.mark.parametrize("share", [0.9, 1.0])
-def test_two_nodes_of_one_number_are_named(
-    sound: list[Packet], node_5: list[Packet], share: float
-) -> None:
-    _, doubled = checks(with_node(sound, node_5, share))["nodes"]
+def test_two_nodes_of_one_number_are_named(share: float) -> None:
+    _, doubled = checks(with_node(talk(SOUND), talk(ONLY_5), share))["nodes"]
     assert doubled.verdict is Grade.PROBLEM
     assert "two nodes speak on one code row: node 5;" in doubled.text
 
@@ -233,8 +226,8 @@ def test_two_nodes_of_one_number_are_named_though_they_seldom_speak() -> None:
     ("stated_mv", "verdict"),
     [(300.0, Grade.OK), (260.0, Grade.OK), (212.0, Grade.WARNING), (900.0, Grade.PROBLEM)],
 )
-def test_the_amplitude_is_measured(sound: list[Packet], stated_mv: float, verdict: Grade) -> None:
-    [amplitude] = checks(sound, amplitude_mv=stated_mv)["amplitude_mv"]
+def test_the_amplitude_is_measured(stated_mv: float, verdict: Grade) -> None:
+    [amplitude] = checks(talk(SOUND), amplitude_mv=stated_mv)["amplitude_mv"]
     assert amplitude.verdict is verdict
     assert f"{stated_mv:g}" in amplitude.text
     assert "300" in amplitude.text or "299" in amplitude.text or "301" in amplitude.text
@@ -271,21 +264,17 @@ def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:
     assert "amplitude_mv" not in found
 
 
-def test_lost_packets_are_told(sound: list[Packet]) -> None:
-    stream = stream_of(sound)
-    torn = RawStream([c for i, c in enumerate(stream.chunks) if i % 20 != 19], None)
-    found = {check.subject: check for check in judge(torn, SkinConfig.of({}), SECONDS)}
+def test_lost_packets_are_told() -> None:
+    found = judged([c for i, c in enumerate(stream_of(talk(SOUND))) if i % 20 != 19])
     assert found["link"].verdict is Grade.WARNING
     assert found["frames"].verdict is Grade.WARNING
 
 
-def test_broken_bytes_are_told(sound: list[Packet]) -> None:
-    chunks = stream_of(sound).chunks
-    noisy = RawStream(
-        [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)],
-        None,
+def test_broken_bytes_are_told() -> None:
+    chunks = stream_of(talk(SOUND))
+    found = judged(
+        [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)]
     )
-    found = {check.subject: check for check in judge(noisy, SkinConfig.of({}), SECONDS)}
     assert found["link"].verdict is Grade.WARNING
     assert "0 broken" not in found["link"].text
 
@@ -299,20 +288,17 @@ def test_a_dead_skin_is_told() -> None:
 
 def test_bytes_without_frames_are_an_error_and_no_verdict() -> None:
     with pytest.raises(PortError):
-        list(judge(RawStream([(b"\0abc\0", 1.0)], None), SkinConfig.of({}), SECONDS))
+        judged([(b"\0abc\0", 1.0)])
 
 
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-5, 1e-4, 1e-3, 0.1]))
-def test_whatever_comes_there_is_a_verdict_or_a_reason(
-    sound: list[Packet], seed: int, share: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    data = np.frombuffer(b"".join(chunk for chunk, _ in stream_of(sound).chunks), np.uint8).copy()
+def test_whatever_comes_there_is_a_verdict_or_a_reason(seed: int, share: float) -> None:
+    rng, chunks = np.random.default_rng(seed), stream_of(talk(SOUND))
+    data = np.frombuffer(b"".join(chunk for chunk, _ in chunks), np.uint8).copy()
     data = data[: rng.integers(1, len(data))]
     hit = rng.random(len(data)) < share
     data[hit] = rng.integers(0, 256, np.count_nonzero(hit))
     parts = np.array_split(data, 50)
-    stream = RawStream([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)], None)
     with suppress(PortError):
-        assert {check.subject for check in judge(stream, SkinConfig.of({}), SECONDS)} >= {"link"}
+        assert "link" in judged([(part.tobytes(), 0.01 * i) for i, part in enumerate(parts)])

@@ -4,8 +4,8 @@
 
 import pytest
 
-from tactile_cdma.driver.backlog import LATE_PERIODS, LATE_S, PATIENCE_S, Backlog
 from tactile_cdma.driver.clock import SLOW_S
+from tactile_cdma.driver.driver import CATCH_UP_S, LATE_PERIODS, LATE_S, Backlog
 
 PERIOD_S = 12.8e-3
 LATE = LATE_S + LATE_PERIODS * PERIOD_S + 0.01
@@ -20,10 +20,10 @@ def looks(waiting: list[int], ages_s: list[float]) -> list[bool]:
 
 
 def test_who_stays_behind_skips_again_and_again() -> None:
-    count = round(3 * PATIENCE_S / STEP_S) + 3
+    count = round(3 * CATCH_UP_S / STEP_S) + 3
     said = looks(count * [1], count * [LATE])
     assert sum(said) == 3
-    assert said.index(True) == pytest.approx(PATIENCE_S / STEP_S, abs=1)
+    assert said.index(True) == pytest.approx(CATCH_UP_S / STEP_S, abs=1)
 
 
 @pytest.mark.parametrize(("waiting", "age_s"), [(4095, LATE_S), (0, 10.0)])
@@ -35,7 +35,7 @@ def test_bytes_that_wait_and_frames_that_are_late_are_each_harmless(
 
 
 def test_who_was_held_up_and_makes_up_for_it_skips_nothing() -> None:
-    once = round(0.8 * PATIENCE_S / STEP_S)
+    once = round(0.8 * CATCH_UP_S / STEP_S)
     assert not any(looks((once * [1] + [0]) * 5, (once * [5.0] + [5.0]) * 5))
 
 

@@ -14,7 +14,7 @@ from tactile_cdma.base import kernel
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
-from tactile_cdma.readings.status import is_unheard
+from tactile_cdma.readings.status import Status
 from tactile_cdma.wire.messages import Quiet, Received, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.simulated import stream
@@ -48,6 +48,11 @@ def compiled(request: pytest.FixtureRequest) -> bool:
 
 def packet_s(packet: object) -> float:
     return getattr(packet, "device_time_us", 0) * 1e-6
+
+
+def is_unheard(status: np.ndarray) -> np.ndarray:
+    """Both bits of UNHEARD are set."""
+    return np.asarray(status & Status.UNHEARD == Status.UNHEARD)
 
 
 def unheard(frame: TactileFrame) -> int:

@@ -49,7 +49,7 @@ def test_the_papers_words(rate: float, inverted_level: float) -> None:
     timing = GapTiming(PAPER, wire.rate_hz)
     # A lone frame's edges are few at few samples per chip.
     check(wire, run(timing, wire.volts()), start_chips=0.05 + 0.5 / rate)
-    assert timing.rejected == 0
+    assert timing.rejections.total == 0
 
 
 @pytest.mark.parametrize("node", range(16))
@@ -76,7 +76,7 @@ def test_a_first_word_as_quiet_as_the_gap(
     timing = GapTiming(wire.spec, wire.rate_hz)
     volts = wire.volts(rho=60, offset_v=0.7)
     check(wire, run(timing, volts), start_chips=0.25)  # its edges are few
-    assert timing.rejected == 0
+    assert timing.rejections.total == 0
     inside = int(wire.sent[0].start + wire.rng.uniform(0.1, 0.9) * PAPER.chips * wire.chip)
     assert heard(wire.spec, wire.rate_hz, volts[inside:]) == [s.words for s in wire.sent[1:]]
 
@@ -122,7 +122,7 @@ def test_random_words_and_subsets(
     wire.send_random(10, nodes)
     timing = GapTiming(wire.spec, wire.rate_hz)
     check(wire, run(timing, wire.volts(rho=rho, offset_v=-1.3)), 0.05 + (0.35 + bool(rho)) / rate)
-    assert timing.rejected == 0
+    assert timing.rejections.total == 0
 
 
 @pytest.mark.parametrize("stretch", [0.0, 0.003, 0.05, 0.11])
@@ -284,7 +284,7 @@ def test_a_slot_in_noise_that_hides_words_is_not_called_silent(rho: float, told:
     timing = GapTiming(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
     frames = timing.feed(SampleBlock(0, volts)) + timing.flush()
     assert bool(frames) == told
-    assert len(frames) + timing.rejected > 10
+    assert len(frames) + timing.rejections.total > 10
 
 
 @pytest.mark.parametrize("rho", [2.8, 4.5])
@@ -296,7 +296,7 @@ def test_a_lone_node_that_noise_hides_is_not_called_silent(rho: float) -> None:
     timing = GapTiming(DEFAULT, wire.rate_hz)
     frames = run(timing, wire.volts(rho=rho))
     silent = [frame for frame in frames if frame.levels is None]
-    assert len(frames) + timing.rejected > 50
+    assert len(frames) + timing.rejections.total > 50
     assert len(silent) <= 1  # the slot that the recording begins or ends with
 
 
@@ -435,7 +435,7 @@ def test_a_frame_whose_energy_is_bunched_is_one_frame() -> None:
         wire.send((slot + 0.25) * wire.period, dict(zip(nodes, codes, strict=True)))
     timing = GapTiming(PAPER, wire.rate_hz)
     check(wire, run(timing, wire.volts()))
-    assert timing.rejected == 0
+    assert timing.rejections.total == 0
 
 
 @pytest.mark.parametrize("spec", [PAPER, DEFAULT], ids=["paper", "default"])
@@ -447,7 +447,7 @@ def test_bursts_of_noise_are_no_frames(spec: FrameSpec) -> None:
     timing = GapTiming(replace(spec, amplitude_v=None), 8 / spec.chip_s)
     frames = run(timing, volts.astype(np.float32))
     assert all(frame.levels is None for frame in frames)
-    assert timing.rejected > 40
+    assert timing.rejections.total > 40
 
 
 def test_hum_hides_no_frame_once_the_amplitude_is_learnt() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactile_cdma.framing.fit import Fit, Line
-from tactile_cdma.framing.judge import Judge, Judgement
+from tactile_cdma.framing.judge import Judgement, choose
 from tactile_cdma.framing.raster import LEAST_KNOWN, Expected, Raster
 from test.support.synthetic_line import PAPER, Wire
 
@@ -82,10 +82,11 @@ def judged(volts: np.ndarray, wire: Wire, expected: Expected | None = None) -> J
     sent = wire.sent[0]
     noise = (0.01 * 0.3) ** 2 / wire.chip
     shifts = np.arange(-3, 4)
-    return Judge(PAPER).choose(
+    return choose(
         Line(volts.astype(np.float64)),
         sent.start + sent.chip * shifts,
         np.full(7, sent.chip),
+        PAPER,
         noise,
         np.log1p(np.square(2.0 * shifts)),
         expected,
@@ -138,6 +139,6 @@ def test_chips_of_other_durations_lose(stretch: float, words: dict[int, int]) ->
     wire.send(500.4, words, stretch)
     frame, line = wire.sent[0], Line(wire.volts().astype(np.float64))
     chip = CHIP * (1 + np.array([0.0, 0.005, 0.03, 0.06, 0.11]))
-    found = Judge(PAPER).choose(line, np.full(5, frame.start), chip, (0.01 * 0.3) ** 2 / CHIP)
+    found = choose(line, np.full(5, frame.start), chip, PAPER, (0.01 * 0.3) ** 2 / CHIP)
     assert found.fit.chip == pytest.approx(CHIP * (1 + stretch))
     assert found.doubtful is None or not found.doubtful.any()

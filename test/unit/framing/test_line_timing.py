@@ -257,7 +257,7 @@ def test_an_absurd_sample_loses_its_frame_only() -> None:
         next(block for block in sent if block.first_index == third).volts[7] = bad
         timing = LineTiming(SPEC, setup.rate_hz)
         frames = run(timing, sent)
-        assert len(frames) == 5 and timing.rejected == 1
+        assert len(frames) == 5 and timing.rejections.total == 1
         for frame in frames:
             assert frame.levels is not None and np.isfinite(frame.levels.values).all()
 
@@ -282,7 +282,7 @@ def test_short_gaps_are_enough(gap_chips: int, rate: int) -> None:
     setup = Setup(spec, rate, SyncMode.DRIVE, False)
     timing = LineTiming(spec, setup.rate_hz)
     frames = run(timing, blocks(options, setup, 150))
-    assert timing.rejected <= 3
+    assert timing.rejections.total <= 3
     sent = list(islice(truth(options, setup), 150))
     for frame in frames:
         assert frame.levels is not None
@@ -316,7 +316,7 @@ def test_two_nodes_on_one_row_cost_the_others_nothing(drive: str) -> None:
         volts[: 4 * spec.chips] = np.repeat(chips.ravel(), 4)
         volts += rng.normal(0, 0.01, period).astype(np.float32)
         timing.feed(SampleBlock(number * period, volts, sync=True))
-    assert timing.rejected <= 2
+    assert timing.rejections.total <= 2
 
 
 ROW = np.arange(16) == 4
@@ -363,7 +363,7 @@ def test_nodes_on_one_row_cost_no_frame(
     given, sent = shared_row_blocks(talkers, number, words, share=share)
     timing, health = LineTiming(SPEC, 4 / SPEC.chip_s), NodeHealth(SPEC)
     frames = run(timing, given)
-    assert timing.rejected <= 4
+    assert timing.rejections.total <= 4
     for frame in frames:
         assert frame.levels is not None
         heard, codes = decode(frame.levels, SPEC), sent[round(frame.start / 1024)]
@@ -393,7 +393,7 @@ def test_what_is_no_frame_is_rejected(what: str, number: int) -> None:
             volts[400:] = 0
         assert not timing.feed(replace(block, volts=volts))
     timing.flush()
-    assert timing.rejected == len(given)
+    assert timing.rejections.total == len(given)
 
 
 def right(frames: list[FrameLevels], options: SimOptions, setup: Setup) -> list[int]:
@@ -439,7 +439,7 @@ def test_a_line_at_its_rail_is_no_silence(rate: int) -> None:
     given = changed(blocks(ALWAYS, setup, 5), lambda volts, _: np.full_like(volts, 5.0))
     timing = LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0))
     assert not run(timing, given)
-    assert timing.rejected == 5
+    assert timing.rejections.total == 5
     assert len(run(LineTiming(SPEC, setup.rate_hz, (-6.0, 6.0)), given)) == 5
 
 
@@ -447,7 +447,7 @@ def test_a_frame_at_the_rails_does_not_tell_who_was_silent() -> None:
     given = changed(blocks(ALWAYS, RAW, 5), lambda volts, _: np.clip(100 * volts, -5, 5))
     timing = LineTiming(SPEC, RAW.rate_hz, (-5.0, 5.0))
     assert not run(timing, given)
-    assert timing.rejected == 5
+    assert timing.rejections.total == 5
 
 
 def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
@@ -459,7 +459,7 @@ def test_words_after_a_frame_at_the_rails_are_no_noise() -> None:
         volts = np.clip(block.volts + loud, -5, 5).astype(np.float32)
         given[number] = replace(block, volts=volts)
     frames = run(timing := LineTiming(SPEC, setup.rate_hz, (-5.0, 5.0)), given)
-    assert timing.rejected == 2
+    assert timing.rejections.total == 2
     assert [frame.levels is not None for frame in frames] == [True] * 8
 
 

@@ -55,7 +55,7 @@ def test_a_recogniser_gets_the_samples_that_it_asks_for() -> None:
     assert timing.feed(block(0, 850)) == []
     (frame,) = timing.feed(SampleBlock(850, np.zeros(174, np.float32)))
     assert recogniser.frames == [(0, timing.line.size, False), (0, 900, False)]
-    assert frame.start == -0.5 and timing.rejected == 0
+    assert frame.start == -0.5 and timing.rejections.total == 0
 
 
 def test_the_next_mark_ends_a_frame_that_waits() -> None:
@@ -64,14 +64,14 @@ def test_the_next_mark_ends_a_frame_that_waits() -> None:
     assert timing.feed(block(0)) == []
     assert [frame.start for frame in timing.feed(block(PERIOD, 10))] == [-0.5]
     assert recogniser.frames[-1] == (0, PERIOD, True)
-    assert timing.flush() == [] and timing.rejected == 1  # ten samples are no frame
+    assert timing.flush() == [] and timing.rejections.total == 1  # ten samples are no frame
 
 
 def test_rejections_are_counted_and_told() -> None:
     timing, recogniser = scripted()
     recogniser.verdicts = [Verdict(rejected=MISFIT)]
     assert timing.feed(block(0)) == []
-    assert (timing.rejected, recogniser.forgotten) == (1, 1)
+    assert (timing.rejections.total, recogniser.forgotten) == (1, 1)
 
 
 def test_frames_are_opened_with_their_distance_unless_a_hole_lies_between() -> None:

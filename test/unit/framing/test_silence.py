@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate
 from tactile_cdma.config.skin_config import SkinConfig
+from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.quiet_limit import quiet_uv
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import QuietBlock, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -132,7 +132,7 @@ def test_a_hole_before_silence_ends_the_frame_in_progress() -> None:
     timing.feed(SampleBlock(0, np.ones(100, np.float32), True))
     frames = timing.quiet(QuietBlock(1024, 812, 0.0, 1e-6, sync=True))
     assert [frame.start for frame in frames] == [1023.5]
-    assert timing.rejected == 1
+    assert timing.rejections.total == 1
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_marked_frames(name: str, stretch: float, rate: float) -> None:
     frames = feed_marked(timing, wire.volts(), starts, [])
     assert [words_of(f, wire.spec) for f in frames] == [s.words for s in wire.sent]
     assert [f.start for f in frames] == pytest.approx(starts, abs=1.0)
-    assert timing.rejected == 0
+    assert timing.rejections.total == 0
 
 
 def test_a_marked_frame_comes_three_chips_after_its_end() -> None:
@@ -92,7 +92,7 @@ def test_stretched_marked_frames_are_right_or_rejected(name: str, rate: float) -
             nearest = min(starts, key=lambda start, frame=frame: abs(start - frame.start))
             wrong += words_of(frame, spec) != sent[nearest]
         assert wrong <= 1  # waveforms can tie
-        assert len(frames) + timing.rejected == len(starts)
+        assert len(frames) + timing.rejections.total == len(starts)
         assert len(frames) >= 38
 
 
@@ -102,7 +102,7 @@ def test_words_of_more_bits_than_specified_are_rejected() -> None:
     timing = LineTiming(replace(DEFAULT, bits=9), wire.rate_hz)
     frames = feed_marked(timing, wire.volts(), starts, [])
     assert len(frames) <= 4  # the sum of the nodes may cancel for three chips
-    assert timing.rejected >= 56
+    assert timing.rejections.total >= 56
 
 
 def test_integrated_chips_of_stretched_frames_are_rejected() -> None:
@@ -114,7 +114,7 @@ def test_integrated_chips_of_stretched_frames_are_rejected() -> None:
         late = np.interp(np.arange(chips.size) / 1.05, np.arange(chips.size), chips)
         timing.feed(SampleBlock(index, late.astype(np.float32), sync=True))
         index += chips.size
-    assert timing.rejected >= 29
+    assert timing.rejections.total >= 29
 
 
 @pytest.mark.parametrize("spec", [PAPER, DEFAULT], ids=["paper", "default"])
@@ -152,7 +152,7 @@ def test_a_mark_within_a_frame_rejects_it() -> None:
     starts = [int(sent.start) for sent in wire.sent]
     timing = LineTiming(PAPER, wire.rate_hz)
     frames = feed_marked(timing, wire.volts(), [starts[0] - 300, *starts], [])
-    assert timing.rejected == 1
+    assert timing.rejections.total == 1
     assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent]
 
 
@@ -167,11 +167,11 @@ def test_marked_silence_and_garbage() -> None:
         timing = LineTiming(DEFAULT, 8 / PAPER.chip_s)  # a drifting line is a word on row 0
         frames = feed_marked(timing, garbage(kind)[:20_000], starts, [])
         assert all(frame.levels is None for frame in frames)
-        assert timing.rejected >= len(starts) - 1
+        assert timing.rejections.total >= len(starts) - 1
 
 
 def test_a_hole_forgets_the_marked_frame() -> None:
     timing = LineTiming(PAPER, 1 / PAPER.chip_s)
     timing.feed(SampleBlock(0, np.ones(50, np.float32), sync=True))
     assert timing.feed(SampleBlock(60, np.ones(200, np.float32))) == []
-    assert timing.rejected == 1
+    assert timing.rejections.total == 1

@@ -20,6 +20,11 @@ def of(benchmark: str, key: str, times: float = 1.0) -> float:
     return float(RESULTS[benchmark]["results"][key]) * times
 
 
+def small_and_large(benchmark: str, key: str, times: float = 1.0) -> list[float]:
+    """At 16 and at 4096 nodes."""
+    return [of(benchmark, f"{key}_{nodes}", times) for nodes in (16, 4096)]
+
+
 def row(benchmark: str, table: int, *begin: object) -> Row:
     """The row of a table that begins so."""
     [found] = [r for r in RESULTS[benchmark]["tables"][table][1:] if r[: len(begin)] == [*begin]]
@@ -28,10 +33,7 @@ def row(benchmark: str, table: int, *begin: object) -> Row:
 
 def quoted() -> list[tuple[str, str, list[float]]]:
     """Page; a sentence in which {:…} stands for a figure, as it is rounded there; the figures."""
-    ros = [of("ros", f"p50_ms_{n}") for n in (16, 4096)]
-    ros_cpu = [of("ros", f"cpu_node_{n}", 100) for n in (16, 4096)]
-    cpu = [of("scale", f"cpu_{n}", 100) for n in (16, 4096)]
-    silent = [of("scale", f"silent_{n}", 100) for n in (16, 4096)]
+    ros, cpu = small_and_large("ros", "p50_ms"), small_and_large("scale", "cpu", 100)
     error = RESULTS["error"]["tables"][0]
     worst = [max(float(r[column]) for r in error[1:]) for column in (3, 4, 5)]
     paper = [of("error", f"paper_{key}") for key in ("wrong", "lost", "frames")]
@@ -50,12 +52,13 @@ def quoted() -> list[tuple[str, str, list[float]]]:
         (README, "{:.0f} wrong words in {:,.0f} frames", [paper[0], paper[2]]),
         (RESULTS_PAGE, "{:.2f} ms (median) at 16 nodes and {:.2f} ms at 4096", ros),
         (RESULTS_PAGE, "{:.0f} messages lost", [of("ros", "lost")]),
-        (RESULTS_PAGE, "the whole process costs {:.1f} and {:.1f} % of a core", ros_cpu),
+        (RESULTS_PAGE, "the whole process costs {:.1f} and {:.1f} % of a core",
+         small_and_large("ros", "cpu_node", 100)),
         (RESULTS_PAGE, "finished message takes {:.2f} and {:.2f} ms",
-         [of("ros", f"p50_ms_floor_{n}") for n in (16, 4096)]),
+         small_and_large("ros", "p50_ms_floor")),
         (RESULTS_PAGE, "{:.1f} % of one core at 16 nodes and 78", cpu[:1]),
         (RESULTS_PAGE, "{:.1f} % at 4096 nodes and 50 frames", cpu[1:]),
-        (RESULTS_PAGE, "{:.1f} and {:.1f} % in silence", silent),
+        (RESULTS_PAGE, "{:.1f} and {:.1f} % in silence", small_and_large("scale", "silent", 100)),
         (RESULTS_PAGE, "costs {:.1f} % whatever the driver does", [of("scale", "floor_4096", 100)]),
         (RESULTS_PAGE, "{:.1f} ms at 4096 nodes with chips", [of("scale", "latency_ms_4096")]),
         (RESULTS_PAGE, "{:.2f} ms per frame at 16", [of("scale", "replay_us_16", 1e-3)]),
@@ -87,9 +90,9 @@ def quoted() -> list[tuple[str, str, list[float]]]:
         (RESULTS_PAGE, "{:.2f} ms per frame at 16 taxels and {:.2f} ms at 4096, all 4096 taxels "
          "touched {:.2f} ms, or {:.2f} ms", list(contact.values())),
         (RESULTS_PAGE, "takes {:.2f} ms at 16 taxels and {:.1f} ms",
-         [of("pictures", f"us_heatmap_{n}", 1e-3) for n in (16, 4096)]),
+         small_and_large("pictures", "us_heatmap", 1e-3)),
         (RESULTS_PAGE, "points {:.2f} and {:.2f} ms",
-         [of("pictures", f"us_points_{n}", 1e-3) for n in (16, 4096)]),
+         small_and_large("pictures", "us_points", 1e-3)),
         (RESULTS_PAGE, "squares {:.2f} ms at 16 taxels and {:.2f} ms at 256",
          [of("pictures", f"us_markers_{n}", 1e-3) for n in (16, 256)]),
         (RESULTS_PAGE, "contacts cost {:.1f} % of a core and are {:.1f} ms",

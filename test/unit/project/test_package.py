@@ -22,39 +22,20 @@ MODULES = sorted(
     for path in PACKAGE.rglob("*.py")
     if path.relative_to(PACKAGE).parts[0] != "ros" and path.name != "__main__.py"
 )
+OPEN_PORTS = ("calibrate", "cli", "node", "node_numbers", "ports", "record")
+KNOW_PORTS = ("discovery", "introduction", "port", "port_failures", "virtual_port")
 LOAD_SERIAL = {
-    "commands.calibrate",
-    "calibrating.load_session",
-    "commands.cli",
-    "commands.node",
-    "commands.node_numbers",
-    "commands.ports",
-    "commands.record",
-    "doctor.port",
-    "driver.driver",
-    "rest.rest_keeper",
-    "replay.protocol_replay",
-    "sim.pressing",
-    "sim.protocol_sim",
-    "skin",
-    "body",
-    "live_observation",
-    "wire.discovery",
-    "wire.introduction",
-    "wire.port",
-    "wire.port_failures",
-    "wire.virtual_port",
+    *("body", "skin", "live_observation", "doctor.port", "driver.driver", "rest.rest_keeper"),
+    *("calibrating.load_session", "replay.protocol_replay", "sim.pressing", "sim.protocol_sim"),
+    *(f"commands.{name}" for name in OPEN_PORTS),
+    *(f"wire.{name}" for name in KNOW_PORTS),
 }
 """Modules that open ports. import-linter checks which folder imports which; the test below checks
 what it cannot see: that importing any other module loads neither pyserial nor rclpy."""
 OTHER_ROS_PACKAGES = {"ament_index_python", "launch", "launch_ros", "rclpy"}
 COME_WITH_OTHER_WHEELS = {
-    "ament-index-python",
-    "builtin-interfaces",
-    "lifecycle-msgs",
-    "rcl-interfaces",
-    "rosidl-default-runtime",
-    "std-msgs",
+    *("ament-index-python", "builtin-interfaces", "lifecycle-msgs", "rcl-interfaces"),
+    *("rosidl-default-runtime", "std-msgs"),
 }
 PACKAGES_OF_KEYS = {
     "python3-matplotlib": "matplotlib",

