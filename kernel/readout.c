@@ -139,7 +139,7 @@ struct block {
     uint8_t hiding[BLOCK], beyond[BLOCK], off_rest[BLOCK], stale[BLOCK], readable[BLOCK];
 };
 
-/* Takes words into what is kept of the nodes: `hear` in readings/stages.py. */
+/* Takes words into what is kept of the nodes: Taxels._hear in readings/taxels.py. */
 VECTORS static void keep_words(const struct readout_skin *skin, const struct readout_frame *out,
                                double now_s, double stale_after_s, struct block *block)
 {
@@ -183,7 +183,7 @@ VECTORS static void look_up(const struct readout_skin *skin, int32_t highest, fl
     }
 }
 
-/* Pressures, which are beyond the curves' range, and which are off rest: `convert` there, and
+/* Pressures, which are beyond the curves' range, and which are off rest: Curves.pressure, and
  * PressureChain.update. */
 VECTORS static void convert(const struct readout *readout, const float *restrict meant_v,
                             const float *restrict drift_v, float *restrict node_pa, struct block *block)
@@ -211,7 +211,7 @@ VECTORS static void convert(const struct readout *readout, const float *restrict
         node_pa[at + i] = pressure_pa[i];
 }
 
-/* Readings and their status: the rest of `hear`, and `finish`. */
+/* Readings and their status: the rest of Taxels._hear, and Taxels._finished. */
 VECTORS static void finish(const struct readout *readout, const struct readout_frame *out,
                            const float *restrict tare_pa, struct block *block,
                            float *restrict pressures_pa, float *restrict voltages_v,
