@@ -259,10 +259,7 @@ def rivals(drivers: int) -> str:
 
 
 def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
-    """The node that stands out of the noise least, of those that are heard, and its ρ = √N·a/σ.
-
-    0 and NaN if unknown.
-    """
+    """The heard node that stands out least of the noise, and its ρ = √N·a/σ; 0, NaN if unknown."""
     amplitude_v = pipeline.health.amplitude_v
     amplitude_v[np.array(pipeline.taxels.missing, np.intp) - 1] = np.nan
     if np.isnan(amplitude_v).all() or not window.noise_rms_v > 0:
