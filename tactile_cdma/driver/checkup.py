@@ -226,10 +226,8 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
 
 def source(watch: SourceWatch) -> Iterator[Finding]:
     """Who measures: that it is a board, and still the same one."""
-    if unasked := watch.unasked:
-        yield Finding(unasked, event=True)
-    if exchange := watch.take_exchange():
-        yield Finding(exchange, event=True)
+    texts = watch.unasked, watch.take_exchange()
+    yield from (Finding(text, event=True) for text in texts if text)
 
 
 def host(window: Window, drivers: int) -> Iterator[Finding]:
