@@ -71,6 +71,7 @@ const struct readout_settings *readout_settings(const struct readout *readout);
 enum readout_look {
     READOUT_ODD,  /* a word is: nothing was kept, and nothing is meant by the frame */
     READOUT_LEFT, /* the words leave energy over, and only Python can tell what it is: nothing was kept */
+    READOUT_FEW,  /* the same, and it is asked only whether these few words differ in their delays */
     READOUT_DOUBTFUL, /* a word is uncertain, and nothing else is odd */
     READOUT_PLAIN,
 };

@@ -25,7 +25,7 @@ from ..words.health import NodeHealth
 from .pressure import PressureChain
 from .status import Status
 
-ODD, LEFT, DOUBTFUL = 0, 1, 2
+ODD, LEFT, FEW, DOUBTFUL = 0, 1, 2, 3
 """As enum readout_look of the kernel."""
 _BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
 """Of Status, that the kernel sets."""

@@ -20,12 +20,12 @@ from ..code.separate import NodeLevels
 from ..places.layout import Layout
 from ..words.decode import AUTO_FLOOR, Words, silent
 from ..words.health import NodeHealth, NodeState
-from ..words.lateness import out_of_place
+from ..words.lateness import few_differ, out_of_place
 from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
-from .readout import DOUBTFUL, LEFT, NOBODY, ODD, Kept, Readout
+from .readout import DOUBTFUL, FEW, LEFT, NOBODY, ODD, Kept, Readout
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
@@ -293,22 +293,20 @@ class Taxels:
         readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
         floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
         some = levels.values, levels.spoke, True
-        heard = some if levels.rows is None else (levels.rows, NOBODY, False)
-        in_place, baseline = False, chain.baseline
-        while True:
-            look = readout.kernel.read(
-                *heard, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
-                self.stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
-                doubts, readings, status, readout.rest, readout.valid,
-            )  # fmt: skip
-            if look != LEFT:
-                break
-            least_v = float(readout.expected_v.min())
-            if out_of_place(levels, floats[0], active, least_v, spec) is not None:
+        heard: tuple[object, ...] = some if levels.rows is None else (levels.rows, NOBODY, False)
+        heard += 1 / max(noise_v, LEAST_NOISE), floor_v
+        kept = t_device, self.stale_after_s, chain.baseline.drift_v, chain.baseline.tare_pa
+        found = active, codes, floats, doubts, readings, status, readout.rest, readout.valid
+        look = readout.kernel.read(*heard, False, *kept, *found)
+        if look in (LEFT, FEW):
+            left = levels, floats[0], active, float(readout.expected_v.min()), spec
+            if look == FEW and few_differ(*left):
                 return None
-            if toned(levels, floats[0], active, spec) is not None:
+            if look == LEFT and out_of_place(*left) is not None:
                 return None
-            in_place = True
+            if look == LEFT and toned(levels, floats[0], active, spec) is not None:
+                return None
+            look = readout.kernel.read(*heard, True, *kept, *found)
         if look == ODD:
             return None
         no = readout.nobody

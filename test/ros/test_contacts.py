@@ -21,7 +21,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.views.heatmap import NO_READING_RGB
 from test.support.boards import plugged
-from test.support.skin_client import Client, running
+from test.support.skin_client import Client, running, xyz
 from test.support.waiting import wait_for
 
 PITCH_M = 7e-3
@@ -30,10 +30,6 @@ PERIOD_S = 12.8e-3
 
 def stamp_of(message: Any) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
-
-
-def components(values: Any) -> np.ndarray:
-    return np.array([values.x, values.y, values.z])
 
 
 def test_contacts_wrench_and_array_of_a_frame_belong_together() -> None:
@@ -51,8 +47,8 @@ def test_contacts_wrench_and_array_of_a_frame_belong_together() -> None:
         assert (message.sequence, message.info_id) == (array.sequence, array.info_id)
         assert message.wrench == wrench.wrench
         assert message.touched and message.contacts
-        force = sum(components(contact.force) for contact in message.contacts)
-        assert components(wrench.wrench.force) == pytest.approx(force, abs=1e-9)
+        force = sum(xyz(contact.force) for contact in message.contacts)
+        assert xyz(wrench.wrench.force) == pytest.approx(force, abs=1e-9)
         assert_is_in(message, array)
 
 
@@ -67,9 +63,9 @@ def assert_is_in(message: TactileContacts, array: TactileArray) -> None:
     strongest = max(message.contacts, key=lambda contact: -contact.force.z)
     assert strongest is message.contacts[0]
     assert strongest.pressure_max == pytest.approx(pressure_pa.max())
-    assert components(strongest.normal) == pytest.approx([0, 0, 1])
-    torque = np.cross(components(message.position), components(message.wrench.force))
-    assert components(message.wrench.torque) == pytest.approx(torque, abs=1e-6)
+    assert xyz(strongest.normal) == pytest.approx([0, 0, 1])
+    torque = np.cross(xyz(message.position), xyz(message.wrench.force))
+    assert xyz(message.wrench.torque) == pytest.approx(torque, abs=1e-6)
 
 
 def test_an_untouched_skin_has_an_empty_list_in_every_frame_and_zeros_once_all_is_heard() -> None:
@@ -125,8 +121,8 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
     for message in lists:
         assert not message.touched and not message.untouched and not message.contacts
         assert message.taxels_in_service == 16
-        sums = message.area, *components(message.wrench.force), *components(message.wrench.torque)
-        assert np.isnan(sums).all() and np.isnan(components(message.position)).all()
+        sums = message.area, *xyz(message.wrench.force), *xyz(message.wrench.torque)
+        assert np.isnan(sums).all() and np.isnan(xyz(message.position)).all()
     assert wrenches and all(math.isnan(wrench.wrench.force.z) for wrench in wrenches)
     [text] = [marker.text for marker in markers[-1].markers if marker.ns == BLIND]
     assert text == f"unread:{16 - valid}/16"
@@ -144,7 +140,7 @@ def test_a_wrench_is_published_as_soon_as_it_is_known() -> None:
     with running(**given) as (_, client):
         wrenches = client.heard(WrenchStamped, "/skin/wrench", 1000)
         wait_for(lambda: len(wrenches) > 5)
-    assert all(components(message.wrench.force).tolist() == [0.0] * 3 for message in wrenches)
+    assert all(xyz(message.wrench.force).tolist() == [0.0] * 3 for message in wrenches)
 
 
 class Lossy(VirtualDigitizer):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -94,6 +95,11 @@ def in_one(message: DiagnosticArray) -> DiagnosticStatus:
     texts = [status.message for status in message.status if status.level == level]
     values = [pair for status in message.status for pair in status.values]
     return DiagnosticStatus(level=level, message="; ".join(texts), values=values)
+
+
+def xyz(vector: Any) -> np.ndarray:
+    """A Point, Vector3 or the like, (3,)."""
+    return np.array([vector.x, vector.y, vector.z])
 
 
 def wait_sending(sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], object]) -> None:
