@@ -73,8 +73,6 @@ def another_flag(message: TactileArray, number: int) -> bool:
     return False
 
 
-
-
 def untold_loss(message: TactileArray, number: int) -> bool:
     message.sequence -= number > 5
     return number == 5
