@@ -40,7 +40,7 @@ from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
 from tactile_cdma.clocks.roll_call import RollCallListener
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels, separate
+from tactile_cdma.code.separate import NodeLevels
 from tactile_cdma.config.parameters import GAP, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
@@ -54,6 +54,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.correlations import separate
 
 RHO = 15.0
 CHIP_S = 10e-6

@@ -196,12 +196,10 @@ class WordFit:
     def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
 
-        Beyond half of the limit, spread must be explained by noise.
         noise: variance of a chip's level in the gap, V²; 0 where unknown. It makes words spread by
-        1/ρ², estimated with active·(k − 1) degrees of freedom. Where it is not known, it follows
-        from the words: noise that makes them spread by s leaves s/active in each of the N rows.
-        Beyond that (and its scatter, s is an estimate from few bits) and some distortion there is a
-        signal not understood.
+        1/ρ², estimated with active·(k − 1) degrees of freedom, and has to explain spread beyond
+        half of the limit. If unknown it follows from the words: noise that makes them spread by s
+        leaves s/active in each of the N rows. What is more, beside distortion, is not understood.
 
         A few words may be those of broken nodes, or of two on one row, while wrong timing makes
         all uneven: a frame that fails as a whole may pass without its most uneven words, but then
@@ -350,9 +348,8 @@ class Fit:
 def even_words(line: Line, fit: Fit, spec: FrameSpec, words: WordFit) -> WordFit:
     """Words of one fit, of whole chips or of their middle.
 
-    words: those of whole chips. These are the matched filter; their middle is blind to edges a
-    tenth of a chip off. It is taken where words are uneven and it makes them more even than noise
-    would by chance.
+    words: of whole chips, the matched filter. Their middle is blind to edges a tenth of a chip off;
+    it is taken where it makes uneven words more even than noise would by chance.
     """
     if words.spread[0] > UNEVEN:
         start, chip = np.array([fit.start]), np.array([fit.chip])

@@ -45,16 +45,14 @@ from .stray import strays
 _log = logging.getLogger(__name__)
 
 FORGET = 0.999
-"""Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
-s at 78 Hz."""
+"""Factor on a learnt amplitude's power in each silent slot. Chosen: halves it in 9 s at 78 Hz."""
 SURE_SHARE, SURE_NOISE = 0.5, 0.3
 """A silent slot holds no faint word if its power, and so much of its noise, stays below the power
 of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
 slot and gap are right to a tenth. A slot of far less power than the gap's noise says that this is
 none, but hum, which may hide a word."""
 AGAIN_PERIODS = 12
-"""Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
-it is known after 4 to 8."""
+"""Frame periods of rejected samples kept until hum is known. Chosen: that takes 4 to 8."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +210,10 @@ class GapTiming(Timing):
             return []
         candidates = [look.gap] if look else self._search.gaps(volts, self._gap)
         if candidates:
-            self._learn_hum(raw, candidates[0])
+            # The window in which the gap was measured shows hum.
+            begin, half = candidates[0].begin, self._search.half
+            window = raw[begin : begin + self._search.window_halves * half]
+            self._hum.learn(self._cursor + begin, window, candidates[0].variance * half)
             if self._comes_too_early(heard):
                 return []
         if look and look.is_sound:
@@ -331,12 +332,6 @@ class GapTiming(Timing):
             self._try_again()
         return again
 
-    def _learn_hum(self, volts: Floats, gap: Gap) -> None:
-        """Learn from the window in which the gap was measured."""
-        half = self._search.half
-        window = volts[gap.begin : gap.begin + self._search.window_halves * half]
-        self._hum.learn(self._cursor + gap.begin, window, gap.variance * half)
-
     def _take(
         self,
         line: Line,
@@ -348,8 +343,7 @@ class GapTiming(Timing):
     ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        line: gap level, hum and impulses removed. raw: the samples as they came, V. beside: as far
-        as that is known.
+        line: gap level, hum and impulses removed. raw: samples as they came, V. beside: if known.
         """
         spec, fit = self._spec, found.fit
         end = fit.end(spec)
@@ -436,13 +430,6 @@ class GapTiming(Timing):
         self._settle()
         return frames
 
-    def _is_deaf(self) -> bool:
-        """Whether a node that speaks alone might pass for noise, since power finds bursts."""
-        swing_v, gap = self._spec.node_swing_v, self._gap
-        if swing_v is None or gap is None:
-            return False
-        return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * gap.variance
-
     def _silent_slot(self, level: float, noise: float) -> FrameLevels | Rejections:
         """The slot that is next, in which there is no frame; noise: of a chip's level, V RMS.
 
@@ -483,10 +470,12 @@ class GapTiming(Timing):
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
         if self._next > until:
             return
-        level, noise = 0.0, math.nan
-        if self._gap:  # whose variance is that of half chips
-            level, noise = self._gap.level, math.sqrt(self._gap.variance / 2)
-        is_deaf = self._is_deaf()
+        level, noise, is_deaf = 0.0, math.nan, False
+        if gap := self._gap:  # whose variance is that of half chips
+            level, noise = gap.level, math.sqrt(gap.variance / 2)
+            # A node that speaks alone might pass for noise, since power finds bursts.
+            least_v2 = LIMITS.lone * 2 * self._search.snr_floor * gap.variance
+            is_deaf = (self._spec.node_swing_v or math.inf) ** 2 < least_v2
         while self._next <= until:
             slot = NOISY if is_deaf else self._silent_slot(level, noise)
             if isinstance(slot, Rejections):

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
 from tactile_cdma.framing.fit import Fit, Line, refine
@@ -240,12 +239,6 @@ def test_frames_with_restarts_in_them(rate: int, parity: bool) -> None:
     setup = Setup(spec, rate, SyncMode.DRIVE, integrated=rate == 1)
     frames = run(LineTiming(spec, setup.rate_hz), blocks(options, setup, 20))
     assert_read(frames, codes_of(options, setup, 20), spec)
-
-
-@pytest.mark.parametrize(("resync", "guard"), [(32, 0), (0, 1)])
-def test_restarts_need_both_numbers(resync: int, guard: int) -> None:
-    with pytest.raises(SpecError, match="resync_chips"):
-        FrameSpec(resync_chips=resync, guard_chips=guard)
 
 
 def test_an_absurd_sample_loses_its_frame_only() -> None:
