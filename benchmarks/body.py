@@ -26,6 +26,7 @@ from array import array
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.synchronize import Event as EventType
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,8 @@ from matplotlib.figure import Figure
 from tactile_cdma import Decoder, read_recording
 from tactile_cdma.places.layout import Layout
 
-from .report import QUICK, Report, be_alone
+from .report import QUICK, ROOT, Report, be_alone
+from .ros import cpu_s
 
 PATCHES, RATE_HZ = 8, 50.0
 MANY, SIZES = 16, (24, 48, 72, 96)
@@ -52,14 +54,13 @@ LOADS: dict[str, tuple[bool, int]] = {
 """Whether contacts are subscribed to, and the number of taxels of a patch."""
 SECONDS = 4.0 if QUICK else 20.0
 WARM_UP_S = 1.0
-ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / "scripts" / "skin_body"
 PATCH_NAMES = [f"/p{i}/skin" for i in range(PATCHES)]
 
 
 @dataclass(slots=True)
 class Result:
-    """age_ms: of every message of contacts. points, taxels: messages. share: of a core.
+    """age_ms: of every message of contacts. points: messages. share: of a core.
 
     patches: there in the last message of taxels. sequences: of one patch's frames.
     """
@@ -67,7 +68,6 @@ class Result:
     age_ms: list[float] = field(default_factory=list)
     points: int = 0
     share: float = 0.0
-    taxels: int = 0
     patches: int = 0
     sequences: list[int] = field(default_factory=list)
 
@@ -136,15 +136,14 @@ def one_process() -> tuple[float, float, float]:
         for process in processes:
             ends.callback(process.wait, 20)
             ends.callback(process.terminate)
-        drivers = processes[0]
-        result = Result()
-        with subscribed(result) as spin_until:
-            while not result.taxels or result.patches < MANY:
-                spin_until(time.monotonic() + 0.1)
-            spin_until(time.monotonic() + WARM_UP_S)
+        drivers, result = processes[0], Result()
+        with listening(partial(subscribe_to_many, result)) as spin:
+            while result.patches < MANY:
+                spin(0.1)
+            spin(WARM_UP_S)
             result.sequences.clear()
             busy_s, begin_s = cpu_s(drivers.pid), time.monotonic()
-            spin_until(begin_s + SECONDS)
+            spin(SECONDS)
             passed_s = time.monotonic() - begin_s
         rss_kb = re.findall(r"VmRSS:\s+(\d+)", Path(f"/proc/{drivers.pid}/status").read_text())[0]
         share = (cpu_s(drivers.pid) - busy_s) / passed_s
@@ -205,10 +204,29 @@ def started(script: Path, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 @contextmanager
-def subscribed(result: Result) -> Iterator[Callable[[float], None]]:
-    """Count what comes of a body's taxels, and take its contacts; yields a function that spins."""
+def listening(subscribe: Callable[[Any], None]) -> Iterator[Callable[[float], None]]:
+    """A node of this process, given to `subscribe`; yields a function that spins for some s."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
+
+    rclpy.init()
+    node, executor = rclpy.create_node("listener"), SingleThreadedExecutor()
+    subscribe(node)
+    executor.add_node(node)
+
+    def spin(seconds: float) -> None:
+        deadline_s = time.monotonic() + seconds
+        while time.monotonic() < deadline_s:
+            executor.spin_once(0.1)
+
+    yield spin
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def subscribe_to_many(result: Result, node: Any) -> None:
+    """Count what comes of a body's taxels, and take its contacts."""
     from rclpy.qos import qos_profile_sensor_data
 
     from tactile_cdma.msg import TactileArray, TactileBody, TactileContacts
@@ -217,30 +235,15 @@ def subscribed(result: Result) -> Iterator[Callable[[float], None]]:
         result.sequences.append(message.sequence)
 
     def take(message: Any) -> None:
-        result.taxels += 1
         result.patches = len(message.patches) - len(message.absent)
 
-    rclpy.init()
-    node, executor = rclpy.create_node("listener"), SingleThreadedExecutor()
     node.create_subscription(TactileBody, "/body/tactile", take, qos_profile_sensor_data)
     node.create_subscription(TactileArray, "/p0/skin/tactile", take_array, qos_profile_sensor_data)
     node.create_subscription(TactileContacts, "/body/contacts", lambda _: None, 10, raw=True)
-    executor.add_node(node)
-
-    def spin_until(deadline_s: float) -> None:
-        while time.monotonic() < deadline_s:
-            executor.spin_once(0.1)
-
-    yield spin_until
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 def listen(body_pid: int, contacts: bool, points: bool) -> Result:
     """Subscribe to the body's topics once all its patches are there."""
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import PointCloud2
 
     from tactile_cdma.msg import TactileContacts
@@ -255,37 +258,22 @@ def listen(body_pid: int, contacts: bool, points: bool) -> Result:
     def take_points(message: Any) -> None:
         result.points += 1
 
-    rclpy.init()
-    node = rclpy.create_node("listener")
-    if contacts:
-        node.create_subscription(TactileContacts, "/body/contacts", take_contacts, RELIABLE)
-    if points:
-        node.create_subscription(PointCloud2, "/body/points", take_points, PICTURE, raw=True)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    def subscribe(node: Any) -> None:
+        if contacts:
+            node.create_subscription(TactileContacts, "/body/contacts", take_contacts, RELIABLE)
+        if points:
+            node.create_subscription(PointCloud2, "/body/points", take_points, PICTURE, raw=True)
 
-    def spin_until(deadline_s: float) -> None:
-        while time.monotonic() < deadline_s:
-            executor.spin_once(0.1)
-
-    while not (result.age_ms or not contacts) or not (result.points or not points):
-        executor.spin_once(0.1)
-    spin_until(time.monotonic() + WARM_UP_S)
-    result.age_ms.clear()
-    result.points = 0
-    busy_s, begin_s = cpu_s(body_pid), time.monotonic()
-    spin_until(begin_s + SECONDS)
-    result.share = (cpu_s(body_pid) - busy_s) / (time.monotonic() - begin_s)
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.shutdown()
+    with listening(subscribe) as spin:
+        while (contacts and not result.age_ms) or (points and not result.points):
+            spin(0.1)
+        spin(WARM_UP_S)
+        result.age_ms.clear()
+        result.points = 0
+        busy_s, begin_s = cpu_s(body_pid), time.monotonic()
+        spin(SECONDS)
+        result.share = (cpu_s(body_pid) - busy_s) / (time.monotonic() - begin_s)
     return result
-
-
-def cpu_s(pid: int) -> float:
-    """CPU time of a process, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
 
 
 def publish(taxels: int, stop: EventType) -> None:

@@ -44,7 +44,7 @@ from tactile_cdma.sim.sensor import IDEAL, PAPER, Sensor, SensorModel
 from tactile_cdma.words.decode import silent
 from tactile_cdma.words.health import NodeHealth
 
-from .report import QUICK, Report, medians_s
+from .report import QUICK, Report, in_turn, medians_s
 
 Floats = NDArray[np.float64]
 Profile = Callable[[Floats], Floats]
@@ -287,20 +287,6 @@ def times(report: Report) -> dict[tuple[int, str], tuple[float, float]]:
             rows.append([nodes, state, *(1e6 * value for value in result[nodes, state])])
     report.table(["taxels", "touched", "µs per frame", "plain Python, µs"], rows)
     return result
-
-
-def in_turn(
-    update: Callable[[Readings, float], object], readings: list[Readings]
-) -> Callable[[], object]:
-    """Return a function that processes one frame after the other."""
-    number = 0
-
-    def give() -> object:
-        nonlocal number
-        number += 1
-        return update(readings[number % len(readings)], number * 20e-3)
-
-    return give
 
 
 class Plain:

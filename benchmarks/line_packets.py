@@ -7,23 +7,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
-from tactile_cdma.wire.messages import FrameLayout, Info, Samples
+from tactile_cdma.wire._protocol import MAX_SAMPLES
+from tactile_cdma.wire.messages import Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
+from test.support import simulated
 from test.support.independent_line import Digitizer, Recording
 
 
 def introduction(config: SkinConfig, digitizer: Digitizer) -> Info:
     """What the digitizer says about itself."""
     top = 2 ** (digitizer.adc_bits - 1)
-    return Info(
-        frame=FrameLayout.of(config.spec, config.samples_per_chip),
-        sample_rate_uhz=round(1e6 * config.samples_per_chip / config.spec.chip_s),
-        volts_per_count=digitizer.volts_per_count,
-        min_count=-top,
-        max_count=top - 1,
-        sync_mode=SyncMode.DRIVE if digitizer.marked else SyncMode.NONE,
-        integrated=digitizer.integrated,
+    return simulated.introduction(
+        config, digitizer.volts_per_count, min_count=-top, max_count=top - 1
     )
 
 

@@ -16,8 +16,8 @@ converters. Errors are of data that was not used to calibrate.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,7 +37,7 @@ from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tactile_cdma.sim.sensor import Sensor, SensorModel
 
-from .report import QUICK, Report, medians_s
+from .report import QUICK, Report, in_turn, medians_s
 
 Floats = NDArray[np.float64]
 
@@ -263,45 +263,24 @@ def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
             errors[name].append(rms((read_pa - loads_pa)[after:]))
     error_pa = {name: rms(np.array(values)) for name, values in errors.items()}
 
-    layout = Layout.grid(BIG, 0, 0, 7e-3, 5.5e-3)
-    calibration = Calibration.default(PressureCurve.two_stage(), BIG)
-    subjects = {name: frames(chain_of(name, calibration, layout)) for name in CHAINS}
+    layout, frames = Layout.grid(BIG, 0, 0, 7e-3, 5.5e-3), pressed_skin()
+    calibration, valid = Calibration.default(PressureCurve.two_stage(), BIG), np.ones(BIG, bool)
+
+    def update(chain: PressureChain, voltage_v: NDArray[np.float32], t_s: float) -> object:
+        return chain.update(voltage_v, valid, t_s)
+
+    chained = {name: partial(update, chain_of(name, calibration, layout)) for name in CHAINS}
     tracker = ContactTracker(layout, ContactThresholds(RULES.contact_pa, RULES.release_pa))
-    times_s = medians_s({**subjects, CONTACTS: contacts_of(tracker, layout)}, ROUNDS)
+    status = np.zeros(BIG, dtype=np.uint8)
+    readings = [Readings(calibration.curves.pressure(v), v, status) for v in frames]
+    subjects = {name: in_turn(each, frames) for name, each in chained.items()}
+    times_s = medians_s({**subjects, CONTACTS: in_turn(tracker.update, readings)}, ROUNDS)
     report.table(
         ["chain", "rms error, Pa", f"µs per frame, {BIG} nodes"],
         [[name, error_pa[name], times_s[name] * 1e6] for name in CHAINS]
         + [["contacts of that", "", times_s[CONTACTS] * 1e6]],
     )
     return error_pa, times_s
-
-
-def frames(chain: PressureChain) -> Callable[[], object]:
-    """Returns a function that feeds one frame of a large skin, all of whose voltages are new."""
-    voltage_v = pressed_skin()
-    valid, number = np.ones(BIG, dtype=bool), 0
-
-    def feed() -> object:
-        nonlocal number
-        number += 1
-        return chain.update(voltage_v[number % len(voltage_v)], valid, number * 20e-3)
-
-    return feed
-
-
-def contacts_of(tracker: ContactTracker, layout: Layout) -> Callable[[], object]:
-    """Returns a function that finds the contacts of one frame of the same skin."""
-    curves = Curves.of([PressureCurve.two_stage()] * BIG)
-    status = np.zeros(BIG, dtype=np.uint8)
-    readings = [Readings(curves.pressure(v), v, status) for v in pressed_skin()]
-    number = 0
-
-    def find() -> object:
-        nonlocal number
-        number += 1
-        return tracker.update(readings[number % len(readings)], number * 20e-3)
-
-    return find
 
 
 def pressed_skin() -> list[NDArray[np.float32]]:

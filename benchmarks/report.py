@@ -17,8 +17,9 @@ import statistics
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from test.support.domains import own_domain
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+T = TypeVar("T")
 QUICK = os.environ.get("QUICK", "") not in ("", "0")
 """A result within 40 s: fewer repetitions, wider error bars."""
 ROOT = Path(__file__).resolve().parent.parent
@@ -134,6 +136,17 @@ def medians_s(
                 call()
             times[name].append((clock() - started) / repeats[name])
     return {name: statistics.median(values) for name, values in times.items()}
+
+
+def in_turn(update: Callable[[T, float], object], frames: Sequence[T]) -> Callable[[], object]:
+    """A function that has one of the frames after the other processed, 20 ms apart."""
+    numbers = count(1)
+
+    def give() -> object:
+        number = next(numbers)
+        return update(frames[number % len(frames)], number * 20e-3)
+
+    return give
 
 
 def _text(value: object) -> str:

@@ -45,9 +45,10 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.pty import serve
 from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.wire.reader import READ_SIZE
+from test.support.simulated import configuration
 
 ALL = "scene=all&threshold=0&seed=1"
 SILENT = "scene=idle&heartbeat=0&seed=1"
@@ -274,10 +275,8 @@ def read_only(config: SkinConfig, path: str) -> float:
 @contextmanager
 def streaming(config: SkinConfig, path: str) -> Iterator[tuple[int, select.poll]]:
     """The port of a digitizer that was set and started, and what waits for its bytes."""
-    integrated = config.samples_per_chip == 1
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
     writer, poll = PacketWriter(), select.poll()
-    setting = Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
+    setting = configuration(config, quiet_uv(config.spec))
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         os.write(port, writer.encode(setting) + writer.encode(Start()))
@@ -287,13 +286,20 @@ def streaming(config: SkinConfig, path: str) -> Iterator[tuple[int, select.poll]
         os.close(port)
 
 
-def replay(config: SkinConfig, recorded: list[tuple[bytes, float]]) -> float:
-    """CPU time per frame of feeding the recorded chunks to a new pipeline, s."""
-    pipeline = Pipeline(config)
-    begin_s = time.thread_time()
-    for data, t_host in recorded:
+def replay(
+    config: SkinConfig, recorded: list[tuple[bytes, float]], unmeasured: float = 0.0
+) -> float:
+    """CPU time per frame of feeding the recorded chunks to a new pipeline, s.
+
+    unmeasured: share of them, from the first one on, that the time is not of.
+    """
+    pipeline, first = Pipeline(config), int(unmeasured * len(recorded))
+    for data, t_host in recorded[:first]:
         pipeline.feed(data, t_host)
-    return (time.thread_time() - begin_s) / max(1, pipeline.counters.frames)
+    frames, begin_s = pipeline.counters.frames, time.thread_time()
+    for data, t_host in recorded[first:]:
+        pipeline.feed(data, t_host)
+    return (time.thread_time() - begin_s) / max(1, pipeline.counters.frames - frames)
 
 
 def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:

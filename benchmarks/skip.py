@@ -27,9 +27,9 @@ from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
-from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.simulated import configuration
 
 from .report import QUICK, Report, medians_s
 
@@ -117,11 +117,8 @@ def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> 
     digitizer = VirtualDigitizer(
         SimOptions.from_url(f"sim://?scene=press&speed=0&heartbeat={heartbeat}"), lambda: 0.0
     )
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
-    threshold_uv = quiet_uv(config.spec) if quiet else 0
-    integrated = config.samples_per_chip == 1
     writer = PacketWriter()
-    for command in (Configure(layout, SyncMode.DRIVE, integrated, threshold_uv), Start()):
+    for command in (configuration(config, quiet_uv(config.spec) if quiet else 0), Start()):
         digitizer.receive(writer.encode(command))
     pipeline, reads, count = Pipeline(config), list[tuple[float, bytes]](), 0
     while count < frames:

@@ -51,10 +51,10 @@ from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, Start
+from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.correlations import separate
+from test.support.simulated import configuration
 
 RHO = 15.0
 CHIP_S = 10e-6
@@ -235,39 +235,6 @@ def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
     return errors | {"crosstalk": crosstalk(spec, clocks)}
 
 
-def sampling_rows() -> list[list[object]]:
-    """Noise and bit errors by samples per chip, at 0.5 % clock error and half a chip of delay."""
-    rows: list[list[object]] = []
-    for nodes in NODES[:2] if QUICK else NODES:
-        rng = np.random.default_rng(3)
-        clocks = NodeClocks(
-            rng.uniform(0, 0.5, nodes), rng.uniform(-0.005, 0.005, nodes), np.ones(nodes, bool)
-        )
-        for scramble in (False, True):
-            spec = frame_spec(nodes, scramble)
-            for per_chip in (2.0, 4.0):
-                decorrelator = Decorrelator(spec, clocks, per_chip)
-                noise, share = noise_of(spec, per_chip), 0.0
-                for _ in range(FRAMES[nodes]):
-                    bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
-                    line = decorrelator.line(bits)
-                    line += np.float32(noise) * rng.normal(size=line.size).astype(np.float32)
-                    share += wrong(decorrelator.estimate(line), bits) / FRAMES[nodes]
-                rows.append(
-                    [
-                        nodes,
-                        spec.order,
-                        "yes" if scramble else "no",
-                        f"{per_chip:g}",
-                        float(np.median(decorrelator.gain)),
-                        float(decorrelator.gain.max()),
-                        int(decorrelator.unresolved.size),
-                        share,
-                    ]
-                )
-    return rows
-
-
 def plainly(line: np.ndarray, spec: FrameSpec) -> NodeLevels:
     """Plain correlation of a frame at 2 samples per chip."""
     chips = integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)
@@ -339,12 +306,8 @@ def live_reads(config: SkinConfig, stretch: float) -> list[tuple[float, bytes]]:
     now_s, reads, writer = [0.0], list[tuple[float, bytes]](), PacketWriter()
     options = SimOptions.from_url(f"sim://?scene=all&threshold=0&seed=1&stretch={stretch}")
     digitizer = VirtualDigitizer(options, lambda: now_s[0])
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
-    if config.timing == GAP:
-        configure = Configure(layout, SyncMode.NONE)
-    else:
-        configure = Configure(layout, SyncMode.DRIVE, quiet_uv=quiet_uv(config.spec))
-    for command in (configure, Start()):
+    quiet = 0 if config.timing == GAP else quiet_uv(config.spec)
+    for command in (configuration(config, quiet), Start()):
         digitizer.receive(writer.encode(command))
     for number in range(int(LIVE_FRAMES * config.spec.frame_period_s / POLL_S)):
         now_s[0] = number * POLL_S
@@ -510,8 +473,6 @@ def main() -> None:
         scale=1.0,
     )
     axes[0].set_ylabel("bit error rate; 1e-5: none")
-    headers = "nodes,order,scrambled,samples/chip,median gain,worst gain,unresolved,BER"
-    report.table(headers.split(","), sampling_rows(), keep=False)
     decorrelate_ms = costs(report)
     scrambling = scrambling_costs(report)
     live = line_and_gap(report)

@@ -16,7 +16,7 @@ import argparse
 import importlib
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -147,13 +147,15 @@ def python_tables(definition: Definition) -> str:
         *(f"DEMO_{name.upper()} = {value}" for name, value in definition["demonstrator"].items()),
     ]
     lines += [f"FLAG_{name} = 0x{1 << f['bit']:02X}" for name, f in definition["flags"].items()]
-    packets = definition["packets"]
-    lines += ["", "", "class PacketType(IntEnum):", '    """First byte of a body."""', ""]
-    lines += [f"    {upper(name)} = 0x{p['type']:02X}" for name, p in packets.items()]
+    packets = {
+        upper(name): f"0x{packet['type']:02X}" for name, packet in definition["packets"].items()
+    }
+    lines += ["", "# fmt: off", *python_enum("PacketType", "First byte of a body.", packets)]
     for name, enum in definition["enums"].items():
-        lines += ["", "", f"class {name}(IntEnum):", f'    """{enum["doc"]}"""', ""]
-        lines += [f"    {key} = {item['value']}" for key, item in enum["values"].items()]
+        values = {key: item["value"] for key, item in enum["values"].items()}
+        lines += python_enum(name, enum["doc"], values)
     lines += [
+        "# fmt: on",
         "",
         "",
         "class Field(NamedTuple):",
@@ -174,6 +176,12 @@ def python_tables(definition: Definition) -> str:
         fields = [f"{python_field(definition, field)}," for field in message["fields"]]
         lines += filled([f'    "{name}": (', *fields], " " * 8, "),")
     return "\n".join([*lines, "}", "# fmt: on", ""])
+
+
+def python_enum(name: str, doc: str, values: Mapping[str, object]) -> Iterator[str]:
+    members = [f'"{key}": {value},' for key, value in values.items()]
+    yield from filled([f'{name} = IntEnum("{name}", {{', *members], " " * 4, "})")
+    yield f'"""{doc}"""'
 
 
 def filled(parts: list[str], indent: str, end: str) -> Iterator[str]:

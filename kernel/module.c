@@ -14,7 +14,7 @@
 #include "transform.h"
 #include "words.h"
 
-#define VERSION 33 /* raise with every change of what this module offers; see base/kernel.py */
+#define VERSION 34 /* raise with every change of what this module offers; see base/kernel.py */
 #define LONG_WORK (1 << 16)
 /* Values that take tens of microseconds: work below does not release the GIL, since to get it back
  * from a busy thread can take 5 ms. */

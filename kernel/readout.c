@@ -52,8 +52,8 @@ const struct readout_settings *readout_settings(const struct readout *readout)
 /* ---- words ------------------------------------------------------------------------------------- */
 
 /* Whether the energy that words leave over is a word on another's row, of a node that is late or not
- * known: `displaced` in lateness.py, but for scrambled frames and the few words whose delays it compares,
- * of which Python is asked. */
+ * known: `out_of_place` in lateness.py, but for scrambled frames, what leaks, and the delays that it compares
+ * of few words, of which Python is asked. */
 static enum readout_look find_displaced(struct readout *readout, const float *rows, const struct readout_frame *out)
 {
     const struct readout_settings *settings = &readout->settings;
@@ -68,11 +68,12 @@ static enum readout_look find_displaced(struct readout *readout, const float *ro
         meant[frame->first + i] = out->active[i] ? out->amplitude[i] : 0.0f;
         least = out->active[i] && out->amplitude[i] < least ? out->amplitude[i] : least;
     }
-    if (settings->scrambled || spoken <= settings->reading.few)
+    if (settings->scrambled)
         return READOUT_LEFT;
+    bool are_few = spoken <= settings->reading.few;
     words_late(frame, rows, meant, readout->skin.edges, &settings->lateness, readout->late);
     if (memchr(readout->late, 1, frame->nodes))
-        return READOUT_ODD;
+        return are_few ? READOUT_LEFT : READOUT_ODD;
     memset(spare, 0, settings->spare_count * sizeof *spare);
     for (size_t bit = 0; bit < frame->bits; bit++)
         for (size_t i = 0; i < settings->spare_count; i++)
@@ -80,7 +81,7 @@ static enum readout_look find_displaced(struct readout *readout, const float *ro
     for (size_t i = 0; i < settings->spare_count; i++)
         if (spare[i] / (float)frame->bits > settings->lateness.late_share * least)
             return READOUT_ODD;
-    return READOUT_PLAIN;
+    return are_few ? READOUT_FEW : READOUT_PLAIN;
 }
 
 /* Whether a doubtful word says that something is on the line: Words.disturbed in decode.py. */
@@ -138,7 +139,7 @@ struct block {
     uint8_t hiding[BLOCK], beyond[BLOCK], off_rest[BLOCK], stale[BLOCK], readable[BLOCK];
 };
 
-/* Takes words into what is kept of the nodes: `hear` in readings/stages.py. */
+/* Takes words into what is kept of the nodes: Taxels._hear in readings/taxels.py. */
 VECTORS static void keep_words(const struct readout_skin *skin, const struct readout_frame *out,
                                double now_s, double stale_after_s, struct block *block)
 {
@@ -182,7 +183,7 @@ VECTORS static void look_up(const struct readout_skin *skin, int32_t highest, fl
     }
 }
 
-/* Pressures, which are beyond the curves' range, and which are off rest: `convert` there, and
+/* Pressures, which are beyond the curves' range, and which are off rest: Curves.pressure, and
  * PressureChain.update. */
 VECTORS static void convert(const struct readout *readout, const float *restrict meant_v,
                             const float *restrict drift_v, float *restrict node_pa, struct block *block)
@@ -210,7 +211,7 @@ VECTORS static void convert(const struct readout *readout, const float *restrict
         node_pa[at + i] = pressure_pa[i];
 }
 
-/* Readings and their status: the rest of `hear`, and `finish`. */
+/* Readings and their status: the rest of Taxels._hear, and Taxels._finished. */
 VECTORS static void finish(const struct readout *readout, const struct readout_frame *out,
                            const float *restrict tare_pa, struct block *block,
                            float *restrict pressures_pa, float *restrict voltages_v,

@@ -40,7 +40,7 @@ struct readout_skin {
     const float *table_v; /* (codes,) */
     const uint8_t *state; /* status by health */
     const uint8_t *invalid, *uncalibrated, *masked;
-    const float *sign, *rest_v, *margin_v, *end_v; /* V; see Bounds in readings/stages.py */
+    const float *sign, *rest_v, *margin_v, *end_v; /* V; see Bounds in readings/pressure.py */
     const float *pieces;         /* (p, 3, n) begin, V, gain, Pa/V, width, Pa, of the curves */
     const int32_t *source;       /* (t,) node of every taxel, -1 for none; NULL: taxels are nodes */
     int32_t *kept_codes;         /* the last word, what was uncertain about it, when it came, s */
@@ -71,6 +71,7 @@ const struct readout_settings *readout_settings(const struct readout *readout);
 enum readout_look {
     READOUT_ODD,  /* a word is: nothing was kept, and nothing is meant by the frame */
     READOUT_LEFT, /* the words leave energy over, and only Python can tell what it is: nothing was kept */
+    READOUT_FEW,  /* the same, and it is asked only whether these few words differ in their delays */
     READOUT_DOUBTFUL, /* a word is uncertain, and nothing else is odd */
     READOUT_PLAIN,
 };

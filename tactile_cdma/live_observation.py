@@ -17,14 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from .base.arrays import Floats32
 from .base.errors import CaptureError, ObservationError, ParameterError
 from .config.parameters import BY_NAME, unknown
-from .config.python_arguments import (
-    WHOLE_NS,
-    argument,
-    instance,
-    path_of,
-    seconds,
-    unmasked,
-)
+from .config.python_arguments import WHOLE_NS, argument, instance, path_of, seconds, unmasked
 from .config.skin_config import CURVE_PARAMETERS, FRAME_PARAMETERS
 from .datasets.alignment import Present, Tick
 from .datasets.lerobot.features import cells, obstacle
@@ -49,18 +42,10 @@ frame periods of the slowest skin. Chosen: above what a frame takes from its mid
 ROWS_HZ = 30
 """Of LiveObservation.of, rows per s: with more than 2, nothing depends on it."""
 _READING = (
-    *(
-        *FRAME_PARAMETERS,
-        "chip_us",
-        "sign_seed",
-        "amplitude_mv",
-        "timing",
-        "vref_v",
-        "active_share",
-    ),
-    *(*sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "drift_pa_per_min"),
-    *("contact_kpa", "release_kpa"),
-)
+    *FRAME_PARAMETERS, "chip_us", "sign_seed", "amplitude_mv", "timing", "vref_v", "active_share",
+    *sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "drift_pa_per_min",
+    "contact_kpa", "release_kpa",
+)  # fmt: skip
 """Parameters that readings or contacts depend on; a calibration has its identity."""
 _DERIVED = Kind.TACTILE, Kind.CONTACTS, Kind.WRENCH
 
@@ -79,8 +64,8 @@ class LiveObservation:
         patch. Their frames go here: nobody else must read them. contacts=True is needed where the
         dataset has contacts or wrench.
     features: shape and dtype of what read() gives, by name. elements: names of its elements, or of
-        its axes. others: the dataset's observations that
-        the program has to add itself, such as images.
+        its axes. others: the dataset's observations that the program has to add itself, such as
+        images.
 
     CaptureError: raised for a folder that is no such dataset, and for other taxels than its.
     ParameterError: raised where a skin is missing, is too many, or does not find contacts.

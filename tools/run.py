@@ -21,10 +21,10 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
-from types import FrameType
 from typing import IO
 
 from tactile_cdma.base.errors import TactileError
+from tactile_cdma.base.interrupt import stop_event
 from tactile_cdma.base.named_file import existing
 from tactile_cdma.config.body_file import LOCALHOST, RANGE, Patch, read_body
 from tactile_cdma.config.parameters import unknown
@@ -80,16 +80,17 @@ def main() -> int:
         os.execv(sys.executable, [*watch, "--port", port, "--seconds", f"{seconds:g}"])  # noqa: S606
     os.environ.setdefault(RANGE, LOCALHOST)
     os.environ.setdefault("PYTHONUNBUFFERED", "1")
-    rerun = rerun_command(arguments.rerun == "web") if arguments.rerun else []
+    rerun = script("skin_rerun", *["--web"] * (arguments.rerun == "web")) if arguments.rerun else []
+    shown_for = ["--seconds", f"{seconds:g}"] if seconds else []
     quiet = seconds == 0.0
     if arguments.patches:
         try:
             commands = body_commands(Path(arguments.patches))
         except TactileError as error:
             parser.error(str(error))
-        viewer = viewer_command(seconds, "skin_body_view")
-        return run(commands, rerun or viewer, quiet=bool(rerun))
-    viewer = rerun or viewer_command(seconds, "skin_view")
+        viewer = rerun or script("skin_body_view", *shown_for)
+        return run(commands, viewer, quiet=bool(rerun))
+    viewer = rerun or script("skin_view", *shown_for)
     if not firmware:
         return run([driver_command(params, port)], viewer, quiet)
     with emulated_skin(params) as port:
@@ -136,17 +137,12 @@ def driver_command(params: Path, port: str) -> list[str]:
 
 def body_commands(path: Path) -> list[list[str]]:
     """Return those of a body's drivers, and of its own node. Raises BodyError for a wrong file."""
-    drivers = [
-        patch_command(patches[0]) if len(patches) == 1 else patches_command(path, patches)
-        for patches in read_body(path).processes()
-    ]
-    return [*drivers, node_command("skin_body", {"body_file": str(path)})]
-
-
-def patches_command(path: Path, patches: Sequence[Patch]) -> list[str]:
-    """Return the command of several patches' drivers in one process."""
-    names = ",".join(patch.name for patch in patches)
-    return [sys.executable, str(CHECKOUT / "scripts" / "skin_patches"), str(path), "--only", names]
+    commands = []
+    for patches in read_body(path).processes():
+        names = ",".join(patch.name for patch in patches)
+        together = script("skin_patches", str(path), "--only", names)
+        commands.append(patch_command(patches[0]) if len(patches) == 1 else together)
+    return [*commands, node_command("skin_body", {"body_file": str(path)})]
 
 
 def patch_command(patch: Patch) -> list[str]:
@@ -155,66 +151,53 @@ def patch_command(patch: Patch) -> list[str]:
     return node_command("skin_driver", patch.parameters, "-r", f"__ns:=/{patch.name}", *file)
 
 
-def node_command(script: str, parameters: Mapping[str, object], *ros_arguments: str) -> list[str]:
+def script(name: str, *words: str) -> list[str]:
+    """Return the command of a script of this checkout."""
+    return [sys.executable, str(CHECKOUT / "scripts" / name), *words]
+
+
+def node_command(name: str, parameters: Mapping[str, object], *ros_arguments: str) -> list[str]:
     """Return the command of a node."""
-    command = [sys.executable, str(CHECKOUT / "scripts" / script), "--ros-args", *ros_arguments]
+    command = script(name, "--ros-args", *ros_arguments)
     for name, value in parameters.items():
         # Quoted, for a text that YAML would read as something else.
         command += ["-p", f"{name}:={json.dumps(value)}"]
     return command
 
 
-def viewer_command(seconds: float, viewer: str) -> list[str]:
-    """Return the command of a viewer, skin_view or skin_body_view."""
-    command = [sys.executable, str(CHECKOUT / "scripts" / viewer)]
-    return command + (["--seconds", f"{seconds:g}"] if seconds else [])
-
-
-def rerun_command(web: bool) -> list[str]:
-    """Return the command of the bridge to the Rerun viewer."""
-    return [sys.executable, str(CHECKOUT / "scripts" / "skin_rerun"), *(["--web"] if web else [])]
-
-
 def run(commands: Sequence[list[str]], viewer_command: list[str], quiet: bool) -> int:
     """Run until the viewer ends. quiet: the nodes' log must not disturb the viewer's picture."""
-    asked_to_end = False
-
-    def remember(signum: int, frame: FrameType | None) -> None:
-        nonlocal asked_to_end
-        asked_to_end = True
-
-    for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(signum, remember)
-    with _log_file() as log:
+    with stop_event(None) as stop, _log_file() as log:
+        shown = log if quiet else None
         # In a session of their own, Ctrl-C does not reach nodes before the viewer has ended.
         nodes = [
             subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
-                stdout=log if quiet else None,
-                stderr=log if quiet else None,
+                stdout=shown,
+                stderr=shown,
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
             )
             for command in commands
         ]
-    viewer = subprocess.Popen(viewer_command, preexec_fn=_end_with_parent)
+        viewer = subprocess.Popen(viewer_command, preexec_fn=_end_with_parent)
 
-    def goes_on() -> bool:
-        return viewer.poll() is None and not asked_to_end
+        def goes_on() -> bool:
+            return viewer.poll() is None and not stop.is_set()
 
-    try:
-        while goes_on() and any(node.poll() is None for node in nodes):
-            time.sleep(0.05)
-        nodes_failed = goes_on()
-        # Ctrl-C has reached the viewer through the terminal; a second one would disturb its end.
-        code = _end(viewer, grace_s=0.5)
-    finally:
-        for node in nodes:  # all at once
-            if node.poll() is None:
-                node.send_signal(signal.SIGINT)
-        for node in nodes:
-            _end(node, grace_s=PATIENCE_S)
+        try:
+            while goes_on() and any(node.poll() is None for node in nodes):
+                time.sleep(0.05)
+            nodes_failed = goes_on()
+            # Ctrl-C has reached the viewer through the terminal; another one would disturb its end.
+            code = _end(viewer, grace_s=0.5)
+        finally:
+            for node in nodes:  # all at once
+                if node.poll() is None:
+                    node.send_signal(signal.SIGINT)
+            for node in nodes:
+                _end(node, grace_s=PATIENCE_S)
     if nodes_failed:
         codes = ", ".join(str(node.returncode) for node in nodes)
         print(f"the driver ended by itself, exit code {codes}", file=sys.stderr)

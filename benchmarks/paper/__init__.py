@@ -10,5 +10,5 @@ tactile sensing in robotics", arXiv 2509.10888.
 - `waves`: figures 3(b) and 7, by the code book and by an emulated node's pin.
 - `words`: figure 8, by `tactile-cdma decode` of a scope's capture (examples/scope.csv).
 - `scaling`: frame time, wires and throughput over the number of nodes.
-- `bench`: draws and reports.
+- `__main__`: draws and reports.
 """

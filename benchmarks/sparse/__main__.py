@@ -36,6 +36,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks import ros
 from benchmarks.report import QUICK, Report, be_alone, medians_s
+from benchmarks.scale import replay
 from benchmarks.skip import record
 from benchmarks.sparse.frames import (
     BOOKS,
@@ -51,7 +52,6 @@ from benchmarks.sparse.frames import (
 from benchmarks.sparse.hug import Hug, hug
 from tactile_cdma.code.detect import Detector
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.framing.sparse_timing import capacity, certificate
 
 
@@ -145,20 +145,11 @@ def decoder_ratios() -> tuple[float, float]:
         recording = record(SkinConfig.of(ros.CASES[nodes]), share, False, 150)
         chunks = [(data, t_host) for t_host, data in recording.reads]
         recordings.append((recording.config, chunks))
-    spent = [[replay(*each) for each in recordings] for _ in range(5 if QUICK else 15)]
+    spent = [
+        [replay(*each, unmeasured=0.25) for each in recordings] for _ in range(5 if QUICK else 15)
+    ]
     busy, idle, orthogonal = np.median(spent, axis=0)
     return float(busy / orthogonal), float(idle / orthogonal)
-
-
-def replay(config: SkinConfig, chunks: list[tuple[bytes, float]]) -> float:
-    """CPU time per frame of a decoder that has seen a quarter of the chunks, s."""
-    pipeline = Pipeline(config)
-    for data, t_host in chunks[: len(chunks) // 4]:
-        pipeline.feed(data, t_host)
-    frames, begin_s = pipeline.counters.frames, time.thread_time()
-    for data, t_host in chunks[len(chunks) // 4 :]:
-        pipeline.feed(data, t_host)
-    return (time.thread_time() - begin_s) / (pipeline.counters.frames - frames)
 
 
 def figure(

@@ -33,8 +33,8 @@ from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.arguments import add_skin_options, given
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.sim.nodes import NodeRules, node_frames
-from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tolerance import scatter
 
@@ -271,10 +271,10 @@ def _feedback(name: str, stage: Stage) -> str:
 def _scenes(spec: FrameSpec, rng: np.random.Generator) -> dict[str, Iterable[NDArray[np.int64]]]:
     """Codes of some frames, (n,) each, by the name of the scene."""
     timed = replace(spec, chip_s=1e-8, frame_period_s=SCENE_STEP_S)
-    skin, rules = SimOptions().skin(spec.nodes), NodeRules(threshold=0)
+    options = (SimOptions(scene=name, threshold=0) for name in SCENES)
     scenes: dict[str, Iterable[NDArray[np.int64]]] = {
-        name: (frame.codes for frame in islice(node_frames(timed, scene, skin, rules), FRAMES))
-        for name, scene in SCENES.items()
+        each.scene: (frame.codes for frame in islice(truth(each, Setup(timed)), FRAMES))
+        for each in options
     }
     scenes["random codes"] = rng.integers(0, 2**spec.bits, (DRAWS, spec.nodes))
     return scenes

@@ -409,7 +409,7 @@ static void read_frames(struct input *input)
         float words = *skin.sums;
         enum readout_look look = readout_read(readout, rows, NULL, 0, 100, learnt ? 0.01f : NAN, options & 8,
                                               now_s, 1.5, drift_v, tare_pa, &found);
-        if (look <= READOUT_LEFT) {
+        if (look <= READOUT_FEW) {
             MUST(*skin.sums == words, WRONG_VALUE);
             continue;
         }

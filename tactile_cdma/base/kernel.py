@@ -26,7 +26,7 @@ Function = TypeVar("Function", bound="Callable[..., Any]")
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 33
+VERSION = 34
 """Of the functions that this package expects in the kernel."""
 
 

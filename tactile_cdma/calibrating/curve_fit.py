@@ -8,9 +8,8 @@ gross outliers. From there knees and coefficients move together by Gauss–Newto
 "Estimating regression models with unknown break-points", Statist. Med. 22, 2003), outliers left
 out. So the result is the least squares fit of all points but these.
 
-scipy.optimize.least_squares with a Cauchy loss, node by node from three starts, took 84 ms per node
-where this took 2.5; with 4 outliers among 40 points it put 6 of 100 curves off by more than an LSB,
-this none of 480.
+scipy.optimize.least_squares with a Cauchy loss and three starts took 84 ms per node, this 2.5; with
+4 outliers among 40 points it put 6 of 100 curves off by more than an LSB, this none of 480.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ LEVEL = 0.005
 OUTLIER = 4.5
 """Residual beyond which a point is an outlier, σ: seven of a million normal ones are."""
 KNEE_EVIDENCE = 20.0
-"""Drop of the sum of squares, σ², that proves a knee: noise seldom makes as much (χ², 2 degrees of
-freedom: 5e-5, for any one place)."""
+"""Drop of the sum of squares, σ², that proves a knee; by chance with 5e-5 (χ² of 2 degrees)."""
 EXPONENTS, MOST_END = (0.2, 20.0), 9.0
 """Of a power law, and of |ln(V/(supply − V))| under the largest load. Chosen: sensors have 0.4 to 2
 or so; beyond, corners are closer to each other than a calibration file tells apart."""
@@ -266,8 +264,7 @@ def _solve(design: Floats, y: Floats, weight: Floats | Bools) -> tuple[Floats, F
 def _places(load: Floats) -> Floats:
     """Candidates for a knee of one sensor, rising, LEAST_LEVELS levels on either side of each.
 
-    Evenly by number of levels, not by load: these may be close to each other where the knee is
-    expected.
+    Evenly by number of levels, not by load: loads may be dense where the knee is expected.
     """
     levels = levels_of(load)
     inner = levels[LEAST_LEVELS - 1 : max(len(levels) - LEAST_LEVELS + 1, LEAST_LEVELS)]

@@ -17,7 +17,6 @@ from ..base.text import listed
 from ..readings.calibration import MOST_PA
 from .load_table import KIND_OF, UNITS, Table, read_table
 
-_COLUMNS = ("node", "pressure_pa", "voltage_v", "line")
 HEADING = "node,pressure_kpa,voltage_v"
 PLAUSIBLE_PA = (200.0, MOST_PA)
 """Limits of the largest load, Pa: outside of them its unit is taken to be wrong. The lower one is
@@ -34,8 +33,8 @@ _CHANGE = 0.005
 class LoadPoints:
     """m points in the order in which they were taken.
 
-    node: (m,) int64, from 1 on. pressure_pa, voltage_v: (m,) float64. line: (m,) int64, of the
-    file `source` that tells of the load.
+    node, line: (m,) int64, from 1 on; the line is that of the file `source`. pressure_pa,
+    voltage_v: (m,) float64.
     """
 
     node: NDArray[np.int64]
@@ -55,8 +54,8 @@ class LoadPoints:
 
     def of_rows(self, rows: Bools) -> Self:
         """Some of the points; rows: (m,) bool."""
-        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        return replace(self, **columns)
+        columns = ("node", "pressure_pa", "voltage_v", "line")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def lines(self, rows: Indices | Bools) -> str:
         """Where points come from, in words: "lines 3, 5, 9"."""

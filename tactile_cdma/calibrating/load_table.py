@@ -66,8 +66,7 @@ class LoadFile:
 class Table(LoadFile):
     """Columns by quantity in SI units, (m,) float64 each.
 
-    headings: of each quantity, as the file has it. units: of each, in small letters. factors: SI
-    units that one of the file's is.
+    headings: as the file has them. units: in small letters. factors: a unit of the file in SI's.
     """
 
     columns: dict[str, Floats]

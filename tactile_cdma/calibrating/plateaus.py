@@ -55,8 +55,7 @@ class Reference(LoadFile):
 class Recording:
     """Readings of a skin's nodes.
 
-    t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN where a node had no valid
-    reading.
+    t_s: (f,) float64, device time, s. voltage_v: (f, n) float32, V, NaN without a valid reading.
     """
 
     t_s: Floats

@@ -13,6 +13,7 @@ from ..config.arguments import add_skin_options, given
 from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
 from ..framing.sparse_timing import capacity, groups_for_all
+from ..hardware import programmer
 from ..hardware.node_image import node_image
 from ..hardware.node_memory import (
     CRYSTALS_MHZ,
@@ -21,16 +22,6 @@ from ..hardware.node_memory import (
     describe_memory,
     node_memory,
     usual_heartbeat,
-)
-from ..hardware.programmer import (
-    EEPROM,
-    FLASH,
-    avrdude,
-    burn,
-    node_files,
-    read_memory,
-    write_image,
-    write_memory,
 )
 from . import node_numbers
 
@@ -79,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write or print memories; returns the exit code."""
     if arguments.read:
-        print(describe_memory(*read_memory(arguments.read)))
+        print(describe_memory(*programmer.read_memory(arguments.read)))
         return 0
     if arguments.port is not None:
         if any((arguments.hex, arguments.output, arguments.crystal_mhz, arguments.image)):
@@ -90,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
     if arguments.layout is not None:
         raise SpecError("--layout is the file that --enumerate PORT writes: give that, too")
-    mcu, programmer, of_flash = arguments.mcu, arguments.programmer, arguments.hex is not None
+    mcu, of_flash = arguments.mcu, arguments.hex is not None
     if (arguments.output is None) != of_flash:
         both = "-o and --hex are given: EEPROM or flash, not both"
         none = "-o is missing: the file to write, or with --node all the directory"
@@ -99,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise SpecError("--any is an image for the flash: give --hex instead of -o")
     if not of_flash and (arguments.crystal_mhz or arguments.image):
         raise SpecError("--crystal-mhz and --image are about flash: give --hex instead of -o")
-    if programmer and arguments.node == ALL:
+    if arguments.programmer and arguments.node == ALL:
         raise SpecError("--programmer writes one node, the one that is connected: --node is all")
     config = SkinConfig.of(given(arguments))
     check_timing(config.timing)
@@ -108,27 +99,18 @@ def run(arguments: argparse.Namespace) -> int:
         heartbeat = usual_heartbeat(config.spec.frame_period_s)
     one = arguments.node not in (ALL, ANY)
     nodes = [arguments.node] if one else range(1, config.spec.nodes + 1)
-    memories = [
-        node_memory(
-            config.spec,
-            node,
-            threshold=arguments.threshold,
-            heartbeat=heartbeat,
-            rest=arguments.rest,
-            discipline=arguments.discipline,
-            mcu=mcu,
-        )
-        for node in nodes
-    ]
+    names = ("threshold", "rest", "discipline", "mcu")
+    how = {"heartbeat": heartbeat} | {name: getattr(arguments, name) for name in names}
+    memories = [node_memory(config.spec, node, **how) for node in nodes]
     output = arguments.hex if of_flash else arguments.output
-    paths = [output] if arguments.node != ALL else node_files(output, len(memories))
+    paths = [output] if arguments.node != ALL else programmer.node_files(output, len(memories))
     contents = [memories] if arguments.node == ANY else [[memory] for memory in memories]
     crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
     for path, content in zip(paths, contents, strict=True):
         if of_flash:
-            write_image(path, node_image(mcu, content, crystal_mhz, arguments.image))
+            programmer.write_image(path, node_image(mcu, content, crystal_mhz, arguments.image))
         else:
-            write_memory(path, *content)
+            programmer.write_memory(path, *content)
     if arguments.threshold:
         _warn_of_silence(heartbeat, config)
     if config.spec.sparse:
@@ -138,11 +120,12 @@ def run(arguments: argparse.Namespace) -> int:
             f"frame, and all {f'by turns, in {groups} groups' if groups else 'never'}"
         )
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
-    kind, usual = (FLASH, ARDUINO[crystal_mhz]) if of_flash else (EEPROM, "usbasp")
-    if programmer:
-        burn(output, mcu, programmer, kind)
+    kind = programmer.FLASH if of_flash else programmer.EEPROM
+    usual = ARDUINO[crystal_mhz] if of_flash else "usbasp"
+    if arguments.programmer:
+        programmer.burn(output, mcu, arguments.programmer, kind)
     else:
-        print("to the node:", shlex.join(avrdude(paths[0], mcu, usual, kind)))
+        print("to the node:", shlex.join(programmer.avrdude(paths[0], mcu, usual, kind)))
     return 0
 
 

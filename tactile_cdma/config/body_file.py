@@ -40,6 +40,11 @@ ITEM = "{}"
 """Stands for an item of `repeat`, in the name of a patch and in its texts."""
 _FILES = ("layout_file", "calibration_file", "state_folder")
 """Parameters that are paths; in a body file they are relative to its folder."""
+_PATHS_IN_PORTS = {
+    "replay": re.compile("(?<=^replay://)[^?]+", re.IGNORECASE),
+    "sim": re.compile("(?<=[?&]layout=)[^&]+"),
+}
+"""The paths in ports, by their schemes."""
 _MOUNTS = ("mount_xyz_m", "mount_rpy_rad")
 
 
@@ -253,20 +258,12 @@ def _parameters(content: Keys) -> dict[str, Value]:
 
 def _rooted(value: Marked, port: str) -> str:
     """A port whose path, of a recording or a simulated skin's layout, is absolute."""
-    scheme, _, rest = port.partition("://")
-    file, mark, query = rest.partition("?")
-    if scheme.lower() == "replay" and file:
-        return f"{scheme}://{quote(str(_path(value, unquote(file))))}{mark}{query}"
-    if scheme.lower() != "sim":
-        return port
-    options = [option.partition("=") for option in query.split("&")]
-    found = [
-        f"{name}={quote(str(_path(value, unquote(text))))}"
-        if name == "layout" and text
-        else f"{name}{sign}{text}"
-        for name, sign, text in options
-    ]
-    return f"{scheme}://{file}{mark}{'&'.join(found)}"
+
+    def absolute(path: re.Match[str]) -> str:
+        return quote(str(_path(value, unquote(path[0]))))
+
+    where = _PATHS_IN_PORTS.get(port.partition("://")[0].lower())
+    return where.sub(absolute, port) if where else port
 
 
 def _path(value: Marked, text: str) -> Path:

@@ -11,7 +11,7 @@ import heapq
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, islice
 from statistics import median
 
 from .episodes import Episode
@@ -202,18 +202,15 @@ class Aligner:
 
     def _rows(self, passed_ns: int) -> Iterator[Row]:
         """Rows of all ticks before a time that every stream has passed."""
-        while (tick := self._next(passed_ns)) is not None:
-            yield self._present.row(tick)
+        while True:
+            if not self._ticks:
+                self._ticks.extend(islice(self._grid, 1))
+            if not self._ticks or self._ticks[0].time_ns > passed_ns:
+                break
+            yield self._present.row(self._ticks.popleft())
         # The grid's next tick is known; of a clock that is a stream only that it is not before.
         since_ns = self._ticks[0].since_ns if self._ticks else passed_ns - self._reach_ns
         self._present.drain(min(passed_ns, since_ns))
-
-    def _next(self, passed_ns: int) -> Tick | None:
-        if not self._ticks and (tick := next(self._grid, None)) is not None:
-            self._ticks.append(tick)
-        if self._ticks and self._ticks[0].time_ns <= passed_ns:
-            return self._ticks.popleft()
-        return None
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:

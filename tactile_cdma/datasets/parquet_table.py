@@ -51,19 +51,13 @@ class ParquetTable:
         if metadata is not None:
             schema = schema.with_metadata({METADATA: json.dumps(metadata).encode()})
         self._schema = schema
-        self._array_bytes = sum(
-            np.dtype(dtype).itemsize * int(np.prod(shape))
-            for dtype, shape in columns.values()
-            if dtype != PNG_OR_JPEG
-        )
         self._rows: list[Mapping[str, Any]] = []
         self._held_bytes = 0
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row. Arrays are copied when their group is written: hand over such that stay."""
         self._rows.append(row)
-        images = sum(len(cell) for cell in row.values() if isinstance(cell, bytes))
-        self._held_bytes += self._array_bytes + images
+        self._held_bytes += sum(np.asarray(cell).nbytes for cell in row.values())
         if len(self._rows) >= GROUP_ROWS or self._held_bytes >= GROUP_BYTES:
             self._flush()
 

@@ -19,7 +19,7 @@ from ..wire.discovery import leave_alone_if_open
 from ..wire.introduction import described_info, introduction
 from ..wire.port import Port
 from .report import Check, ok, problem, warning
-from .stream import RawStream, decided, judge
+from .stream import Chunks, decided, judge
 
 _log = logging.getLogger(__name__)
 
@@ -81,21 +81,25 @@ def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Ite
     configure = values is not None
     yield ok("digitizer", described_info(info, "was set to" if configure else "set to"))
     pipeline = Pipeline(config)
-    yield from judge(_listen(port, pipeline, configure, seconds), config, seconds)
+    chunks, no_frames = _listen(port, pipeline, configure, seconds)
+    yield from judge(chunks, config, seconds, no_frames)
     if pipeline.decisions.total:
         yield decided(pipeline.decisions)
 
 
-def _listen(port: Port, pipeline: Pipeline, configure: bool, seconds: float) -> RawStream:
+def _listen(
+    port: Port, pipeline: Pipeline, configure: bool, seconds: float
+) -> tuple[Chunks, str | None]:
     """Listen to the stream for so long, asking for it and decoding it as the driver does.
 
-    configure: set the digitizer to these parameters; else it stays as it is.
+    configure: set the digitizer to these parameters; else it stays as it is. Returns what came,
+    and why there are no frames in it.
     """
     config = pipeline.config
     # The amplitude is to be found, so the digitizer must not leave out what seems too weak by it.
     learning = replace(config, spec=replace(config.spec, amplitude_v=None))
     session = Session(learning if configure else None)
-    chunks: list[tuple[bytes, float]] = []
+    chunks: Chunks = []
     size, opened_s, begin_s = 0, time.monotonic(), 0.0
     start_s = START_S + START_FRAMES * config.spec.frame_period_s
     port.write(session.open())
@@ -119,4 +123,4 @@ def _listen(port: Port, pipeline: Pipeline, configure: bool, seconds: float) -> 
     finally:
         pipeline.close()
         port.write(session.close())
-    return RawStream(chunks, pipeline.problem or session.problem if not begin_s else None)
+    return chunks, None if begin_s else pipeline.problem or session.problem

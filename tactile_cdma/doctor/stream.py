@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,19 +52,10 @@ DOUBTED_BECAUSE = "as where nodes stretch their frames, or with noise, hum or cl
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
+Chunks: TypeAlias = list[tuple[bytes, float]]
+"""Bytes, and the host's monotonic time, s, when they were read."""
 _FAULTS = ("samples_lost", "packets_dropped", "commands_refused", "command_errors", "sync_faults")
 """Counts of a digitizer's STATUS that do not rise on a sound one."""
-
-
-@dataclass(frozen=True, slots=True)
-class RawStream:
-    """What was decoded. chunks: bytes and the host's monotonic time, s, when they were read.
-
-    problem: why there are no frames.
-    """
-
-    chunks: list[tuple[bytes, float]]
-    problem: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,18 +72,19 @@ class DecodedStream:
     pipeline: Pipeline
 
 
-def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Check]:
+def judge(
+    chunks: Chunks, config: SkinConfig, seconds: float, no_frames: str | None = None
+) -> Iterator[Check]:
     """All checks of a stream; amplitudes are measured before they are compared with config's.
 
-    seconds: how long it was to be listened to.
-
+    seconds: how long it was to be listened to. no_frames: why there are none.
     Raises PortError where bytes in which there were frames hold none after all.
     """
-    yield from _link(stream)
-    if stream.problem:
-        yield problem("frames", stream.problem)
+    yield from _link(chunks)
+    if no_frames:
+        yield problem("frames", no_frames)
         return
-    decoded = _decoded(stream, config, None)
+    decoded = _decoded(chunks, config, None)
     yield from _rate(decoded, config)
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     yield from _range(clipped)
@@ -109,7 +102,7 @@ def judge(stream: RawStream, config: SkinConfig, seconds: float) -> Iterator[Che
         return
     amplitude_v = np.array([frame.words.amplitude_v for frame in decoded.frames])
     measured_v = float(np.median(amplitude_v[decoded.active]))
-    decoded = _decoded(stream, config, measured_v)
+    decoded = _decoded(chunks, config, measured_v)
     yield from _left_out(decoded, measured_v)
     yield from _noise(decoded)
     if clipped < CLIPPED_SHARE:  # amplitudes are too small in what is clipped
@@ -129,7 +122,7 @@ def decided(decisions: Decisions) -> Check:
     return ok("kernel", text)
 
 
-def _decoded(stream: RawStream, config: SkinConfig, swing_v: float | None) -> DecodedStream:
+def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
     """Decoded with this amplitude of a node's code; None: learnt from every frame.
 
     From one value per chip, silence can't be told without an amplitude: there it is the stated one.
@@ -148,7 +141,7 @@ def _decoded(stream: RawStream, config: SkinConfig, swing_v: float | None) -> De
         measured = replace(spec, amplitude_v=2 * swing_v if unipolar else swing_v)
         pipeline.health = NodeHealth(measured)
     frames, arrived_s = [], []
-    for data, t_host in stream.chunks:
+    for data, t_host in chunks:
         if new := pipeline.feed(data, t_host):
             frames += new
             arrived_s.append(t_host)
@@ -176,9 +169,9 @@ def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
         )
 
 
-def _link(stream: RawStream) -> Iterator[Check]:
+def _link(chunks: Chunks) -> Iterator[Check]:
     parser, reports = PacketParser(), []
-    for data, _ in stream.chunks:
+    for data, _ in chunks:
         reports += [packet for packet in parser.feed(data) if isinstance(packet, Status)]
     seen = parser.counters
     broken = seen.crc_errors + seen.framing_errors + seen.resyncs

@@ -2,8 +2,7 @@
 
 """A node's whole flash: the program, and memories for where nothing can write the EEPROM.
 
-Boot loaders of Arduinos write flash only. A node looks into this table (NodeTable, protocol.yaml)
-if its EEPROM has no valid record.
+Boot loaders of Arduinos write flash only. Without a valid record in its EEPROM a node looks here.
 """
 
 from collections.abc import Sequence

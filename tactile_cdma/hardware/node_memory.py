@@ -37,11 +37,10 @@ class Mcu:
 
     part: avrdude's name. order: longest code row that fits its memories. chip_ns, longest_chip_ns:
     range of chips that it keeps up with, ns. scrambled_chip_ns: shortest chip that it flips, ns;
-    sparse_chip_ns: of a sparse code; 0: it has none.
-    chip_step_ns: chips are a multiple of this. flash_table: whether its flash can hold memories.
-    bits_restart: it starts anew at every bit. restart_s: least guard before a restart within the
-    frame, s: the restart's sync pulse, 64 µs ahead of it, must not begin before a node has released
-    the line.
+    sparse_chip_ns: of a sparse code; 0: it has none. chip_step_ns: chips are a multiple of this.
+    flash_table: whether its flash can hold memories. bits_restart: it starts anew at every bit.
+    restart_s: least guard before a restart within the frame, s: the restart's sync pulse, 64 µs
+    ahead of it, must not begin before a node has released the line.
     """
 
     part: str

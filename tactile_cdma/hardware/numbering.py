@@ -13,8 +13,7 @@ from ..words.decode import Words
 TAKEN_FRAMES = 5
 """Frames in a row with a clear word of the number's node. Chosen."""
 UNCLEAR_FRAMES = 25
-"""Frames in a row with words that are not clear, as of two nodes at once. Chosen: 0.3 s at 78
-frames/s, more than a disturbance."""
+"""Unclear frames in a row, as of two nodes at once. Chosen: 0.3 s, more than a disturbance."""
 TALKING_FRAMES = 400
 """Frames after which nodes that do not fall silent are told of. Chosen: 5 s at 78 frames/s."""
 EARLY_FRAMES = 50
@@ -27,8 +26,7 @@ FORGET_FRAMES = 40
 class Numbering:
     """Which number is announced, and what is known of those before.
 
-    asked: the number that a pressed node takes next; None: all have theirs. skipped: numbers of
-    nodes that nobody has.
+    asked: the number that a pressed node takes next; None: all have theirs. skipped: nobody's.
     """
 
     def __init__(self, nodes: int) -> None:
@@ -80,12 +78,12 @@ class Numbering:
             return None
         if self._frames < EARLY_FRAMES + TAKEN_FRAMES:
             return self._had_before(self.asked)
-        self._ask(self.asked + 1)
+        self._begin(self.asked + 1)
         return f"node {node + 1} has its number"
 
     def unclear(self) -> str:
         """More than one took the number: they lose it. Returns what to tell."""
-        self._forget(self.asked or 0)
+        self._begin(self.asked, forgets=self.asked or 0)
         return f"node {self.asked} is not clear: several taxels at once? Let go, press only one"
 
     def back(self) -> str:
@@ -93,10 +91,9 @@ class Numbering:
         last = self._nodes if self.asked is None else self.asked - 1
         if not last:
             return "there is no number before 1"
-        self._ask(last)
+        self._begin(last, forgets=last)
         if last in self.skipped:
             self.skipped.remove(last)
-        self._forget(last)
         return f"node {last} has lost its number"
 
     def skip(self) -> str:
@@ -105,8 +102,7 @@ class Numbering:
             return "there is no number left"
         skipped = self.asked
         self.skipped.append(skipped)
-        self._ask(skipped + 1)
-        self._forget(skipped)  # whoever took it meanwhile
+        self._begin(skipped + 1, forgets=skipped)  # whoever took it meanwhile
         return f"node {skipped} is left out"
 
     def _had_before(self, number: int) -> str | None:
@@ -115,16 +111,15 @@ class Numbering:
             self._clear = self._frames = 0
             return None
         self._early = number
-        self._forget(number)
+        self._begin(number, forgets=number)
         return (
             f"node {number} speaks before it is pressed: has it a number of its own? All nodes "
             "take one image (node --any)"
         )
 
-    def _ask(self, number: int) -> None:
-        self.asked = number if number <= self._nodes else None
-        self._clear = self._unclear = self._frames = 0
-
-    def _forget(self, number: int) -> None:
-        self._forgets, self._left = number, FORGET_FRAMES
+    def _begin(self, asked: int | None, forgets: int | None = None) -> None:
+        """Go on with another request, before which nodes may be told to forget a number."""
+        self.asked = asked if asked is not None and asked <= self._nodes else None
+        if forgets is not None:
+            self._forgets, self._left = forgets, FORGET_FRAMES
         self._clear = self._unclear = self._frames = 0

@@ -73,11 +73,6 @@ class CdrWriter:
     def message(self) -> bytes:
         return b"".join(self._parts)
 
-    @property
-    def fields(self) -> bytes:
-        """What was written, as fields of another message; they begin at a multiple of 8."""
-        return b"".join(self._parts[1:])
-
     def add(self, data: bytes | memoryview, alignment: int = 1) -> None:
         """Write bytes at the next multiple of alignment."""
         if padding := -self._end % alignment:
@@ -91,6 +86,12 @@ class CdrWriter:
 
     def text(self, text: str) -> None:
         self.add(string(text), 4)
+
+    def texts(self, texts: Sequence[str]) -> None:
+        """Write a sequence of strings."""
+        self.count(len(texts))
+        for text in texts:
+            self.text(text)
 
     def array(self, values: NDArray[np.generic]) -> None:
         """Write a sequence of numbers (m,), or of points and the like (m, …), little-endian."""

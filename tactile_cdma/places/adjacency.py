@@ -4,8 +4,7 @@
 
 On an irregular skin neighbours are those of a Gabriel graph (Gabriel & Sokal, A new statistical
 approach to geographic variation analysis, 1969): the ball between two of them holds no third one.
-It is part of the Delaunay triangulation, needs no plane to be unrolled on, and so takes closed
-sleeves and fingertips as they are.
+A part of the Delaunay triangulation, it takes closed sleeves and fingertips without a plane.
 """
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Floats, Indices
 from .layout_shapes import tangents
-from .proximity import FACING_AWAY, beside
+from .proximity import beside
 
 NEIGHBOUR_PITCHES = 1.5
 """Largest distance between neighbours' centres on a grid, in pitches: between √2 (the diagonal) and
@@ -59,16 +58,10 @@ def on_grid(
         near &= np.abs(column[first] - column[second]) > 2
         near = _both_ways(near, first, second)  # they differ from taxel to taxel on a ball
         first, second = first[near], second[near]
-    beyond = len(places)  # stands for places without a taxel
-    at = np.full((int(row[-1]) + 3, columns + 2), beyond)
-    at[row + 1, column + 1] = np.arange(beyond)
-    steps = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
-    around_it = np.stack([at[row + 1 + down, column + 1 + right] for down, right in steps], axis=1)
-    one, other = np.repeat(np.arange(beyond), len(steps)), around_it.ravel()
-    one, other = one[other < beyond], other[other < beyond]
-    facing = np.einsum("ij,ij->i", normals[one], normals[other]) >= FACING_AWAY
-    pairs = np.concatenate([first * beyond + second, (one * beyond + other)[facing]])
-    return np.divmod(np.unique(pairs), beyond)
+    on_it = np.column_stack([row, column, np.zeros_like(row)]).astype(np.float64)
+    one, other, _ = beside(on_it, normals, NEIGHBOUR_PITCHES)
+    pairs = np.concatenate([first * len(places) + second, one * len(places) + other])
+    return np.divmod(np.unique(pairs), len(places))
 
 
 def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indices, Indices]:
@@ -94,8 +87,7 @@ def table(first: Indices, second: Indices, count: int) -> NDArray[np.int32]:
 def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
     """Label the connected components of some taxels: (k,), 0…c − 1 in the order of first taxels.
 
-    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of all t taxels, one column per
-    taxel, padded with the taxel itself.
+    taxels: (k,) int, rising. beside: (m, t) int, the neighbours of each taxel, padded with itself.
 
     Trees of taxels merge along the links between them: in each round every root whose tree touches
     lower ones is attached to the lowest, then the trees are flattened. (A form of Shiloach &
@@ -128,21 +120,15 @@ def _between_is_empty(
     places_m: Floats, first: Indices, second: Indices, distance_m: Floats
 ) -> NDArray[np.bool_]:
     """(p,) whether the ball between two taxels holds none of those near the first one."""
-    counts = np.bincount(first, minlength=len(places_m))
-    begins = np.cumsum(counts) - counts
-    most = int(counts.max(initial=0))
-    column = np.arange(most)
-    empty = np.ones(len(first), dtype=bool)
-    step = max(1, _AT_ONCE // max(1, most))
+    near, empty = table(first, second, len(places_m)), np.ones(len(first), dtype=bool)
+    step = max(1, _AT_ONCE // near.shape[1])
     for begin in range(0, len(first), step):
-        pair = np.arange(begin, min(begin + step, len(first)))
-        one = first[pair]
-        entry = np.minimum(begins[one][:, None] + column, len(first) - 1)
-        third = second[entry]
-        middle_m = (places_m[one] + places_m[second[pair]]) / 2
+        pair = slice(begin, begin + step)
+        one, other, third = first[pair], second[pair], near[first[pair]]
+        middle_m = (places_m[one] + places_m[other]) / 2
         off_m = np.linalg.norm(places_m[third] - middle_m[:, None], axis=2)
-        others = (column < counts[one][:, None]) & (third != second[pair][:, None])
-        inside = others & (off_m < _BALL / 2 * distance_m[pair][:, None])
+        inside = off_m < _BALL / 2 * distance_m[pair, None]
+        inside &= (third != one[:, None]) & (third != other[:, None])
         empty[pair] = ~inside.any(axis=1)
     return empty
 

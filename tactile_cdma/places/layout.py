@@ -17,8 +17,7 @@ from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, tabl
 from .layout_shapes import Pitch, Surface, across_and_down, plane
 
 COVER_PITCHES = 0.75
-"""Radius that an irregular skin's taxel covers in pictures, in pitches: above √½ ≈ 0.71, so that a
-square arrangement leaves no gaps."""
+"""Radius of a listed taxel in pictures, in pitches: above √½, so that squares leave no gaps."""
 MAX_CELLS = 1 << 18
 """Most cells in an irregular skin's raster: 4, of half a pitch, for each of 65,535 taxels."""
 
@@ -135,9 +134,8 @@ class Layout(Surface):
     def neighbours(self) -> NDArray[np.int32]:
         """(t, m) int32, the neighbours of each taxel, padded with its own index.
 
-        On a grid they are the eight around it, and what a sleeve brings near; on an irregular skin
-        see adjacency.around. None face away from each other. Taxels without
-        a node neither have nor are neighbours.
+        On a grid they are the eight around it, and what a sleeve brings near; else see
+        adjacency.around. None face away from each other, and none is without a node.
         """
         placed = np.flatnonzero(self.nodes)
         surface = self.positions_m[placed], self.normals[placed]

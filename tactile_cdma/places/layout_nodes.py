@@ -5,7 +5,6 @@
 Every node has one place, or is listed as unplaced.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +78,15 @@ def check_nodes(
     Raises LayoutError for nodes with two places or none, nodes beyond the skin's number, and
     numbers under masked or unplaced that contradict the places.
     """
-    placed = _by_node(places)
+    placed = dict[int, TaxelNode]()
+    for place in places:
+        if other := placed.get(place.node):
+            raise place.value.refuse(
+                f"{place.taxel} has node {place.node}, which is behind {other.taxel} already (line "
+                f"{other.value.line})"
+            )
+        if place.node:
+            placed[place.node] = place
     if not placed:
         raise content.value.refuse("no taxel has a node")
     masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")
@@ -106,20 +113,6 @@ def check_nodes(
         )
     nodes_of_taxels = np.array([place.node for place in places], dtype=np.int32)
     return nodes_of_taxels, tuple(sorted(masked)), tuple(sorted(unplaced))
-
-
-def _by_node(places: Iterable[TaxelNode]) -> dict[int, TaxelNode]:
-    placed: dict[int, TaxelNode] = {}
-    for place in places:
-        if place.node in placed:
-            other = placed[place.node]
-            raise place.value.refuse(
-                f"{place.taxel} has node {place.node}, which is behind {other.taxel} already (line "
-                f"{other.value.line})"
-            )
-        if place.node:
-            placed[place.node] = place
-    return placed
 
 
 def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:

@@ -4,8 +4,7 @@
 
 The frame is the patch's: its origin is the centre of the skin, where z points out of the surface.
 Seen from outside, columns run to the right (+x) and rows down (−y), as in a picture. As the radius
-grows, a curved patch becomes the flat one. A pitch is one number, or two: from column to column,
-and from row to row.
+grows, a curved patch becomes the flat one.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ cylinder whose columns exceed its circumference by no more than this was rounded
 Pitch: TypeAlias = float | tuple[float, float]
 """Distance of neighbouring taxels, m: from column to column and from row to row, if they differ."""
 _QUADRATURE = 6
-"""Gauss–Legendre points per edge of a cell in the integral of its area: exact to float32 on a
-hemisphere."""
+"""Gauss–Legendre points per edge of a cell, for its area: exact to float32 on a hemisphere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +35,7 @@ class Surface:
     flat_m: (t, 2) float32, positions on the unrolled surface, m.
     positions_m: (t, 3) float32, centres in the frame of the patch, m.
     normals: (t, 3) float32, unit vectors out of the surface.
-    areas_m2: (t,) float32, share of the surface that each taxel represents, m²: force is pressure
-        times this area.
+    areas_m2: (t,) float32, share of the surface, m²: force is pressure times this area.
     """
 
     flat_m: Floats32
@@ -145,8 +142,7 @@ def tangents(normals: Floats | Floats32) -> tuple[Floats, Floats]:
     """Right and up on the surface, (t, 3) float64 each, unit vectors; right × up is the normal.
 
     normals: (t, 3), unit vectors. Right and up are x and y, rotated as z is the shortest way to the
-    normal: the directions of rows and columns on regular skins. For a normal straight down the
-    rotation is about y, as on a cylinder.
+    normal, about y if that is straight down: the directions of rows and columns on regular skins.
     """
     x, y, z = normals.T.astype(np.float64)
     slope = np.hypot(x, y)

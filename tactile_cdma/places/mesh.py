@@ -12,16 +12,14 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
 """Corners of a taxel's two triangles, in half edges right and up; anticlockwise from outside."""
 
 MOST_SQUARES = 256
-"""Taxels up to which markers have squares, 240 bytes each; chosen: larger skins have ~/points,
-which take a sixth of that."""
+"""Taxels up to which markers have squares, 240 bytes each; chosen: ~/points takes a sixth."""
 
 
 def taxel_squares(layout: Layout) -> Floats32:
     """Two triangles per taxel, (t, 6, 3) float32, corners in m, anticlockwise seen from outside.
 
-    Each has its taxel's area and the shape of its cell. On a plane neighbouring ones meet; on a
-    cylinder they are tangent to it; on a sphere, whose cells are narrower one way, they overlap
-    slightly the other way.
+    Each has its taxel's area and the shape of its cell. Neighbouring ones meet on a plane, are
+    tangent to a cylinder, and overlap slightly one way on a sphere, whose cells are narrower.
     """
     right, up = tangents(layout.normals)
     x, y = (layout.edges_m[:, None] / 2 * CORNERS).transpose(2, 0, 1)[..., None]

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Floats, Floats32
 from ..base.errors import SpecError
-from .stages import convert
 
 MOST_PA = 5e6
 """Highest pressure of a curve, Pa. Chosen: robots' skins end at 0.1 to 2 MPa, and a gauge in grams
@@ -193,8 +192,16 @@ class Curves:
         return np.asarray(self.pressure_pa[-1])
 
     def pressure(self, voltage_v: Floats32) -> Floats32:
-        """V to Pa, (n,) float32 both, clamped to each curve's ends."""
-        return convert(voltage_v, self.pieces)
+        """V to Pa, (…, n) float32 both, clamped to each curve's ends.
+
+        Every piece adds what of its width the voltage has passed, so no piece is looked up.
+        """
+        pressure_pa = np.zeros_like(voltage_v)
+        for begin_v, gain, width_pa in self.pieces:
+            passed_pa = begin_v - voltage_v
+            passed_pa *= gain
+            pressure_pa += np.clip(passed_pa, 0.0, width_pa, out=passed_pa)
+        return pressure_pa
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
         """Pa, of a shape that ends in n, or one number, to V, clamped to each curve's ends."""

@@ -3,6 +3,7 @@
 """Voltages → pressures of all nodes: drift correction, curve, tare."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +11,22 @@ from ..base.arrays import Bools, Floats32
 from .baseline import LOOK_S, Baseline
 from .calibration import Calibration
 from .drift import DriftTracker
-from .stages import Bounds
+
+
+class Bounds(NamedTuple):
+    """Where the voltages of every node mean what they say, (n,) float32, V.
+
+    Pressure pulls voltages down where sign is 1. There rest_v, where the curve begins, is the least
+    that the highest code stands for, since that means "this or more". margin_v: by how much the
+    lightest contact pulls a voltage down from there: one that lies higher above the rest is no
+    reading, and a highest code that lies lower below it hides contacts. end_v: below it, a word may
+    stand for a voltage beyond the end of the curve. Where sign is −1 all this is upside down.
+    """
+
+    sign: Floats32
+    rest_v: Floats32
+    margin_v: Floats32
+    end_v: Floats32
 
 
 class PressureChain:

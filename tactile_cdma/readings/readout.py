@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Bools, Floats, Floats32
 from ..code.amplitude import (
     FAINT_SHARE,
     LEAST_SHARE,
@@ -22,27 +22,27 @@ from ..code.separate import frame_fields
 from ..words import lateness, limits, tones
 from ..words.decode import nobody
 from ..words.health import NodeHealth
-from .calibration import Calibration
-from .stages import Bounds, Kept, Trust
+from .pressure import PressureChain
 from .status import Status
 
-ODD, LEFT, DOUBTFUL = 0, 1, 2
+ODD, LEFT, FEW, DOUBTFUL = 0, 1, 2, 3
 """As enum readout_look of the kernel."""
+_BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
+"""Of Status, that the kernel sets."""
 NOBODY = np.empty(0, np.int32)
 """The kernel's list of those who spoke, where nothing is known of that."""
 
 
-class Conditions(NamedTuple):
-    """What a readout is made for: another one is needed where any of it is another object.
+class Kept(NamedTuple):
+    """What is kept of every node, (n,).
 
-    swing_v, state: see NodeHealth. calibration, bounds: of the nodes. active_share: see decode.
+    codes: int32, its last word. flags: uint8, LOW_SNR where that is uncertain. heard_s: float64,
+    device time of that word, s.
     """
 
-    swing_v: Floats32 | None
-    state: NDArray[np.uint8]
-    calibration: Calibration
-    bounds: Bounds
-    active_share: float
+    codes: NDArray[np.int32]
+    flags: NDArray[np.uint8]
+    heard_s: Floats
 
 
 class Readout:
@@ -50,29 +50,31 @@ class Readout:
 
     So any frame may be read either way: by it, or by `decode`, NodeHealth and Taxels.update.
 
-    kernel: reads frames; see Taxels.read. conditions: what this one is made for. nobody: (n,) bool,
-    no node. expected_v: (n,) float32, amplitude of each node's words, V; rest: (2, n) float32, V
-    and Pa, and valid: (n,) bool, of the last frame, for tare and drift (see Baseline.look); the
-    next one ends them.
+    kernel: reads frames; see Taxels.read. nobody: (n,) bool, no node. expected_v: (n,) float32,
+    amplitude of each node's words, V; rest: (2, n) float32, V and Pa, and valid: (n,) bool, of the
+    last frame, for tare and drift (see Baseline.look); the next one ends them.
     """
 
     def __init__(
         self,
         spec: FrameSpec,
-        conditions: Conditions,
+        active_share: float,
+        chain: PressureChain,
         health: NodeHealth,
         kept: Kept,
-        trust: Trust,
+        flags: NDArray[np.uint8],
         table_v: Floats32,
         masked: Bools,
         source: NDArray[np.int32],
     ) -> None:
-        """table_v: (codes,) V. masked: (n,) bool. source: (t,) node of every taxel, or empty."""
+        """flags: (n,) status by health. table_v: (codes,) V. masked: (n,) bool.
+
+        active_share: see decode. source: (t,) node of every taxel, or empty.
+        """
         assert kernel.compiled is not None
-        self.conditions = conditions
-        curves, nodes = conditions.calibration.curves, spec.nodes
+        curves, nodes = chain.calibration.curves, spec.nodes
         self.taxels, self.nobody = len(source) or nodes, nobody(nodes)
-        swing_v = conditions.swing_v
+        swing_v = health.swing_v
         # Written to where the amplitude is learnt from every frame.
         self.expected_v = np.empty(nodes, np.float32) if swing_v is None else swing_v
         self.rest = np.empty((2, nodes), np.float32)
@@ -81,14 +83,8 @@ class Readout:
             kernel.settings(
                 "readout_settings",
                 **frame_fields(spec),
-                **_word_limits(spec, conditions.active_share),
-                silent=Status.SILENT,
-                low_snr=Status.LOW_SNR,
-                stale=Status.STALE,
-                saturated=Status.SATURATED,
-                uncalibrated=Status.UNCALIBRATED,
-                masked=Status.MASKED,
-                faulty=Status.FAULTY,
+                **_word_limits(spec, active_share),
+                **{bit: Status[bit.upper()] for bit in _BITS},
                 codes=len(table_v),
                 pieces=len(curves.pieces),
                 taxels=self.taxels,
@@ -98,11 +94,11 @@ class Readout:
             self.expected_v,
             lateness.edge_rows(spec.book),
             table_v,
-            trust.state,
+            flags,
             health.invalid,
-            conditions.calibration.uncalibrated,
+            chain.calibration.uncalibrated,
             masked,
-            *conditions.bounds,
+            *chain.bounds,
             curves.pieces,
             source,
             *kept,

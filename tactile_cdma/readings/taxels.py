@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from operator import is_not
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,12 @@ from ..code.separate import NodeLevels
 from ..places.layout import Layout
 from ..words.decode import AUTO_FLOOR, Words, silent
 from ..words.health import NodeHealth, NodeState
-from ..words.lateness import out_of_place
+from ..words.lateness import few_differ, out_of_place
 from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
-from .readout import DOUBTFUL, LEFT, NOBODY, ODD, Conditions, Readout
-from .stages import Heard, Kept, Trust, finish, hear
+from .readout import DOUBTFUL, FEW, LEFT, NOBODY, ODD, Kept, Readout
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
@@ -100,6 +100,21 @@ class Readings:
         return Coverage.of(self.pressure_pa, self.status, contact_pa)
 
 
+class _Heard(NamedTuple):
+    """What words say of every node, (n,).
+
+    voltage_v: float32, V. meant_v: the same, but rest_v for a code at the converter's end that may
+    stand for it. status: uint8, bits of Status. valid: bool, whether that is a reading.
+    stale_from_s: device time when the next node goes stale, s.
+    """
+
+    voltage_v: Floats32
+    meant_v: Floats32
+    status: NDArray[np.uint8]
+    valid: Bools
+    stale_from_s: float
+
+
 class Taxels:
     """Keeps the last word of every node.
 
@@ -129,7 +144,9 @@ class Taxels:
         self._kept = Kept(np.zeros(nodes, dtype=np.int32), flags, self._heard_s)
         self._source = np.asarray([] if layout.source is None else layout.source, np.int32)
         self._readout: Readout | None = None
-        self._trust: Trust | None = None  # by the last verdict on the nodes
+        self._read_by: tuple[object, ...] = ()  # what the readout is made for
+        # By the last verdict on the nodes: their status, and whose words are no readings.
+        self._trust: tuple[NDArray[np.uint8], Bools] | None = None
         self._verdict: tuple[object, ...] = ()
         self._silence: Readings | None = None  # readings of silent frames, until a node transmits
         self._stale_from_s = -np.inf  # when the next node goes stale, device time
@@ -267,11 +284,12 @@ class Taxels:
         chain = self.chain
         if health.any_suspect:
             return None
-        conditions = health.swing_v, health.state, chain.calibration, chain.bounds, active_share
+        read_by = health.swing_v, health.state, chain.calibration, chain.bounds, active_share
         readout = self._readout
-        if readout is None or any(map(is_not, conditions, readout.conditions)):
+        if readout is None or any(map(is_not, read_by, self._read_by)):
+            self._read_by = read_by
             readout = self._readout = Readout(
-                spec, Conditions(*conditions), health, self._kept, self._trusted(health),
+                spec, active_share, chain, health, self._kept, self._trusted(health)[0],
                 self._voltage_of, self._masked, self._source,
             )  # fmt: skip
         nodes, taxels, noise_v = spec.nodes, readout.taxels, levels.noise_v
@@ -280,22 +298,20 @@ class Taxels:
         readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
         floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
         some = levels.values, levels.spoke, True
-        heard = some if levels.rows is None else (levels.rows, NOBODY, False)
-        in_place, baseline = False, chain.baseline
-        while True:
-            look = readout.kernel.read(
-                *heard, 1 / max(noise_v, LEAST_NOISE), floor_v, in_place, t_device,
-                self.stale_after_s, baseline.drift_v, baseline.tare_pa, active, codes, floats,
-                doubts, readings, status, readout.rest, readout.valid,
-            )  # fmt: skip
-            if look != LEFT:
-                break
-            least_v = float(readout.expected_v.min())
-            if out_of_place(levels, floats[0], active, least_v, spec) is not None:
+        heard: tuple[object, ...] = some if levels.rows is None else (levels.rows, NOBODY, False)
+        heard += 1 / max(noise_v, LEAST_NOISE), floor_v
+        kept = t_device, self.stale_after_s, chain.baseline.drift_v, chain.baseline.tare_pa
+        found = active, codes, floats, doubts, readings, status, readout.rest, readout.valid
+        look = readout.kernel.read(*heard, False, *kept, *found)
+        if look in (LEFT, FEW):
+            left = levels, floats[0], active, float(readout.expected_v.min()), spec
+            if look == FEW and few_differ(*left):
                 return None
-            if toned(levels, floats[0], active, spec) is not None:
+            if look == LEFT and out_of_place(*left) is not None:
                 return None
-            in_place = True
+            if look == LEFT and toned(levels, floats[0], active, spec) is not None:
+                return None
+            look = readout.kernel.read(*heard, True, *kept, *found)
         if look == ODD:
             return None
         no = readout.nobody
@@ -353,24 +369,42 @@ class Taxels:
         self._stale_from_s = heard.stale_from_s
         return self._finished(heard, *self.chain.update(heard.meant_v, heard.valid, t_device))
 
-    def _hear(self, words: Words, kept: Kept, t_device: float, health: NodeHealth) -> Heard:
-        trust = self._trusted(health)
-        table_v, bounds = self._voltage_of, self.chain.bounds
-        return hear(words, kept, table_v, trust, bounds, t_device, self.stale_after_s)
+    def _hear(self, words: Words, kept: Kept, now_s: float, health: NodeHealth) -> _Heard:
+        """Take in one frame's words; `kept` is updated. now_s: device time, s."""
+        (codes, flags, heard_s), spoke = kept, words.active
+        (by_health, untrusted), bounds = self._trusted(health), self.chain.bounds
+        np.copyto(codes, words.codes, where=spoke)
+        np.copyto(heard_s, now_s, where=spoke)
+        # A node that may have spoken unheard no longer holds its value for certain.
+        np.copyto(flags, words.doubtful * _LOW_SNR, where=spoke | words.doubtful)
+        voltage_v = self._voltage_of[codes]
+        stale = now_s - heard_s > self.stale_after_s
+        status = flags | ~spoke * _SILENT | by_health
+        status[stale] = Status.SILENT | Status.STALE
+        stale_from_s = float(heard_s[~stale].min(initial=np.inf)) + self.stale_after_s
+        at_end = codes == np.where(bounds.sign > 0, len(self._voltage_of) - 1, 0)
+        pulled_v = bounds.sign * (bounds.rest_v - voltage_v)
+        meant_v = np.where(at_end & (pulled_v > 0), bounds.rest_v, voltage_v)
+        hiding, valid = at_end & (pulled_v > bounds.margin_v), ~(stale | untrusted)
+        status |= (hiding & valid) * _SATURATED
+        return _Heard(voltage_v, meant_v, status, valid, stale_from_s)
 
     def _finished(
-        self, heard: Heard, pressure_pa: Floats32, saturated: Bools, off_rest: Bools
+        self, heard: _Heard, pressure_pa: Floats32, saturated: Bools, off_rest: Bools
     ) -> Readings:
-        uncalibrated = self.chain.calibration.uncalibrated
-        finish(heard, saturated, off_rest, uncalibrated, self._masked, pressure_pa)
-        return self._placed(Readings(pressure_pa, heard.voltage_v, heard.status))
+        voltage_v, status, valid = heard.voltage_v, heard.status, heard.valid
+        status |= (saturated & valid) * _SATURATED | (off_rest & valid) * _FAULTY
+        status |= self.chain.calibration.uncalibrated * _UNCALIBRATED
+        status[..., self._masked] = Status.MASKED
+        unread = ~valid | off_rest
+        pressure_pa[unread] = voltage_v[unread] = np.nan
+        return self._placed(Readings(pressure_pa, voltage_v, status))
 
-    def _trusted(self, health: NodeHealth) -> Trust:
-        """What is known of the nodes beside their words."""
+    def _trusted(self, health: NodeHealth) -> tuple[NDArray[np.uint8], Bools]:
+        """What is known of the nodes beside their words; see _trust."""
         verdict = health.state, health.invalid
         if self._trust is None or any(map(is_not, verdict, self._verdict)):
-            untrusted = health.invalid | self._masked
-            self._trust = Trust(_FLAGS_OF[health.state], untrusted)
+            self._trust = _FLAGS_OF[health.state], health.invalid | self._masked
             self._verdict = verdict
         return self._trust
 
@@ -393,7 +427,9 @@ def _numbers(nodes: Bools) -> list[int]:
     return numbers
 
 
-_SATURATED = np.uint8(Status.SATURATED)
+_SILENT, _LOW_SNR, _SATURATED, _UNCALIBRATED, _FAULTY = (
+    np.uint8(Status[name]) for name in ("SILENT", "LOW_SNR", "SATURATED", "UNCALIBRATED", "FAULTY")
+)
 _FLAGS_OF = np.zeros(len(NodeState), dtype=np.uint8)
 _FLAGS_OF[NodeState.WEAK] = Status.WEAK
 _FLAGS_OF[[NodeState.FAULTY, NodeState.DOUBLED]] = Status.FAULTY

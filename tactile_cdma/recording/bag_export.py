@@ -7,14 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+import rosbags.interfaces as bags
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys.store import Typestore
 
@@ -30,20 +23,20 @@ TOPIC, INFO_TOPIC = "/skin/tactile", "/skin/info"
 INFO_ID = 1
 _MOST_S = 2**31
 """Seconds since 1970 that a stamp can hold: an int32."""
-_FOREVER = QosTime(9_223_372_036, 854_775_807)
-_LATCHED = Qos(
-    QosHistory.KEEP_LAST,
-    1,
-    QosReliability.RELIABLE,
-    QosDurability.TRANSIENT_LOCAL,
-    _FOREVER,
-    _FOREVER,
-    QosLiveliness.AUTOMATIC,
-    _FOREVER,
-    False,
+_FOREVER = bags.QosTime(9_223_372_036, 854_775_807)
+_LATCHED = bags.Qos(
+    history=bags.QosHistory.KEEP_LAST,
+    depth=1,
+    reliability=bags.QosReliability.RELIABLE,
+    durability=bags.QosDurability.TRANSIENT_LOCAL,
+    deadline=_FOREVER,
+    lifespan=_FOREVER,
+    liveliness=bags.QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_FOREVER,
+    avoid_ros_namespace_conventions=False,
 )
 _SENSOR_DATA = _LATCHED._replace(
-    depth=5, reliability=QosReliability.BEST_EFFORT, durability=QosDurability.VOLATILE
+    depth=5, reliability=bags.QosReliability.BEST_EFFORT, durability=bags.QosDurability.VOLATILE
 )
 
 

@@ -17,7 +17,6 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from numpy.typing import NDArray
 from rclpy.client import Client
-from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -32,6 +31,7 @@ from ..base.errors import MessageError, ParameterError, PortError
 from ..config.python_arguments import argument, instance, seconds
 from ..readings.status import is_certain
 from .common.convert import places_of, readings_of
+from .common.nodes import STEADY
 from .common.qos import FRESH, LATCHED
 from .common.touches import STATE, Touches
 
@@ -164,8 +164,7 @@ class SkinClient:
         self._tare = node.create_client(Tare, f"{skin}/tare")
         self._get_state = node.create_client(GetState, f"{skin}/get_state")
         self._change_state = node.create_client(ChangeState, f"{skin}/change_state")
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
-        node.create_timer(silent_after_s / 2, self._watch, clock=steady)
+        node.create_timer(silent_after_s / 2, self._watch, clock=STEADY)
 
     @property
     def touch(self) -> Touch:

@@ -72,9 +72,8 @@ class VirtualDigitizer:
     commands to `receive`. Where the output is not taken in time, whole packets are dropped: they
     are missing from the sequence and counted in STATUS. A machine that cannot make the samples at
     this speed loses frames as a digitizer does in an overrun; the skin stands still meanwhile. At
-    speed 0 packets are made as they are asked for, so there is never one to drop; without a stream
-    time then passes as usual. In the scene "external" a program presses on the skin, and at speed 0
-    it also says how many frames pass.
+    speed 0 packets are made as they are asked for; without a stream time then passes as usual. In
+    the scene "external" a program presses, and at speed 0 it also says how many frames pass.
 
     packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, roll_calls: since
     START. born_s: host time of power-up, s.
@@ -161,8 +160,7 @@ class VirtualDigitizer:
     def advance(self, wanted: int = 1) -> float:
         """Put what is due by now in the output buffer; at speed 0, at least `wanted` bytes.
 
-        Returns the seconds of host time until something else is due; at speed 0 while streaming,
-        infinity: nothing comes by waiting.
+        Returns the host time until something else is due, s; ∞ where nothing comes by waiting.
         """
         schedule = self._schedule
         enough_s = schedule.pass_time() + MAKE_S

@@ -358,11 +358,7 @@ def _round(radius_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
     along = a < 1e-18  # parallel to the cylinder: inside for ever, or never
     a_safe, square = xp.where(along, 1.0, a), b * b - a * c
     half_m = xp.where(square < 0, -np.inf, xp.sqrt(abs(square)) / a_safe)
-    return _about(b / -a_safe, xp.where(along, _ever(c <= 0, c, xp), half_m))
-
-
-def _about(middle_m: Any, half_m: Any) -> Spans:
-    """Of half_m either way of a middle, m; −∞: of nothing."""
+    middle_m, half_m = b / -a_safe, xp.where(along, _ever(c <= 0, c, xp), half_m)
     return middle_m - half_m, middle_m + half_m
 
 
@@ -382,8 +378,9 @@ def _slab(half_m: float, axis: Axis, xp: Any) -> Spans:
     place_m, direction = axis
     along = direction == 0
     safe = xp.where(along, 1.0, direction)
-    half_of_m = xp.where(along, _ever(abs(place_m) <= half_m, place_m, xp), half_m / abs(safe))
-    return _about(place_m / -safe, half_of_m)
+    middle_m = place_m / -safe
+    reach_m = xp.where(along, _ever(abs(place_m) <= half_m, place_m, xp), half_m / abs(safe))
+    return middle_m - reach_m, middle_m + reach_m
 
 
 def _within_all(*spans: Spans, xp: Any) -> Spans:

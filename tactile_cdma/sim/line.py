@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""The digitized line: what the converter reads in every frame period."""
+"""In every frame period: what the nodes send, and what the converter reads of the line."""
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, count
 from typing import Protocol
 
 import numpy as np
 
 from ..base.arrays import Counts, Floats, Floats32
+from ..readings.calibration import AdcScale
 from .channel import chip_means, first_sample, point_samples, waveforms
-from .nodes import NodeFrame, RollCalls, frame_start_s, node_frames
+from .nodes import NodeFrame, RollCalls, rest_codes
 from .options import Setup, SimOptions
 from .scene import EXTERNAL, LOADS, SCENES, Scene, idle
+from .sensor import Sensor
 
 Waveform = tuple[Floats32, Floats]
 """Levels (c,) V between edges (c + 1,) s."""
@@ -38,19 +40,43 @@ def truth(
 ) -> Iterator[NodeFrame]:
     """What the nodes measure and send in every frame since START, endlessly.
 
-    scene: what touches the skin; None: what the options say, of "external" the untouched skin.
+    The same arguments give the same frames. roll_calls: may be requested while frames are drawn;
+    each node then sends in its turn only. scene: instead of the options', whose "external" is idle.
     """
-    scenes = SCENES | LOADS | {EXTERNAL: idle}
-    spec = setup.spec
-    return node_frames(
-        spec,
-        scene or scenes[options.scene],
-        options.skin(spec.nodes, spec.first_row),
-        options.rules(spec),
-        options.sensors,
-        start_phase=options.start_phase,
-        roll_calls=roll_calls,
-    )
+    spec, sensors, rules = setup.spec, options.sensors, options.rules(setup.spec)
+    skin, roll_calls = options.skin(spec.nodes, spec.first_row), roll_calls or RollCalls()
+    scene = scene or (SCENES | LOADS | {EXTERNAL: idle})[options.scene]
+    sensor, adc = Sensor(sensors, spec.nodes), AdcScale(spec.bits)
+    rest = rest_codes(sensors, adc, spec.nodes)
+    dead, stuck = (sensors.indices(each, spec.nodes) for each in (sensors.dead, sensors.stuck))
+    last_sent = rest.copy()
+    beat = rules.beat(spec.nodes)
+    owed = np.zeros(spec.nodes, bool)  # heartbeats that came out of turn
+    nodes = np.arange(1, spec.nodes + 1)
+    for number in count():
+        start_s = (number - options.start_phase) * spec.frame_period_s
+        pressure_pa = scene(start_s, skin)
+        voltage_v = sensor.step(pressure_pa, start_s)
+        codes = adc.code(voltage_v)
+        codes[stuck] = rest[stuck]
+        active = rules.has_news(codes, rest, last_sent)
+        due = np.zeros(spec.nodes, bool)
+        if rules.heartbeat:
+            due = beat == number % rules.heartbeat
+        active |= due | owed
+        speaker, turn = roll_calls.speaker(number, spec.nodes), roll_calls.turn(number)
+        if speaker is not None:
+            active, turn = nodes == speaker + 1, 0
+        elif turn:
+            others = (nodes ^ turn) & ((1 << turn.bit_length() - 1) - 1) != 0
+            active &= ~others
+            owed |= due & others
+        owed &= ~active
+        if start_s >= sensors.dead_after_s:
+            active[dead] = False
+        last_sent[active] = codes[active]
+        called = speaker is not None
+        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called, turn)
 
 
 def line_counts(
@@ -58,8 +84,7 @@ def line_counts(
 ) -> Counts:
     """Readings of the converter in one frame period, (m,) int16 counts.
 
-    Raw: all samples from the start of the frame to the start of the next. Integrated: the mean of
-    every coded chip, m = spec.chips.
+    Raw: all samples from the frame's start to the next one's. Integrated: means of the coded chips.
     """
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
@@ -75,7 +100,7 @@ def line_counts(
             return chip_means(levels, own_s, spec.chip_s)[spec.places]
     else:
         edges_s += frame.start_s
-        next_s = frame_start_s(spec, frame.number + 1, options.start_phase)
+        next_s = (frame.number + 1 - options.start_phase) * spec.frame_period_s
         first, stop = np.maximum(first_sample([frame.start_s, next_s], setup.rate_hz), 0).tolist()
         averaged = 1
 

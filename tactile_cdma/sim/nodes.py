@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the sensing nodes do: measure, keep time, decide whether to send, and send a word."""
+"""By what the sensing nodes send: clocks, turns, thresholds; and what they sent in a frame."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -12,9 +10,7 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Indices
 from ..clocks.node_clocks import NodeClocks
-from ..code.frame import FrameSpec
 from ..readings.calibration import AdcScale
-from .scene import Scene, SkinGeometry
 from .sensor import WANDER_S, Sensor, SensorModel
 
 
@@ -72,10 +68,9 @@ class ClockModel:
 class RollCalls:
     """Who may send in the frames of a stream: one node after the other, or groups by turns.
 
-    starts: numbers of the frames at which roll calls began: in each, every node sends alone once,
-    in n frames. asked: another begins with the next frame.
-    divisions: frame, log2_groups: from this frame on there are so many groups. asked_log2: from the
-    next frame on.
+    starts: numbers of the frames at which roll calls began, in which every node sends alone once,
+    in n frames. asked: another begins with the next frame. divisions: frame, log2_groups: from this
+    frame on there are so many groups. asked_log2: from the next one on.
     """
 
     starts: list[int] = field(default_factory=list)
@@ -107,8 +102,7 @@ class NodeRules:
 
     threshold: LSB. A node talks while its code is farther than this from its code at rest, or
         from the code that it sent last (so a release is told, too). 0: always.
-    heartbeat: frames. A node also talks once in this many frames; the turns of the nodes are
-        spread evenly over them. 0: never.
+    heartbeat: a node also talks once in so many frames, all by evenly spread turns. 0: never.
     """
 
     threshold: int = 1
@@ -125,64 +119,9 @@ class NodeRules:
         return np.arange(nodes) * self.heartbeat // nodes
 
 
-def node_frames(
-    spec: FrameSpec,
-    scene: Scene,
-    skin: SkinGeometry,
-    rules: NodeRules,
-    sensors: SensorModel | None = None,
-    start_phase: float = 0.0,
-    roll_calls: RollCalls | None = None,
-) -> Iterator[NodeFrame]:
-    """All frames since START, endlessly; the same arguments give the same frames.
-
-    sensors: ideal ones if None. start_phase: share of frame 0's period that has passed at START.
-    roll_calls: may be requested while frames are drawn; each node then sends in its turn only.
-    """
-    sensors = sensors or SensorModel()
-    sensor = Sensor(sensors, spec.nodes)
-    adc = AdcScale(spec.bits)
-    rest = rest_codes(sensors, adc, spec.nodes)
-    dead, stuck = (sensors.indices(each, spec.nodes) for each in (sensors.dead, sensors.stuck))
-    last_sent = rest.copy()
-    beat = rules.beat(spec.nodes)
-    owed = np.zeros(spec.nodes, bool)  # heartbeats that came out of turn
-    nodes = np.arange(1, spec.nodes + 1)
-    for number in count():
-        start_s = frame_start_s(spec, number, start_phase)
-        pressure_pa = scene(start_s, skin)
-        voltage_v = sensor.step(pressure_pa, start_s)
-        codes = adc.code(voltage_v)
-        codes[stuck] = rest[stuck]
-        active = rules.has_news(codes, rest, last_sent)
-        due = np.zeros(spec.nodes, bool)
-        if rules.heartbeat:
-            due = beat == number % rules.heartbeat
-        active |= due | owed
-        speaker = roll_calls.speaker(number, spec.nodes) if roll_calls else None
-        turn = roll_calls.turn(number) if roll_calls else 0
-        if speaker is not None:
-            active, turn = np.arange(spec.nodes) == speaker, 0
-        elif turn:
-            others = (nodes ^ turn) & ((1 << turn.bit_length() - 1) - 1) != 0
-            active &= ~others
-            owed |= due & others
-        owed &= ~active
-        if start_s >= sensors.dead_after_s:
-            active[dead] = False
-        last_sent[active] = codes[active]
-        called = speaker is not None
-        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called, turn)
-
-
 def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> NDArray[np.int64]:
     """What the nodes measure at power-up, before anything touches the skin, (n,)."""
     rest = adc.code(Sensor(sensors, nodes).rest_v)
     stuck = sensors.indices(sensors.stuck, nodes)
     rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << adc.bits, size=len(stuck))
     return rest
-
-
-def frame_start_s(spec: FrameSpec, number: int, start_phase: float = 0.0) -> float:
-    """When a frame's first chip begins, s since START."""
-    return (number - start_phase) * spec.frame_period_s

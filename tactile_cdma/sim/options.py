@@ -71,7 +71,7 @@ class Setup:
 
 def _option(default: Value, *about: Any) -> Any:
     """An option of the simulator's own; about: what follows name and default in a Parameter."""
-    return field(default=default, metadata={"about": about})
+    return field(default=default, metadata={"about": (default, *about)})
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,8 @@ class SimOptions:
     polarity: int | None = None
     samples_per_chip: int | None = None
     timing: str | None = None
-    integrated: bool | None = None
+    integrated: bool | None = field(default=None,
+        metadata={"about": (False, "send one mean value per chip")})
     amplitude_mv: float = _option(DEFAULT_AMPLITUDE_V * 1e3,
         "level of one node on the digitized line", "mV", (1e-3, 1e5))
     noise: float = _option(0.005, "noise of one sample, rms", "V", (0.0, 100.0))
@@ -333,16 +334,9 @@ class SimOptions:
         return {name: value for name, value in room.items() if name not in pins}
 
 
-def _parameter(name: str, default: Any, about: tuple[Any, ...] | None) -> Parameter:
-    if about is not None:
-        return Parameter(name, default, *about)
-    if name == "integrated":
-        return Parameter(name, False, "send one mean value per chip")
-    return BY_NAME[name]  # pins one of the driver's parameters; None leaves it to the host
-
-
 OPTIONS = tuple(
-    _parameter(option.name, option.default, option.metadata.get("about"))
+    # Others pin one of the driver's parameters; None leaves it to the host.
+    Parameter(option.name, *option.metadata["about"]) if option.metadata else BY_NAME[option.name]
     for option in fields(SimOptions)
     if option.name != "worn"
 )

@@ -217,8 +217,7 @@ def _bump(skin: SkinGeometry, centre_m: Floats, radius_m: float, peak_pa: float)
 def _profile(rho: Floats) -> Floats:
     """Relative pressure at the relative radius ρ: (1 − ρ²)^1.5 inside the contact, 0 outside.
 
-    Hertz's contact of two bodies has (1 − ρ²)^0.5; the soft cover of the skin rounds off its
-    vertical edge.
+    Hertz's contact has (1 − ρ²)^0.5; the soft cover of the skin rounds off its vertical edge.
     """
     return np.power(np.clip(1.0 - np.square(rho), 0.0, None), 1.5)
 

@@ -22,8 +22,7 @@ class Schedule:
     clock stands until something is asked for, and then steps to when that is due.
     started_s: when the stream began, s; later by the duration of frames lost since.
     report_s: when the next report is due. born_s: host time of power-up, s.
-    streaming: between start and stop. hurried: streaming, and packets are made as they are asked
-    for.
+    streaming: between start and stop. hurried: packets are then made as they are asked for.
     """
 
     def __init__(self, clock: Callable[[], float], speed: float) -> None:

@@ -32,8 +32,7 @@ MOST_MISMATCH = 0.1
 WANDER_S = 600.0
 """Period of the slow drift of sensors and clocks, s; chosen, like that of a room's temperature."""
 SCALE_PA = 2e3
-"""Pressure above which loops are proportional to the load, Pa; chosen: far below the loads for
-which the paper gives loops."""
+"""Above this loops are proportional to the load, Pa; chosen: far below the paper's loads."""
 _FARTHEST = 2.0
 """Mismatch is clipped at this many rms deviations, so that every curve stays above 0 V."""
 
@@ -43,8 +42,7 @@ class Dynamics:
     """Lag and hysteresis common to all sensors of a skin.
 
     rise_s, fall_s: time constants of the lag, s, above 0.
-    widths: widths of the plays on the logarithmic axis. weights: their shares, of less than 1 in
-    all.
+    widths: of the plays, on the logarithmic axis. weights: their shares, less than 1 in all.
     """
 
     rise_s: float

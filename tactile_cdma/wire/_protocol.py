@@ -37,78 +37,26 @@ FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
 FLAG_CALLED = 0x04
 
-
-class PacketType(IntEnum):
-    """First byte of a body."""
-
-    INFO = 0x01
-    SAMPLES = 0x02
-    PACKED = 0x06
-    QUIET = 0x05
-    STATUS = 0x03
-    ACK = 0x04
-    GET_INFO = 0x81
-    START = 0x82
-    STOP = 0x83
-    CONFIGURE = 0x84
-    ROLL_CALL = 0x85
-    PACK = 0x86
-    TOUCH = 0x87
-    BOOTSEL = 0x88
-    NUMBER = 0x8A
-    GROUPS = 0x89
-
-
-class SyncMode(IntEnum):
-    """Where the mark of a frame's first sample comes from."""
-
-    NONE = 0
-    DRIVE = 1
-    HEAR = 2
-
-
-class Signs(IntEnum):
-    """Signs of the code rows, and of all chips."""
-
-    SEEDED = 0
-    NATURAL = 1
-    SCRAMBLED = 2
-    SPARSE = 3
-
-
-class Drive(IntEnum):
-    """Levels of a chip on the line."""
-
-    BIPOLAR = 0
-    UNIPOLAR = 1
-
-
-class Polarity(IntEnum):
-    """Sense of the summing amplifier."""
-
-    NORMAL = 1
-    INVERTED = -1
-
-
-class Result(IntEnum):
-    """Result of a command."""
-
-    OK = 0
-    UNKNOWN_COMMAND = 1
-    BAD_LENGTH = 2
-    OUT_OF_RANGE = 3
-    UNSUPPORTED = 4
-    BUSY = 5
-
-
-class Scene(IntEnum):
-    """What touches a demonstrator."""
-
-    REST = 0
-    PRESS = 1
-    SLIDE = 2
-    HOST = 3
-    ALL = 4
+# fmt: off
+PacketType = IntEnum("PacketType", {"INFO": 0x01, "SAMPLES": 0x02, "PACKED": 0x06, "QUIET": 0x05,
+    "STATUS": 0x03, "ACK": 0x04, "GET_INFO": 0x81, "START": 0x82, "STOP": 0x83, "CONFIGURE": 0x84,
+    "ROLL_CALL": 0x85, "PACK": 0x86, "TOUCH": 0x87, "BOOTSEL": 0x88, "NUMBER": 0x8A,
+    "GROUPS": 0x89,})
+"""First byte of a body."""
+SyncMode = IntEnum("SyncMode", {"NONE": 0, "DRIVE": 1, "HEAR": 2,})
+"""Where the mark of a frame's first sample comes from."""
+Signs = IntEnum("Signs", {"SEEDED": 0, "NATURAL": 1, "SCRAMBLED": 2, "SPARSE": 3,})
+"""Signs of the code rows, and of all chips."""
+Drive = IntEnum("Drive", {"BIPOLAR": 0, "UNIPOLAR": 1,})
+"""Levels of a chip on the line."""
+Polarity = IntEnum("Polarity", {"NORMAL": 1, "INVERTED": -1,})
+"""Sense of the summing amplifier."""
+Result = IntEnum("Result", {"OK": 0, "UNKNOWN_COMMAND": 1, "BAD_LENGTH": 2, "OUT_OF_RANGE": 3,
+    "UNSUPPORTED": 4, "BUSY": 5,})
+"""Result of a command."""
+Scene = IntEnum("Scene", {"REST": 0, "PRESS": 1, "SLIDE": 2, "HOST": 3, "ALL": 4,})
+"""What touches a demonstrator."""
+# fmt: on
 
 
 class Field(NamedTuple):

@@ -64,11 +64,9 @@ def out_of_place(
     rows = levels.rows if spec.first_row == 0 else levels.rows[:, 1:]
     spoken = amplitude[active]
     left = float(np.einsum("kr,kr->", rows, rows)) / spec.line_bits - float(np.square(spoken).sum())
-    are_few = spoken.size <= FEW
-    weakest, few = float(spoken.min()), few_share(spec) if are_few else 1.0
-    if spec.scramble:
-        weakest = min(weakest, expected)
-    least_v2 = few * least_left(spec) * weakest**2 / spec.order
+    least, are_few = float(spoken.min()), spoken.size <= FEW
+    weakest = min(least, expected) if spec.scramble else least
+    least_v2 = (few_share(spec) if are_few else 1.0) * least_left(spec) * weakest**2 / spec.order
     if spec.scramble and left >= least_v2:
         left -= common_energy(levels.rows, amplitude, active, spec)
     if left < least_v2:
@@ -76,17 +74,28 @@ def out_of_place(
     if spec.scramble:
         others, hidden = displaced(levels, amplitude, active, expected, spec)
         return others if hidden or others.any() else None
-    least = float(spoken.min())
-    if are_few:
-        by = delays(levels, amplitude, active, spec)[active]
-        weak = least < PART * expected and not _leaks(levels, amplitude, active, least_v2, spec)
-        if weak or np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK:
-            return active
+    if are_few and few_differ(levels, amplitude, active, expected, spec):
+        return active
     are_late = late(levels, amplitude, active, spec)
     if are_late.any():  # words that are weak may be parts of these
         return are_late | (active & (amplitude < SOUND_SHARE * expected))
     spare = np.abs(levels.rows[:, spec.spare_rows]).mean(axis=0)
     return are_late if (spare > LATE_SHARE * least).any() else None
+
+
+def few_differ(
+    levels: NodeLevels, amplitude: Floats32, active: Bools, expected: float, spec: FrameSpec
+) -> bool:
+    """Whether one of FEW words may be a part of another, or they differ in their delays.
+
+    Arguments as of out_of_place.
+    """
+    least = float(amplitude[active].min())
+    most_v2 = few_share(spec) * least_left(spec) * least**2 / spec.order
+    if least < PART * expected and not _leaks(levels, amplitude, active, most_v2, spec):
+        return True
+    by = delays(levels, amplitude, active, spec)
+    return bool(np.ptp(by) > OUT_OF_STEP or np.abs(by).max() > OFF_THE_MARK)
 
 
 def _leaks(
@@ -244,7 +253,7 @@ def _without_leakage(left: Floats32, meant: Floats32) -> Floats32:
 
 
 def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSpec) -> Floats32:
-    """How many chips late each word is, (n,), for delays of less than half a chip.
+    """How many chips late each of m active words is, (m,), for delays of less than half a chip.
 
     A word that is d late is (1 − d) of itself and d of what it was a chip ago. So what the words
     leave over, shifted by a chip to either side, has d of the word's amplitude in its difference.
@@ -253,9 +262,10 @@ def delays(levels: NodeLevels, amplitude: Floats32, active: Bools, spec: FrameSp
     signs, _, left = _taken_apart(levels, amplitude, active, spec)
     chips = np.pad(chips_of(left, spec).ravel(), 1)
     turned = (chips[2:] - chips[:-2]).reshape(left.shape)
-    early = rows_of(turned, spec)[:, spec.node_slice]
-    late_chips: Floats32 = (early * signs).mean(axis=0, dtype=np.float32)
-    late_chips /= np.maximum(amplitude, np.float32(1e-30))
+    nodes = np.flatnonzero(active)
+    early = rows_of(turned, spec)[:, spec.first_row + nodes]
+    late_chips: Floats32 = (early * signs[:, nodes]).mean(axis=0, dtype=np.float32)
+    late_chips /= np.maximum(amplitude[nodes], np.float32(1e-30))
     return late_chips
 
 

@@ -5,7 +5,7 @@
 import ctypes
 import fcntl
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -98,3 +98,12 @@ def specimen(tmp_path_factory: pytest.TempPathFactory, emulator: None) -> Specim
         return Node(image, mcu)
 
     return build
+
+
+@pytest.fixture(scope="module")
+def ros() -> Iterator[None]:
+    """What ROS nodes in this process need; skips the test where there is no ROS."""
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    rclpy.init()
+    yield
+    rclpy.shutdown()

@@ -43,8 +43,8 @@ from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate, spread
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.sim.nodes import NodeRules, node_frames
-from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SCENES
 from tolerance import MOST_DRAWN, SKINS, scatter
 
@@ -347,9 +347,9 @@ def test_wrong_words_follow_from_rho() -> None:
 def symbols_of_scenes(order: int, frames: int) -> list[NDArray[np.float32]]:
     """Symbols ±1 of some frames of every scene of the simulator, 0.37 s apart, (k, N) each."""
     spec = FrameSpec(nodes=order - 1, order=order, chip_s=1e-6, frame_period_s=0.37)
-    place, symbols = SimOptions().skin(spec.nodes), []
-    for scene in SCENES.values():
-        for said in islice(node_frames(spec, scene, place, NodeRules(threshold=0)), frames):
+    symbols = []
+    for scene in SCENES:
+        for said in islice(truth(SimOptions(scene=scene, threshold=0), Setup(spec)), frames):
             bits = np.zeros((spec.bits, order), dtype=np.float32)
             bits[:, spec.rows] = 2.0 * word_bits(said.codes, spec.bits).T - 1.0
             symbols.append(bits)

@@ -613,29 +613,6 @@ def test_the_sequence_wraps(digitizer: CoreDigitizer) -> None:
 # Overruns
 
 
-def test_losses_are_counted_in_index_and_status(digitizer: CoreDigitizer) -> None:
-    digitizer.send(Start())
-    digitizer.samples(np.zeros(80 + 50))
-    digitizer.lost(0)  # is nothing
-    digitizer.samples(np.zeros(50))
-    digitizer.lost(40)
-    digitizer.samples(np.zeros(672 + 212))
-    digitizer.lost(2000)  # over a frame's mark
-    digitizer.samples(np.zeros(1000))
-    digitizer.time(1_000_000)
-    got = digitizer.packets()
-    sent = [(p.first_index, len(p.counts), p.sync, p.overrun) for p in of_kind(got, Samples)]
-    assert sent == [
-        (0, 80, False, False),
-        (80, 100, True, False),
-        (220, 672, False, True),
-        (892, 212, False, False),
-        (3104, 48, False, True),
-        (3152, 812, True, False),
-    ]
-    assert of_kind(got, Status)[-1].samples_lost == 2040
-
-
 def test_a_frame_with_a_hole_is_never_quiet(core: ctypes.CDLL) -> None:
     digitizer = digitizer_with(core, Configure(LAYOUT, quiet_uv=100_000))
     digitizer.samples(np.full(80 + 1024, 2048))

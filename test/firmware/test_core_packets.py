@@ -147,16 +147,6 @@ def test_cobs_is_the_hosts_in_any_pieces_and_anywhere_in_the_ring(
     assert decoded(lib, wire[:-1]) == content
 
 
-def test_a_ring_may_end_anywhere_in_a_packet(lib: ctypes.CDLL) -> None:
-    ring = (c_uint8 * 12)()
-    for content in (b"\1", b"\1\0", b"\0\0\0", b"\1\0\2\0"):
-        wire = cobs_encode(content) + b"\0"
-        for begin in range(len(ring)):
-            end = lib.shim_cobs(content, len(content), MOST, ring, len(ring), begin)
-            assert end == (begin + len(wire)) % len(ring)
-            assert (bytes(ring) * 2)[begin : begin + len(wire)] == wire
-
-
 @few
 @given(st.one_of(data, st.binary(max_size=12)))
 def test_what_is_no_cobs_is_told_from_what_is(lib: ctypes.CDLL, content: bytes) -> None:

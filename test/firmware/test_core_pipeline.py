@@ -13,9 +13,9 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.sim.channel import point_samples
-from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Start
+from tactile_cdma.wire.messages import GetInfo, Start
 from test.support.core_digitizer import Board, CoreDigitizer
+from test.support.simulated import configuration
 
 
 def line_counts(
@@ -54,11 +54,8 @@ SKINS = {
 @pytest.mark.parametrize("name", SKINS)
 def test_the_host_reads_every_word(core: ctypes.CDLL, name: str) -> None:
     config = SkinConfig.of(SKINS[name])
-    integrated = config.samples_per_chip == 1
-    layout = FrameLayout.of(config.spec, config.samples_per_chip)
     digitizer = CoreDigitizer(core, Board.of(volts_per_count=1 / 250), output=1 << 22)
-    asked = Configure(layout, SyncMode.DRIVE, integrated, quiet_uv(config.spec))
-    digitizer.send(asked, GetInfo(), Start())
+    digitizer.send(configuration(config, quiet_uv(config.spec)), GetInfo(), Start())
     rng = np.random.default_rng(8)
     codes = [rng.integers(0, 1 << config.spec.bits, config.spec.nodes) for _ in range(25)]
     (pulse,) = digitizer.pulses(1)

@@ -408,6 +408,7 @@ def test_packets_follow_the_rules_exactly(
         counts = np.where(level, counts, 2048 + counts % 2).astype(np.uint16)
     lost = {number for begin, length in losses for number in range(begin, begin + length)}
     lost = {number for number in lost if number < size}
+    digitizer.lost(0)  # is nothing
     number, turn = 0, 0
     while number < size:
         end = min(size, number + chunks[turn % len(chunks)])
@@ -428,6 +429,7 @@ def test_packets_follow_the_rules_exactly(
     assert kinds <= {PacketType.QUIET, PacketType.PACKED if packs and fits else PacketType.SAMPLES}
     got = of_kind(digitizer.parser.feed(sent), Samples, Quiet)
     assert not digitizer.parser.counters.malformed
+    assert integrated or digitizer.status(START_US + 10**9).samples_lost == len(lost)
     if integrated:
         quiet_counts = int(quiet_uv * 1e-6 / (digitizer.board.volts_per_count / 8))
         expected = rules.integrated(counts, lost, quiet_counts)

@@ -24,6 +24,7 @@ from tactile_cdma.wire.messages import (
     Stop,
 )
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
+from test.support.core_digitizer import of_kind
 from test.support.firmware import Specimen
 
 MS = 1_000_000
@@ -50,7 +51,7 @@ class Host:
         self.heard += self.parser.feed(self.skin.read())
 
     def all(self, kind: type[Packet]) -> list:
-        return [packet for packet in self.heard if isinstance(packet, kind)]
+        return of_kind(self.heard, kind)
 
     def stream(self, t_ns: int, **options: object) -> list[Samples]:
         """Samples from a Start now until a time."""
@@ -152,34 +153,20 @@ def test_a_slow_link_drops_whole_packets_and_counts_them(specimen: Specimen) -> 
         assert 0.9 < sent / (rate * 4 + 65_536) < 1  # all the link's and the ring's
 
 
-def test_a_fast_link_changes_nothing_but_when(specimen: Specimen) -> None:
-    def heard(link_rate: float) -> list[Samples]:
-        with EmulatedSkin([specimen("capture")], link_rate=link_rate) as skin:
-            return Host(skin).stream(50 * MS)
+def test_what_changes_nothing_in_the_stream(specimen: Specimen) -> None:
+    """Running in pieces, and a short history; a link that is fast enough only delays it."""
 
-    at_once, later = heard(0), heard(250_000)
-    assert len(at_once) - 2 <= len(later) <= len(at_once)
-    assert later == at_once[: len(later)]
-
-
-def test_running_in_pieces_changes_nothing(specimen: Specimen) -> None:
-    def heard(step_ns: int) -> list[Samples]:
-        with EmulatedSkin([specimen("capture")], clock_error=0.002) as skin:
+    def heard(step_ns: int = 200 * MS, **options: float) -> list[Samples]:
+        with EmulatedSkin([specimen("capture")], clock_error=0.002, **options) as skin:
             host = Host(skin)
             host.say(Configure(LAYOUT), Start())
-            for t_ns in range(step_ns, 30 * MS + 1, step_ns):
+            for t_ns in range(step_ns, 200 * MS + 1, step_ns):
                 host.run(t_ns)
             return host.all(Samples)
 
-    assert heard(30 * MS) == heard(100_000)
-
-
-def test_short_history_is_enough_for_the_stream(specimen: Specimen) -> None:
-    def heard(history_s: float) -> list[Samples]:
-        with EmulatedSkin([specimen("capture")], history_s=history_s) as skin:
-            return Host(skin).stream(200 * MS)
-
-    assert heard(0) == heard(1)
+    usual, late = heard(), heard(link_rate=250_000)
+    assert heard(step_ns=100_000) == heard(history_s=0) == usual
+    assert len(usual) - 2 <= len(late) and late == usual[: len(late)]
 
 
 def test_the_converter_clips_where_the_amplifier_does(specimen: Specimen) -> None:

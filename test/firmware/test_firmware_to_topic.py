@@ -2,7 +2,6 @@
 
 """Firmware to topic: images of 16 nodes, a digitizer and the driver node, pressed and read."""
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,7 +14,6 @@ from numpy.typing import ArrayLike
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from emulated import EmulatedSkin, Node
@@ -24,23 +22,16 @@ from skin import PressedSkin, reference_amplifier, reference_nodes
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.status import Status
-from tactile_cdma.sim.pty import serve
 from tactile_cdma.sim.scene import SCENES
+from test.support.boards import plugged
 from test.support.skin_client import Client, running
-from test.support.waiting import PATIENCE_S, wait_for
+from test.support.waiting import wait_for
 
-pytestmark = pytest.mark.usefixtures("node_images")
+pytestmark = pytest.mark.usefixtures("node_images", "ros")
 ROOT = Path(__file__).resolve().parents[2]
 PARAMETERS = read_file(ROOT / "config" / "wired_skin.yaml")
 CONFIG = SkinConfig.of(PARAMETERS)
 FRAMES = 200
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def wired(nodes: list[Node], **board: Any) -> EmulatedSkin:
@@ -49,29 +40,16 @@ def wired(nodes: list[Node], **board: Any) -> EmulatedSkin:
 
 
 @contextmanager
-def live(port: Path, emulated: EmulatedSkin) -> Iterator[PressedSkin]:
-    """An emulated skin on a tty of this path, in the host's time as far as it can follow."""
-    stop, ready = threading.Event(), threading.Event()
+def driven(port: Path, emulated: EmulatedSkin) -> Iterator[tuple[PressedSkin, Client]]:
+    """An emulated skin on a tty, in the host's time as far as it can follow, and its driver node.
+
+    Gives the skin, and a client of the node.
+    """
     with emulated:
         skin = PressedSkin(CONFIG, SCENES["moving"], emulated, emulated)
-        server = threading.Thread(
-            target=serve, args=(lambda: LiveSkin(skin), port, stop, lambda _: ready.set())
-        )
-        server.start()
-        try:
-            assert ready.wait(PATIENCE_S)
-            yield skin
-        finally:
-            stop.set()
-            server.join()
-
-
-@contextmanager
-def driven(port: Path) -> Iterator[Client]:
-    """The driver node on this port, and a client of it."""
-    parameters = {**PARAMETERS, "port": str(port), "publish_voltage": True}
-    with running(**parameters) as (_, client):
-        yield client
+        parameters = {**PARAMETERS, "port": str(port), "publish_voltage": True}
+        with plugged(lambda: LiveSkin(skin), port), running(**parameters) as (_, client):
+            yield skin, client
 
 
 def mark_ns(message: Any) -> int:
@@ -105,7 +83,7 @@ def diagnosed(client: Client, name: str) -> str:
 
 def test_what_presses_the_emulated_skin_is_what_the_topic_says(tmp_path: Path) -> None:
     nodes = reference_nodes(CONFIG, threshold=0)
-    with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
+    with driven(tmp_path / "tty", wired(nodes)) as (skin, client):
         first = phase_lock(client, skin)
         wait_for(lambda: len(client.arrays) >= first + FRAMES)
         off = off_lsb(client, skin, first)
@@ -127,7 +105,7 @@ def test_what_presses_the_emulated_skin_is_what_the_topic_says(tmp_path: Path) -
 
 def test_silent_nodes_are_held_within_their_threshold(tmp_path: Path) -> None:
     nodes = reference_nodes(CONFIG, threshold=2, heartbeat=16)
-    with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
+    with driven(tmp_path / "tty", wired(nodes)) as (skin, client):
         first = phase_lock(client, skin) + 16
         wait_for(lambda: len(client.arrays) >= first + FRAMES)
         off = off_lsb(client, skin, first)
@@ -138,7 +116,7 @@ def test_silent_nodes_are_held_within_their_threshold(tmp_path: Path) -> None:
 
 def test_without_discipline_the_same_skin_fails(tmp_path: Path) -> None:
     nodes = reference_nodes(CONFIG, threshold=0, discipline=False)
-    with live(tmp_path / "tty", wired(nodes)) as skin, driven(tmp_path / "tty") as client:
+    with driven(tmp_path / "tty", wired(nodes)) as (skin, client):
         wait_for(lambda: client.diagnostics and skin.now_ns > 4e9)
         off = off_lsb(client, skin, 0)
         entries = [*client.entries.get("stream", []), *client.entries.get("nodes", [])]
@@ -162,10 +140,8 @@ def test_broken_nodes_are_named_and_harm_no_other(tmp_path: Path) -> None:
     nodes = reference_nodes(CONFIG, threshold=0)
     nodes[2] = replace(nodes[2], memory=b"")
     nodes[6] = replace(nodes[6], memory=bytes([nodes[6].memory[0] ^ 1, *nodes[6].memory[1:]]))
-    with (
-        live(tmp_path / "tty", RailedSkin(nodes, reference_amplifier(CONFIG))) as skin,
-        driven(tmp_path / "tty") as client,
-    ):
+    railed = RailedSkin(nodes, reference_amplifier(CONFIG))
+    with driven(tmp_path / "tty", railed) as (skin, client):
         first = phase_lock(client, skin)
         wait_for(lambda: len(client.arrays) >= first + 100)
         wait_for(lambda: diagnosed(client, "dead nodes") == "3, 7")
@@ -183,7 +159,7 @@ def test_broken_commands_and_a_slow_link_show_in_the_diagnostics(tmp_path: Path)
     nodes = reference_nodes(CONFIG, threshold=0)
     port = tmp_path / "tty"
     # A frame of 1024 samples takes 2 kB: 60 kB/s carry some 30 of the 78 per second.
-    with live(port, wired(nodes, link_rate=60e3)), driven(port) as client:
+    with driven(port, wired(nodes, link_rate=60e3)) as (_, client):
         wait_for(lambda: client.arrays)
         with open(port, "wb") as second_program:
             second_program.write(b"\x05\x11garbage\0" + bytes(range(1, 200)) * 300 + b"\0")

@@ -16,23 +16,19 @@ import pytest
         ("replay-arm", "arm-none-eabi-gcc"),
         ("replay-native", "cc"),
         ("sim", "cc"),
+        ("sim", "libsimavr-dev"),
     ],
 )
-def test_target_without_its_compiler_skips(
+def test_target_without_its_tools_skips(
     built: Callable[[str], Path],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     target: str,
     missing: str,
 ) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
+    if missing == "libsimavr-dev":
+        monkeypatch.setattr("test.support.firmware.SIMAVR", tmp_path / "sim_avr.h")
+    else:
+        monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(pytest.skip.Exception, match=f"no {missing} on this machine"):
         built(target)
-
-
-def test_emulation_without_simavr_skips(
-    built: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("test.support.firmware.SIMAVR", tmp_path / "sim_avr.h")
-    with pytest.raises(pytest.skip.Exception, match="no libsimavr-dev on this machine"):
-        built("sim")

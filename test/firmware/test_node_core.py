@@ -16,9 +16,10 @@ from tactile_cdma.code.codes import is_feasible
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
-from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
-from tactile_cdma.sim.nodes import NodeRules, RollCalls, node_frames
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.nodes import RollCalls
+from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SkinGeometry
 from tactile_cdma.wire.messages import WIRE
 from test.support.examples import examples
@@ -229,18 +230,13 @@ def test_rules_are_those_of_the_simulator(
     def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         return pressures[min(59, round(t_s / spec.frame_period_s))]
 
-    truth = node_frames(
-        spec,
-        scene,
-        SkinGeometry.of(Layout.grid(nodes, 1, nodes, 1e-3, 1e-3), nodes),
-        NodeRules(threshold, heartbeat),
-        roll_calls=calls,
-    )
+    options = SimOptions(threshold=threshold, heartbeat=heartbeat)
+    coming = truth(options, Setup(spec), calls, scene)
     frames = []
     for number in range(60):
         calls.asked = number in called
         calls.asked_log2 = divided.get(number)
-        frames.append(next(truth))
+        frames.append(next(coming))
     codes = np.array([frame.codes for frame in frames])
     rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
     began = np.array([CALL if number in called else FRAME for number in range(60)])

@@ -13,7 +13,7 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.frame import MEASURING_S, ORTHOGONAL, SPARSE, FrameSpec
 from tactile_cdma.hardware.node_memory import MCUS, Mcu, node_memory
 from test.support.examples import examples
-from test.support.node_limits import BLANK, CORRUPT, GOOD, UNFIT, limits, load
+from test.support.node_limits import CORRUPT, GOOD, UNFIT, limits, load
 
 
 @st.composite
@@ -86,8 +86,3 @@ def unchecked_memory(spec: FrameSpec) -> bytes:
             MCUS, "any", Mcu("", 4096, 500, 500, 500, bits_restart=restarts, restart_s=0.0)
         )
         return node_memory(spec, 1, mcu="any")
-
-
-def test_a_blank_memory_is_told_from_a_damaged_one(core: ctypes.CDLL) -> None:
-    assert load(core, b"", limits("attiny85"))[0] == BLANK
-    assert load(core, node_memory(FrameSpec(), 1)[:-1], limits("attiny85"))[0] == CORRUPT

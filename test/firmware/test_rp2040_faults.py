@@ -2,7 +2,7 @@
 
 """The RP2040's firmware under faults of its links, its samples and its CPU."""
 
-import itertools
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 from rp2040 import EmulatorError
 from tactile_cdma.code.frame import FrameSpec
+from tactile_cdma.driver.timeline import end_index, sample_count
 from tactile_cdma.wire._protocol import Result, SyncMode
 from tactile_cdma.wire.messages import (
     Ack,
@@ -32,15 +33,9 @@ FAST = FrameLayout.of(FrameSpec(), 25)  # 500 kS/s, the ADC's limit
 TURN = 2**18  # samples that a DMA channel writes before it hands over
 
 
-def end(packet: Samples | Quiet) -> int:
-    """Index of the sample after a packet's last."""
-    size = packet.count if isinstance(packet, Quiet) else packet.counts.size
-    return packet.first_index + size
-
-
 def missing(packets: list[Samples | Quiet]) -> list[int]:
     """Sizes of the gaps between packets, by first_index."""
-    steps = [after.first_index - end(before) for before, after in itertools.pairwise(packets)]
+    steps = [after.first_index - end_index(before) for before, after in pairwise(packets)]
     return [step for step in steps if step]
 
 
@@ -115,7 +110,7 @@ def test_a_uart_that_is_too_slow(rp2040_image: Path) -> None:
         passed = bench.check(bench.line)
         assert bench.status.packets_dropped > 10
         assert bench.parser.counters.lost_packets == bench.status.packets_dropped
-        assert sum(missing(bench.line)) + passed == end(bench.line[-1])
+        assert sum(missing(bench.line)) + passed == end_index(bench.line[-1])
         assert bench.status.samples_lost == bench.status.sync_faults == 0
         assert 170_000 * 1.2 < 2 * passed < 200_000 * 1.8, "the UART was busy all the time"
 
@@ -126,17 +121,17 @@ def test_a_usb_host_that_stops_reading(rp2040_image: Path) -> None:
         bench.stream(PLAIN, 0.1)
         bench.board.plug_usb(reading=False)
         bench.run(1.5)
-        before = end(bench.line[-1])
+        before = end_index(bench.line[-1])
         bench.board.plug_usb()
         heard, again_us = len(bench.line), bench.board.now * 1e6
         bench.run(1.2)
         passed = bench.check(bench.line)
         gaps = missing(bench.line)
         old = [p for p in bench.line[heard:] if p.device_time_us < again_us - 15_000]
-        assert 0 < 2 * sum(p.counts.size for p in old) < 4096 + 1300  # type: ignore[union-attr]
+        assert 0 < 2 * sum(map(sample_count, old)) < 4096 + 1300
         assert len(gaps) == 1 and gaps[0] > 100_000, "and nothing is missing from then on"
         assert bench.status.packets_dropped == bench.parser.counters.lost_packets > 50
-        assert sum(gaps) + passed == end(bench.line[-1]) > before + 100_000
+        assert sum(gaps) + passed == end_index(bench.line[-1]) > before + 100_000
         assert bench.status.samples_lost == bench.status.sync_faults == 0
         assert all(np.diff([p.device_time_us for p in bench.line]) > 0)
 
@@ -265,7 +260,7 @@ def test_a_cpu_that_was_away(rp2040_image: Path) -> None:
         (gap,) = missing(bench.line)
         assert 32_000 - 16_384 <= gap <= 32_000 - 8_192
         assert bench.status.samples_lost == gap
-        assert bench.check(bench.line) + gap == end(bench.line[-1])
+        assert bench.check(bench.line) + gap == end_index(bench.line[-1])
         assert [p.overrun for p in bench.line].count(True) == 1
         assert bench.parser.counters.lost_packets == 0
 
@@ -283,7 +278,7 @@ def test_an_adc_whose_samples_were_not_fetched(rp2040_image: Path) -> None:
         assert len(gaps) == 3
         assert gaps[2] > 700
         assert bench.status.samples_lost == sum(gaps)
-        assert bench.check(bench.line) + sum(gaps) == end(bench.line[-1])
+        assert bench.check(bench.line) + sum(gaps) == end_index(bench.line[-1])
         marks = [packet.device_time_us for packet in bench.line if packet.sync]
         assert set(np.diff(marks) % 12_800) == {0}
         assert bench.status.sync_faults == 0

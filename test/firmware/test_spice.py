@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amplifier import CIRCUITS, DIRECT, LATE_SAMPLE, PAPER, SETTLED, design
+from amplifier import CIRCUITS, DIRECT, PAPER, SETTLED, design
 from circuit import level_points, netlist
 from ngspice import noise_v, transient, waveform
 from passive_spice import passive_run
@@ -140,8 +140,3 @@ def test_of_sparse_nodes_as_many_talk_as_a_frame_holds() -> None:
     everybody = design(FrameSpec(nodes=128, frame_period_s=1.0), 4)
     assert everybody.talking == 128
     assert sparse.amplitude_v > 1.5 * everybody.amplitude_v
-
-
-def test_a_chips_only_sample_is_late() -> None:
-    front = design(FrameSpec(nodes=900, chip_s=2e-6, frame_period_s=1.0), 1)
-    assert front.sample_s == LATE_SAMPLE * 2e-6

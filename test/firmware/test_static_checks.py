@@ -22,13 +22,6 @@ def test_a_core_file_includes_only_core_files(source: Path, tmp_path: Path) -> N
     assert used and {Path(name).resolve().parent for name in used} == {CORE}
 
 
-@pytest.mark.parametrize("source", sorted(CORE.glob("*.c")), ids=lambda path: path.name)
-def test_a_core_file_compiles_with_core_as_its_only_include_path(
-    source: Path, tmp_path: Path
-) -> None:
-    run(need("cc"), *STRICT, "-fsyntax-only", source, cwd=tmp_path)
-
-
 CHECKS = ("--enable=warning,performance,portability", "--error-exitcode=1", "--std=c11", "--quiet")
 IGNORED = (
     "--suppress=missingIncludeSystem",

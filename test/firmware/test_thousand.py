@@ -77,9 +77,8 @@ def test_nodes_with_each_others_numbers_are_counted(monkeypatch: pytest.MonkeyPa
     assert not found.all_is_well
 
 
-def test_the_driver_publishes_4000_taxels(tmp_path: Path) -> None:
+def test_the_driver_publishes_4000_taxels(ros: None, tmp_path: Path) -> None:
     """Of which 20 are on the wire: what they said, of all others nothing."""
-    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
     from test.support.skin_client import running, wait_for
 
     recording, images = tmp_path / "crowd.skin", 20
@@ -89,13 +88,9 @@ def test_the_driver_publishes_4000_taxels(tmp_path: Path) -> None:
     pressed = list(crowd.script(images, 553, 1))[crowd.SETTLING :][:6]
     said = {(node, code) for codes in pressed for node, code in zip(wired, codes, strict=True)
             if code != crowd.REST_CODE}  # fmt: skip
-    rclpy.init()
-    try:
-        values = {**SPARSE, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
-        with running(**values) as (_, client):
-            wait_for(lambda: said <= heard_codes(client.arrays))
-    finally:
-        rclpy.shutdown()
+    values = {**SPARSE, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
+    with running(**values) as (_, client):
+        wait_for(lambda: said <= heard_codes(client.arrays))
     assert all(len(message.pressure) == 4000 for message in client.arrays)
     assert {node for node, _ in heard_codes(client.arrays)} <= {*wired.tolist()}
 
@@ -110,22 +105,17 @@ def heard_codes(arrays: Sequence[Any]) -> set[tuple[int, int]]:
     return found
 
 
-def test_the_driver_publishes_900_taxels(tmp_path: Path) -> None:
+def test_the_driver_publishes_900_taxels(ros: None, tmp_path: Path) -> None:
     """What the digitizer's image sent of 900 nodes' images, from a recording, on a topic."""
-    rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
     from test.support.skin_client import running, wait_for
 
     recording = tmp_path / "thousand.skin"
     trial = on_one_wire(VALUES, 4, record=recording).trial
     assert (trial.wrong, trial.silent, trial.lost_samples) == (0, 0, 0)
     pressed = {tuple(codes) for codes in trial.words.values()}
-    rclpy.init()
-    try:
-        values = {**VALUES, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
-        with running(**values) as (_, client):
-            wait_for(lambda: pressed <= said(heard(client.arrays)))
-    finally:
-        rclpy.shutdown()
+    values = {**VALUES, "port": f"replay://{recording}?loop=true", "publish_voltage": True}
+    with running(**values) as (_, client):
+        wait_for(lambda: pressed <= said(heard(client.arrays)))
     assert all(len(message.pressure) == 900 for message in client.arrays)
     doubts = Status.LOW_SNR | Status.STALE | Status.WEAK | Status.FAULTY
     assert not any(np.any(np.array(m.status) & doubts) for m in heard(client.arrays))

@@ -34,6 +34,7 @@ from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.views.cloud import BODY_POINT
 from test.support.programs import run_python
 from test.support.scripts import body_commands
+from test.support.skin_client import xyz
 from test.support.spinning import spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -141,8 +142,6 @@ class Body:
 
     def end(self) -> None:
         self._ending.close()
-        for node in (self.client, *self.drivers):
-            node.destroy_node()
         for process in self.processes:
             process.send_signal(signal.SIGINT)
         codes = [process.wait(PATIENCE_S) for process in self.processes]
@@ -160,10 +159,6 @@ def body(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Body]:
         finally:
             for process in body.processes:
                 process.kill()
-
-
-def xyz(vector: Any) -> np.ndarray:
-    return np.array([vector.x, vector.y, vector.z])
 
 
 def outwards(patch: int) -> np.ndarray:

@@ -135,7 +135,6 @@ def test_whatever_calls_back_may_raise(
             one.callback = callback
         if name in ("skin_driver", "skin_body", "skin_patches"):
             wait_for(lambda: int(client.value("host", FAILED) or 0) >= len(every))
-    client.destroy_node()
 
 
 @pytest.mark.parametrize(
@@ -170,4 +169,3 @@ def test_so_may_what_hears_of_parameters_and_of_the_clock(
         failed = FAILURES.count
         wait_for(lambda: int(client.value("host", FAILED) or 0) >= failed - before)
         assert process.is_alive()
-    client.destroy_node()

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from lifecycle_msgs.msg import Transition
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -32,6 +31,7 @@ from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.programs import run_python
 from test.support.scripts import body_commands
 from test.support.skin_client import Client, running, wait_sending
+from test.support.spinning import living
 from test.support.waiting import wait_for
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -99,7 +99,6 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
     thing = GrippedThing()
     monkeypatch.setitem(SCENES, "hand", thing)
     commands_mm: list[float] = []
-    stops: list[bool] = []
 
     def close(message: Float64) -> None:
         thing.closed_mm = message.data
@@ -113,23 +112,21 @@ def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
         client,
     ):
         client.create_subscription(Float64, "/gripper/close_mm", close, 10)
-        client.create_subscription(Bool, "/arm/stop", lambda m: stops.append(m.data), 10)
-        claims: list[bool] = []
-        client.create_subscription(Bool, "/gripper/gripped", lambda m: claims.append(m.data), 10)
+        stops, claims = client.heard(Bool, "/arm/stop"), client.heard(Bool, "/gripper/gripped")
         with example("grip"):
-            wait_for(lambda: stops and not stops[-1])
+            wait_for(lambda: stops and not stops[-1].data)
             feeling = len(stops)
             # the taxel nearest to the peak reads a bit less than it
             wait_for(lambda: thing.peak_pa >= 5e3 and held(40))
             assert thing.peak_pa < 10e3
-            assert not any(stops[feeling:])
-            wait_for(lambda: claims[-1])
+            assert not any(stop.data for stop in stops[feeling:])
+            wait_for(lambda: claims[-1].data)
 
             grip_mm, before = commands_mm[-1], len(stops)
             thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
             wait_for(lambda: not thing.slides and held(40))
-            assert any(stops[before:])
-            assert not stops[-1]
+            assert any(stop.data for stop in stops[before:])
+            assert not stops[-1].data
             assert commands_mm[-1] > grip_mm
             assert thing.peak_pa >= thing.needed_pa
     assert np.all(np.diff(commands_mm) >= 0)
@@ -162,9 +159,8 @@ def test_grip_stops_within_stale_after_s_once_all_nodes_have_died() -> None:
     dead_after_s, stale_after_s = 4.0, 1.0
     port = f"sim://?scene=idle&threshold=0&dead={ALL_DEAD}&dead_after={dead_after_s}"
     with example("grip"):
-        observer = rclpy.create_node("observer")
-        wait_for(lambda: observer.count_subscribers("/skin/contacts"))
-        observer.destroy_node()
+        with living(rclpy.create_node("observer")) as observer:
+            wait_for(lambda: observer.count_subscribers("/skin/contacts"))
         with running(port=port, stale_after_s=stale_after_s) as (_, client):
             gripper = Gripper(client)
             wait_for(lambda: len(set(gripper.closed_mm)) > 30)
@@ -199,7 +195,7 @@ def test_grip_stops_at_its_limit_of_travel_and_without_messages() -> None:
         wait_for(lambda: gripper.stops and not gripper.stops[-1])
         wait_for(lambda: gripper.stops[-1] and gripper.closed_mm[-1] == MOST_MM)
         told = len(gripper.stops)
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         frames = len(client.arrays)
         wait_for(lambda: len(gripper.stops) > told + 5)
         assert len(client.arrays) < frames + 5, "no frames any more"
@@ -246,8 +242,7 @@ def pairs(output: IO[str]) -> list[tuple[int, int, int]]:
 
 def test_taxel_map_gives_force_and_centre_of_the_wrench() -> None:
     with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
-        wrenches: list[WrenchStamped] = []
-        client.create_subscription(WrenchStamped, "/skin/wrench", wrenches.append, 10)
+        wrenches = client.heard(WrenchStamped, "/skin/wrench")
         with example("taxel_map") as output:
             wait_for(lambda: len(forces_and_centres(output)) > 30)
             printed = forces_and_centres(output)
@@ -306,7 +301,7 @@ def test_subscribe_prints_the_hardest_pressed_taxel() -> None:
         for peak_pa, unread in printed_of(output, 5)[-2:]:
             assert peak_pa == pytest.approx(np.nanmax(client.arrays[-1].pressure), abs=1)
             assert unread >= 1
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         wait_for(lambda: text_of(output).endswith("no frame\n"))
 
 
@@ -339,29 +334,25 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
         f"  one: {{parameters: {{port: {port}, mount_xyz_m: [0, 0, 0]}}}}\n"
         f"  two: {{parameters: {{port: {port}, mount_xyz_m: [1, 0, 0]}}}}\n"
     )
-    with processes(body_commands(path)) as drivers:
-        client = rclpy.create_node("client")
-        try:
-            pressed = []
-            for name, width_m in (("one", 14e-3), ("two", 7e-3)):
-                press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
-                wait_for(press.get_subscription_count)
-                x_m = 0.0 if name == "one" else 3.5e-3
-                box = Box(size_m=(width_m, 14e-3, 0.01), position_m=(x_m, 0, 4.5e-3))
-                pressed.append((press, sim_objects([box])))
-            with example("two_patches", "/one/skin", "/two/skin") as output:
-                both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
-                wait_sending(pressed, lambda: both in text_of(output))
-                # What is none of the body's is unknown, such as a misspelt name.
-                with example("two_patches", "/one/skin", "/tow/skin") as other:
-                    alone = "/one/skin 0.0 0.0 -0.98  /tow/skin nan nan nan  sum nan nan nan"
-                    wait_for(lambda: alone in text_of(other))
-                    assert "/tow/skin 0.0" not in text_of(other)
-                drivers[1].kill()
-                blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
-                wait_for(lambda: blind in text_of(output))
-        finally:
-            client.destroy_node()
+    with processes(body_commands(path)) as drivers, living(rclpy.create_node("client")) as client:
+        pressed = []
+        for name, width_m in (("one", 14e-3), ("two", 7e-3)):
+            press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
+            wait_for(press.get_subscription_count)
+            x_m = 0.0 if name == "one" else 3.5e-3
+            box = Box(size_m=(width_m, 14e-3, 0.01), position_m=(x_m, 0, 4.5e-3))
+            pressed.append((press, sim_objects([box])))
+        with example("two_patches", "/one/skin", "/two/skin") as output:
+            both = "/one/skin 0.0 0.0 -0.98  /two/skin 0.0 0.0 -0.49  sum 0.0 0.0 -1.46"
+            wait_sending(pressed, lambda: both in text_of(output))
+            # What is none of the body's is unknown, such as a misspelt name.
+            with example("two_patches", "/one/skin", "/tow/skin") as other:
+                alone = "/one/skin 0.0 0.0 -0.98  /tow/skin nan nan nan  sum nan nan nan"
+                wait_for(lambda: alone in text_of(other))
+                assert "/tow/skin 0.0" not in text_of(other)
+            drivers[1].kill()
+            blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
+            wait_for(lambda: blind in text_of(output))
 
 
 @contextmanager

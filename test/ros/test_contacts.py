@@ -21,32 +21,21 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.views.heatmap import NO_READING_RGB
 from test.support.boards import plugged
-from test.support.skin_client import Client, running
+from test.support.skin_client import Client, running, xyz
 from test.support.waiting import wait_for
 
 PITCH_M = 7e-3
 PERIOD_S = 12.8e-3
 
 
-def subscribed(client: Client, kind: Any, topic: str) -> list[Any]:
-    """The list that the topic's messages are going to fill."""
-    messages: list[Any] = []
-    client.create_subscription(kind, f"/skin/{topic}", messages.append, 1000)
-    return messages
-
-
 def stamp_of(message: Any) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
-def components(values: Any) -> np.ndarray:
-    return np.array([values.x, values.y, values.z])
-
-
 def test_contacts_wrench_and_array_of_a_frame_belong_together() -> None:
     with running(port="sim://?scene=moving&seed=1&threshold=0") as (_, client):
-        lists = subscribed(client, TactileContacts, "contacts")
-        wrenches = subscribed(client, WrenchStamped, "wrench")
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
+        wrenches = client.heard(WrenchStamped, "/skin/wrench", 1000)
         wait_for(lambda: len(lists) > 60 and len(wrenches) > 60)
     arrays = {stamp_of(array): array for array in client.arrays}
     forces = {stamp_of(wrench): wrench for wrench in wrenches}
@@ -58,8 +47,8 @@ def test_contacts_wrench_and_array_of_a_frame_belong_together() -> None:
         assert (message.sequence, message.info_id) == (array.sequence, array.info_id)
         assert message.wrench == wrench.wrench
         assert message.touched and message.contacts
-        force = sum(components(contact.force) for contact in message.contacts)
-        assert components(wrench.wrench.force) == pytest.approx(force, abs=1e-9)
+        force = sum(xyz(contact.force) for contact in message.contacts)
+        assert xyz(wrench.wrench.force) == pytest.approx(force, abs=1e-9)
         assert_is_in(message, array)
 
 
@@ -74,14 +63,14 @@ def assert_is_in(message: TactileContacts, array: TactileArray) -> None:
     strongest = max(message.contacts, key=lambda contact: -contact.force.z)
     assert strongest is message.contacts[0]
     assert strongest.pressure_max == pytest.approx(pressure_pa.max())
-    assert components(strongest.normal) == pytest.approx([0, 0, 1])
-    torque = np.cross(components(message.position), components(message.wrench.force))
-    assert components(message.wrench.torque) == pytest.approx(torque, abs=1e-6)
+    assert xyz(strongest.normal) == pytest.approx([0, 0, 1])
+    torque = np.cross(xyz(message.position), xyz(message.wrench.force))
+    assert xyz(message.wrench.torque) == pytest.approx(torque, abs=1e-6)
 
 
 def test_an_untouched_skin_has_an_empty_list_in_every_frame_and_zeros_once_all_is_heard() -> None:
     with running(port="sim://?scene=idle") as (_, client):
-        lists = subscribed(client, TactileContacts, "contacts")
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
         wait_for(lambda: len([message for message in lists if message.untouched]) > 40)
     for message in lists:
         assert not message.touched
@@ -111,11 +100,11 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
     """The fingertip presses node 6; all nodes are dead, or that one alone."""
     port = f"sim://?scene=press&dead={','.join(map(str, dead))}"
     with running(port=port) as (_, client):
-        lists = subscribed(client, TactileContacts, "contacts")
-        wrenches = subscribed(client, WrenchStamped, "wrench")
-        markers = subscribed(client, MarkerArray, "markers")
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
+        wrenches = client.heard(WrenchStamped, "/skin/wrench", 1000)
+        markers = client.heard(MarkerArray, "/skin/markers", 1000)
         images, clouds = (
-            subscribed(client, kind, topic)
+            client.heard(kind, f"/skin/{topic}", 1000)
             for kind, topic in ((Image, "pressure_image"), (PointCloud2, "points"))
         )
         wait_for(lambda: sum(m.taxels_valid == valid for m in lists) > 4 / 0.0128)  # on and off
@@ -132,8 +121,8 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
     for message in lists:
         assert not message.touched and not message.untouched and not message.contacts
         assert message.taxels_in_service == 16
-        sums = message.area, *components(message.wrench.force), *components(message.wrench.torque)
-        assert np.isnan(sums).all() and np.isnan(components(message.position)).all()
+        sums = message.area, *xyz(message.wrench.force), *xyz(message.wrench.torque)
+        assert np.isnan(sums).all() and np.isnan(xyz(message.position)).all()
     assert wrenches and all(math.isnan(wrench.wrench.force.z) for wrench in wrenches)
     [text] = [marker.text for marker in markers[-1].markers if marker.ns == BLIND]
     assert text == f"unread:{16 - valid}/16"
@@ -149,9 +138,9 @@ def test_what_dead_nodes_would_feel_is_unknown(dead: Iterable[int], valid: int) 
 def test_a_wrench_is_published_as_soon_as_it_is_known() -> None:
     given = {"port": "sim://?scene=idle&heartbeat=20", "publish_unknown_wrench": False}
     with running(**given) as (_, client):
-        wrenches = subscribed(client, WrenchStamped, "wrench")
+        wrenches = client.heard(WrenchStamped, "/skin/wrench", 1000)
         wait_for(lambda: len(wrenches) > 5)
-    assert all(components(message.wrench.force).tolist() == [0.0] * 3 for message in wrenches)
+    assert all(xyz(message.wrench.force).tolist() == [0.0] * 3 for message in wrenches)
 
 
 class Lossy(VirtualDigitizer):
@@ -170,7 +159,7 @@ def test_untouched_is_not_claimed_after_a_loss_until_every_node_was_heard_again(
         plugged(lambda: lossy) as tty,
         running(port=tty, idle_rate_hz=1.0) as (_, client),
     ):
-        lists = subscribed(client, TactileContacts, "contacts")
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
         wait_for(lambda: lists and lists[-1].untouched)
         before = lists[-1].sequence
         lossy.until_s = time.monotonic() + 0.03
@@ -190,7 +179,7 @@ def test_untouched_is_not_claimed_after_a_loss_until_every_node_was_heard_again(
 
 def test_frames_that_are_left_out_are_left_out_of_all_topics() -> None:
     with running(port="sim://?scene=idle&heartbeat=0", idle_rate_hz=10.0) as (_, client):
-        lists = subscribed(client, TactileContacts, "contacts")
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
         wait_for(lambda: len(lists) > 10)
     assert_go_with(lists, client.arrays)
     steps = [b.sequence - a.sequence for a, b in pairwise(lists)]
@@ -204,7 +193,7 @@ def test_contacts_are_followed_only_while_somebody_subscribes() -> None:
         wait_for(lambda: _pressed(client, presses) >= 2)
         for first_id in (1, 2):
             begun = client.arrays[-1].sequence
-            lists = subscribed(client, TactileContacts, "contacts")
+            lists = client.heard(TactileContacts, "/skin/contacts", 1000)
             wait_for(lambda lists=lists: any(message.touched for message in lists))
             first = next(message for message in lists if message.touched)
             [contact] = first.contacts
@@ -227,7 +216,7 @@ def _pressed(client: Client, history: list[bool]) -> int:
 
 def test_thresholds_change_at_once_and_contradictions_are_refused() -> None:
     with running(port="sim://?scene=all&threshold=0") as (_, client):
-        lists = subscribed(client, TactileContacts, "contacts")
+        lists = client.heard(TactileContacts, "/skin/contacts", 1000)
         wait_for(lambda: lists and lists[-1].touched)
         taken, reason = client.set(contact_kpa=0.4)
         assert not taken

@@ -26,6 +26,7 @@ from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.viewers.body_view import BodyViewer, line
 from tactile_cdma.ros.viewers.view import Viewer, draw, in_use
 from tactile_cdma.views.terminal import Look, Numbers
+from test.support.spinning import living
 from torture.load.hostile import lie
 
 TAXELS = 16
@@ -63,9 +64,8 @@ def info(height: int = 4) -> TactileSkinInfo:
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    viewer = Viewer("/skin/tactile")
-    yield viewer
-    viewer.destroy_node()
+    with living(Viewer("/skin/tactile")) as viewer:
+        yield viewer
 
 
 def told_lies(taken: list[tuple[Callable[[Any], object], Any]], times: int) -> Iterator[bool]:

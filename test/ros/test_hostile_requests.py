@@ -47,7 +47,6 @@ def test_impossible_requests_are_answered_and_the_node_goes_on(name: str) -> Non
         wait_sending([(clock, Clock(clock=Time(sec=-5)))], lambda: FAILURES.count > before)
         wait_for(lambda: int(client.value("host", "failed callbacks") or 0) > before)
         assert process.is_alive()
-    client.destroy_node()
 
 
 def test_state_is_saved_before_anything_of_ros_is_destroyed(

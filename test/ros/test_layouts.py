@@ -49,9 +49,9 @@ def test_an_irregular_skin_is_one_row_and_still_a_picture() -> None:
     path = LAYOUTS / "list.yaml"
     port = f"sim://?scene=all&threshold=0&layout={path}"
     with running(port=port, nodes=20, layout_file=str(path), heatmap_pixels=8) as (_, client):
-        client.create_subscription(Image, "/skin/heatmap", client.images.append, PICTURE)
-        wait_for(lambda: client.infos and client.images and len(client.arrays) > 10)
-    info, message, image = client.infos[-1], client.arrays[-1], client.images[-1]
+        images = client.heard(Image, "/skin/heatmap", PICTURE)
+        wait_for(lambda: client.infos and images and len(client.arrays) > 10)
+    info, message, image = client.infos[-1], client.arrays[-1], images[-1]
     assert (info.height, info.width, message.height, message.width) == (1, 19, 1, 19)
     assert len(message.pressure) == len(message.status) == 19
     assert not np.isnan(message.pressure).any()

@@ -2,8 +2,6 @@
 
 """Markers of a skin and of its contacts, from frame to frame."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
@@ -30,6 +28,7 @@ from tactile_cdma.ros.driver.markers import (
     SkinMarkers,
 )
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
+from test.support.skin_client import xyz
 
 PITCH_M, MAX_PA, HEADING = 7e-3, 140e3, Heading(0, "cuff")
 NODES = np.array([*range(1, 24), 0], dtype=np.int32)
@@ -66,17 +65,13 @@ def of(array: MarkerArray, namespace: str, action: int = Marker.ADD) -> list[Mar
     return [m for m in array.markers if (m.ns, m.action) == (namespace, action)]
 
 
-def components(values: Any) -> np.ndarray:
-    return np.array([values.x, values.y, values.z])
-
-
 def test_the_surface_has_a_coloured_square_for_every_taxel_with_a_node() -> None:
     pressed = {0: 20e3, 7: 139e3, 8: float("nan")}
     [surface] = of(Skin().draw(pressed), SURFACE)
     assert surface.type == Marker.TRIANGLE_LIST
     assert surface.header == header(HEADING)
-    assert components(surface.scale).tolist() == [1, 1, 1]
-    corners = np.array([components(point) for point in surface.points]).reshape(-1, 6, 3)
+    assert xyz(surface.scale).tolist() == [1, 1, 1]
+    corners = np.array([xyz(point) for point in surface.points]).reshape(-1, 6, 3)
     # Below the taxels' places, with gaps between them, and smaller where there is no reading.
     middles = corners[:, [0, 1, 2, 5]].mean(axis=1)
     depth_m = SUNK_PITCHES * PITCH_M
@@ -98,14 +93,14 @@ def test_an_arrow_ends_at_the_centre_of_pressure_and_says_the_force() -> None:
     pressure_pa = 40e3
     drawn = Skin().draw({8: pressure_pa})
     [arrow], [text] = of(drawn, ARROWS), of(drawn, TEXTS)
-    tail, head = (components(point) for point in arrow.points)
+    tail, head = (xyz(point) for point in arrow.points)
     force_n = pressure_pa * PITCH_M**2
     assert np.allclose(head, CUFF.positions_m[8], atol=1e-7)
     # The force points into the skin, so the arrow comes from outside; a square of its length bears
     # the force at the top of the scale.
     assert np.allclose(tail - head, CUFF.normals[8] * (force_n / MAX_PA) ** 0.5, atol=1e-6)
     assert text.text == f"{force_n:.3g}N"
-    beyond_m = (components(text.pose.position) - tail) @ CUFF.normals[8]
+    beyond_m = (xyz(text.pose.position) - tail) @ CUFF.normals[8]
     assert beyond_m == pytest.approx(text.scale.z)
     assert (arrow.lifetime.sec, arrow.lifetime.nanosec) == (1, 500_000_000)
 
@@ -153,7 +148,7 @@ def test_markers_of_contacts_that_are_gone_are_deleted_once_and_others_keep_thei
 def test_no_arrow_is_longer_than_the_skin_is_wide() -> None:
     flat = Layout.grid(16, 0, 0, PITCH_M, PITCH_M)
     [arrow] = of(Skin(flat).draw(dict.fromkeys(range(16), MAX_PA)), ARROWS)
-    tail, head = (components(point) for point in arrow.points)
+    tail, head = (xyz(point) for point in arrow.points)
     assert np.linalg.norm(tail - head) == pytest.approx(4 * PITCH_M)
 
 
@@ -165,7 +160,7 @@ def test_the_resultant_of_several_contacts_is_their_sum_at_the_centre_of_pressur
     forces_n = -CUFF.normals[[0, 22]] * PITCH_M**2 * [[40e3], [30e3]]
     assert text.text == f"sum={np.linalg.norm(forces_n.sum(axis=0)):.3g}N"
     centre_m = (4 * CUFF.positions_m[0] + 3 * CUFF.positions_m[22]) / 7
-    assert np.allclose(components(arrow.points[1]), centre_m, atol=1e-6)
+    assert np.allclose(xyz(arrow.points[1]), centre_m, atol=1e-6)
     gone = skin.draw({0: 40e3})
     assert [m.id for name in (RESULTANT, SUM) for m in of(gone, name, Marker.DELETE)] == [0, 0]
 

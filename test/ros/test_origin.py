@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from lifecycle_msgs.msg import Transition
 
 from tactile_cdma.commands.cli import main
 from tactile_cdma.msg import TactileSkinInfo
@@ -77,10 +76,10 @@ def test_a_simulation_that_nobody_asked_for_is_warned_of_once_and_for_as_long_as
 ) -> None:
     with running(state_folder=str(tmp_path)) as (_, client):  # no tare that would be told of, too
         wait_for(told(client, WARN, "simulated, because no port is given"))
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         client.arrays.clear()
         client.entries.clear()
-        assert client.change(Transition.TRANSITION_ACTIVATE)
+        assert client.change("activate")
         wait_for(lambda: len(client.arrays) > 80)
         wait_for(told(client, WARN, "simulated, because no port is given"))
         assert client.infos[-1].origin == SIMULATED
@@ -94,8 +93,7 @@ def test_another_board_on_the_port_is_told_of_once(
     link = tmp_path / "ttyACM0"
     with running(port=str(link), autostart=False) as (_, client):
         with plugged(a_board(FIRST), link):
-            assert client.change(Transition.TRANSITION_CONFIGURE)
-            assert client.change(Transition.TRANSITION_ACTIVATE)
+            assert client.change("configure", "activate")
             wait_for(told(client, OK, f"board, {FIRST}"))
             wait_for(lambda: origin(client) == (BOARD, BOARD, FIRST))
         with plugged(a_board(SECOND), link):
@@ -107,11 +105,11 @@ def test_another_board_on_the_port_is_told_of_once(
             wait_for(lambda: len(client.arrays) > 20)
             wait_for(told(client, OK, f"board, {SECOND}"))
         assert client.value("source", "changes of the digitizer") == "1"
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         client.entries.clear()
         client.infos.clear()
         with plugged(a_board(FIRST), link):  # changed while the node did not look
-            assert client.change(Transition.TRANSITION_ACTIVATE)
+            assert client.change("activate")
             wait_for(lambda: client.infos)
             assert {info.digitizer_id for info in client.infos} == {FIRST}, (
                 "not who was there before"

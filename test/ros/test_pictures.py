@@ -38,10 +38,7 @@ NUMPY_TYPES = {PointField.FLOAT32: "<f4", PointField.UINT32: "<u4"}
 
 def subscribe(client: Client) -> dict[str, list[Any]]:
     """The lists that every picture's messages are going to fill, by topic."""
-    lists: dict[str, list[Any]] = {name: [] for name in TOPICS}
-    for name, kind in TOPICS.items():
-        client.create_subscription(kind, f"/skin/{name}", lists[name].append, PICTURE)
-    return lists
+    return {name: client.heard(kind, f"/skin/{name}", PICTURE) for name, kind in TOPICS.items()}
 
 
 def time_ns(message: Any) -> int:
@@ -146,9 +143,8 @@ def test_each_picture_is_drawn_only_while_somebody_looks_at_it() -> None:
 
 
 def test_no_frame_is_drawn_twice() -> None:
-    images: list[Image] = []
     with running(port="sim://?scene=all&threshold=0", frame_period_ms=100) as (_, client):
-        client.create_subscription(Image, "/skin/heatmap", images.append, PICTURE)
+        images = client.heard(Image, "/skin/heatmap", PICTURE)
         wait_for(lambda: len(images) > 8)
     stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
     assert len(set(stamps)) == len(stamps)

@@ -65,13 +65,10 @@ def test_on_a_read_only_disk_in_an_ascii_locale_a_tare_says_that_it_is_in_memory
     home.mkdir()
     prefix = ["--mount", "sh", "-c", 'mount -t tmpfs -o ro none "$0" && exec "$@"', str(home)]
     client, environment = Client("/read_only"), {**HOMELESS, **ASCII, "HOME": str(home)}
-    try:
-        with receiving(said, prefix, environment, "read_only") as driver, spinning([client]):
-            answer: Tare.Response = client.call(Tare, "tare", Tare.Request(wait=PATIENCE_S))
-            driver.send_signal(signal.SIGHUP)  # its terminal has gone
-            assert driver.wait(PATIENCE_S) == 0, said.read_text()
-    finally:
-        client.destroy_node()
+    with receiving(said, prefix, environment, "read_only") as driver, spinning([client]):
+        answer: Tare.Response = client.call(Tare, "tare", Tare.Request(wait=PATIENCE_S))
+        driver.send_signal(signal.SIGHUP)  # its terminal has gone
+        assert driver.wait(PATIENCE_S) == 0, said.read_text()
     assert answer.success
     assert "are taken off; in memory only: " in answer.message
     assert answer.message.endswith("tare and drift are not kept: Read-only file system")

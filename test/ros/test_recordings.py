@@ -61,7 +61,7 @@ def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path
     pipeline = Pipeline(SkinConfig.of(values), background=False)
     offline = {frame.sequence: frame for frame in raw_frames(path, pipeline)}
     with running(port=f"replay://{path}?speed=1", publish_voltage=True) as (_, client):
-        wait_for(lambda: any("recording has ended" in d.message for d in client.diagnostics))
+        wait_for(lambda: client.says("recording has ended"))
     assert len(client.arrays) > 80
     assert main(["export", str(path), "--bag", "-o", str(tmp_path / "bag")]) == 0
     with AnyReader([tmp_path / "bag"]) as reader:

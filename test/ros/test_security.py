@@ -18,6 +18,7 @@ from test.support.boards import Board, plugged
 from test.support.calibrations import write_calibration
 from test.support.programs import run_program, run_python
 from test.support.skin_client import running
+from test.support.spinning import living
 from test.support.users import USER, ordinary
 from test.support.waiting import wait_for
 
@@ -143,12 +144,9 @@ def test_the_policy_gives_the_driver_what_it_has_and_no_more() -> None:
 
 
 def test_the_policy_gives_the_viewer_what_it_has_and_no_more() -> None:
-    viewer = Viewer("/skin/tactile")
-    viewer.set_parameters([rclpy.parameter.Parameter("use_sim_time", value=True)])
-    try:
+    with living(Viewer("/skin/tactile")) as viewer:
+        viewer.set_parameters([rclpy.parameter.Parameter("use_sim_time", value=True)])
         assert_policy_is_what_is_used(viewer, "skin_view")
-    finally:
-        viewer.destroy_node()
 
 
 def test_without_its_keys_a_driver_that_must_have_them_does_not_start(tmp_path: Path) -> None:

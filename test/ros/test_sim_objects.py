@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import Point, Pose
-from lifecycle_msgs.msg import Transition
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
@@ -86,9 +85,9 @@ def test_what_is_published_is_felt_and_what_cannot_be_is_left() -> None:
         # Activated again, the skin is untouched and can be pressed again.
         press.publish(sim_objects([BALL]))
         wait_for(felt)
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         wait_for(lambda: not press.get_subscription_count())
-        assert client.change(Transition.TRANSITION_ACTIVATE)
+        assert client.change("activate")
         wait_for(lambda: not np.any(client.arrays[-1].pressure) and press.get_subscription_count())
         press.publish(sim_objects([BALL]))
         wait_for(felt)
@@ -102,8 +101,7 @@ def test_a_skin_that_is_stepped_publishes_a_frame_per_message() -> None:
     depths_m = np.linspace(0, 3e-3, 40)
     with running(port="sim://?scene=external&speed=0&threshold=0") as (_, client):
         press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
-        found: list[TactileContacts] = []
-        client.create_subscription(TactileContacts, "/skin/contacts", found.append, 10)
+        found = client.heard(TactileContacts, "/skin/contacts")
         wait_for(
             lambda: press.get_subscription_count() and client.count_publishers("/skin/contacts")
         )

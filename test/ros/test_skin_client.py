@@ -20,7 +20,7 @@ from tactile_cdma.ros.client import SkinClient, Touch
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.srv import Tare
 from test.support.skin_client import running
-from test.support.spinning import as_its_process, spinning
+from test.support.spinning import as_its_process, living, spinning
 from test.support.waiting import wait_for
 
 
@@ -94,16 +94,13 @@ def test_an_amount_that_is_unknown_is_not_sure(wrong: str) -> None:
         contact.velocity.y = math.nan
     message.contacts, message.absent = [contact], ["palm"] if wrong == "absent" else []
     node = Node("touched")
-    try:
-        with spinning([node]):
-            skin = SkinClient(node, "/other", silent_after_s=60.0)
-            publisher = node.create_publisher(TactileContacts, "/other/contacts", 10)
-            wait_for(publisher.get_subscription_count)
-            publisher.publish(message)
-            wait_for(lambda: skin.touch.contacts is not None)
-            assert skin.touch.touched and skin.touch.is_sure == (not wrong), skin.touch.problem
-    finally:
-        node.destroy_node()
+    with spinning([node]):
+        skin = SkinClient(node, "/other", silent_after_s=60.0)
+        publisher = node.create_publisher(TactileContacts, "/other/contacts", 10)
+        wait_for(publisher.get_subscription_count)
+        publisher.publish(message)
+        wait_for(lambda: skin.touch.contacts is not None)
+        assert skin.touch.touched and skin.touch.is_sure == (not wrong), skin.touch.problem
 
 
 def test_a_tare_waits_for_what_passes_while_the_node_serves_others() -> None:
@@ -132,15 +129,12 @@ def test_reasons_of_the_service_are_those_of_python() -> None:
 def test_the_nodes_own_executor_answers_later_too() -> None:
     """As skin_driver runs it; the tests above spin by rclpy's."""
     client = Node("asker")
-    try:
-        with as_its_process(SkinNode()), spinning([client]):
-            skin, begun_s = SkinClient(client), time.monotonic()
-            answer = skin.tare(wait_s=0.35)
-            assert not answer.success and answer.reason in (3, 4)  # too early in any case
-            assert 0.35 <= time.monotonic() - begun_s < 5.0
-            assert skin.tare(wait_s=20.0).success
-    finally:
-        client.destroy_node()
+    with as_its_process(SkinNode()), spinning([client]):
+        skin, begun_s = SkinClient(client), time.monotonic()
+        answer = skin.tare(wait_s=0.35)
+        assert not answer.success and answer.reason in (3, 4)  # too early in any case
+        assert 0.35 <= time.monotonic() - begun_s < 5.0
+        assert skin.tare(wait_s=20.0).success
 
 
 def test_services_that_do_not_answer_end_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,11 +143,6 @@ def test_services_that_do_not_answer_end_in_time(monkeypatch: pytest.MonkeyPatch
         with pytest.raises(PortError, match="no /palm/skin/tare: does the driver run"):
             SkinClient(node, "/palm/skin").tare()
         wait_for(lambda: node.count_publishers("/skin/contacts"))
-        alone = Node("alone")  # nobody spins it
-        try:
-            with pytest.raises(
-                PortError, match=r"did not answer within 0\.3 s; does another thread"
-            ):
-                SkinClient(alone).state()
-        finally:
-            alone.destroy_node()
+        late = pytest.raises(PortError, match=r"did not answer within 0\.3 s; does another thread")
+        with living(Node("alone")) as alone, late:  # nobody spins it
+            SkinClient(alone).state()

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 
 from tactile_cdma.msg import TactileArray
@@ -94,8 +93,7 @@ def test_a_tare_shows_in_readings_info_and_file_and_no_frame_is_lost(
             wait_for(lambda before=before: len(client.arrays) > before + 10)
             assert np.allclose(client.arrays[-1].pressure, 0, atol=15)
             wait_for(lambda: np.allclose(client.infos[-1].tare, 781.25, atol=1))
-            assert client.change(Transition.TRANSITION_DEACTIVATE)
-            assert client.change(Transition.TRANSITION_ACTIVATE)
+            assert client.change("deactivate", "activate")
 
 
 def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(tmp_path: Path) -> None:
@@ -127,10 +125,10 @@ def test_services_answer_in_every_state(tmp_path: Path) -> None:
     with running(port=IDLE, state_folder=str(tmp_path), autostart=False) as (_, client):
         assert "not active" in tare(client).message
         assert "not configured" in save().message
-        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change("configure")
         assert "not active" in tare(client).message
         assert save().success
-        assert client.change(Transition.TRANSITION_ACTIVATE)
+        assert client.change("activate")
         response = tare(client)
         assert not response.success
         assert "not tared" in response.message
@@ -140,7 +138,7 @@ def test_services_answer_in_every_state(tmp_path: Path) -> None:
         for name in ("skin-simulated.rest.yaml", "skin-simulated.calibration.yaml"):
             assert str(tmp_path / name) in saved.message
             assert (tmp_path / name).exists()
-        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change("deactivate")
         assert "not active" in tare(client).message
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -26,6 +26,7 @@ from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.ros.driver.pictures import TOPICS
 from test.support.skin_client import Client, running
+from test.support.spinning import living
 from test.support.waiting import wait_for
 
 PAST = QoSProfile(depth=100, durability=LATCHED.durability)
@@ -56,9 +57,8 @@ def test_qos_of_every_topic_can_be_overridden() -> None:
         for topic, (reliability, _) in before.items()
     }
     reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-    arrays: list[TactileArray] = []
     with running(parent_frame="palm", **overrides) as (_, client):
-        client.create_subscription(TactileArray, "/skin/tactile", arrays.append, reliable)
+        arrays = client.heard(TactileArray, "/skin/tactile", reliable)
         wait_for(lambda: arrays)  # a best-effort publisher would give a reliable client nothing
         for topic, (reliability, durability) in before.items():
             assert offers(client, topic) == (opposite[reliability], durability)
@@ -83,15 +83,15 @@ def test_a_wrong_qos_is_one_clear_fault(policy: str, value: Any, reason: str) ->
     with running(**{name: value}) as (node, client):
         assert list(node._declared.faults) == [name]
         assert re.search(reason, node._declared.faults[name])
-        wait_for(lambda: any(name in status.message for status in client.diagnostics))
+        wait_for(lambda: client.says(name))
         assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
 
 
 @pytest.mark.parametrize(("topic", "policy"), [("/skin/tactil", "depth"), ("/skin/info", "dept")])
 def test_qos_that_nothing_takes_is_warned_of(topic: str, policy: str) -> None:
-    name, logs = OVERRIDE.format(topic, policy), list[Log]()
+    name = OVERRIDE.format(topic, policy)
     with running(**{name: 3}) as (_, client):
-        client.create_subscription(Log, "/rosout", logs.append, PAST)
+        logs = client.heard(Log, "/rosout", PAST)
         wait_for(lambda: any(name in log.msg and "no such publisher" in log.msg for log in logs))
         wait_for(lambda: client.arrays)
 
@@ -124,22 +124,20 @@ def test_every_topic_has_fields_of_the_right_types(
     with running(make, **parameters) as (node, client):
         for publisher in node.publishers:
             if (topic := publisher.topic_name) not in UNASKED | silent:
-                heard[topic] = []
                 qos = QoSProfile(depth=10, durability=LATCHED.durability)
                 if offers(client, topic, node.get_name())[1] != "TRANSIENT_LOCAL":
                     qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-                client.create_subscription(publisher.msg_type, topic, heard[topic].append, qos)
+                heard[topic] = client.heard(publisher.msg_type, topic, qos)
         assert len(heard) == (4 if make is BodyNode else len(TOPICS) + 6)
         wait_for(lambda: all(heard.values()))
 
 
 def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
-    told: list[TFMessage] = []
     mount = {"mount_xyz_m": [0.1, 0.0, -0.2], "mount_rpy_rad": [0.2, -0.4, 0.9]}
     with running(autostart=False, parent_frame="palm", frame_id="pad", **mount) as (_, client):
-        client.create_subscription(TFMessage, "/tf_static", told.append, LATCHED)
+        told = client.heard(TFMessage, "/tf_static", LATCHED)
         others = len(client.get_publishers_info_by_topic("/tf_static"))
-        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change("configure")
         wait_for(lambda: told)
         [transform] = told[-1].transforms
         assert (transform.header.frame_id, transform.child_frame_id) == ("palm", "pad")
@@ -150,21 +148,20 @@ def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
         np.testing.assert_allclose(turned.rotation, expected.rotation, atol=1e-12)
         assert client.set(mount_xyz_m=[1, 2, 3]) == (True, "")  # whole numbers will do
         wait_for(lambda: told[-1].transforms[0].transform.translation.z == 3.0)
-        assert client.change(Transition.TRANSITION_CLEANUP)
+        assert client.change("cleanup")
         wait_for(lambda: len(client.get_publishers_info_by_topic("/tf_static")) <= others)
         assert client.set(parent_frame="") == (True, "")
-        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change("configure")
         wait_for(lambda: told[-1].transforms[0].child_frame_id == "pad_middle")
 
 
 def test_a_skin_that_is_not_mounted_is_known_to_tf_by_its_middle() -> None:
-    told: list[TFMessage] = []
     file = str(Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml")
     with running(nodes=72, frame_period_ms=40.0, layout_file=file, port="sim://?scene=idle") as (
         _,
         client,
     ):
-        client.create_subscription(TFMessage, "/tf_static", told.append, LATCHED)
+        told = client.heard(TFMessage, "/tf_static", LATCHED)
         wait_for(lambda: told)
     [transform] = told[-1].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("skin", "skin_middle")
@@ -183,7 +180,7 @@ def test_a_skin_that_is_not_mounted_is_known_to_tf_by_its_middle() -> None:
 )
 def test_frames_that_tf_does_not_take_are_refused(parent: str, reason: str) -> None:
     with running(parent_frame=parent) as (_, client):
-        wait_for(lambda: any(reason in status.message for status in client.diagnostics))
+        wait_for(lambda: client.says(reason))
         assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
 
 
@@ -226,11 +223,8 @@ def test_a_parameter_file_says_all_of_it(tmp_path: Path) -> None:
         """
     )
     assert read_file(path)["mount_xyz_m"] == (0.0, 1.0, 2.0)  # and no word of QoS
-    node = SkinNode(cli_args=["--ros-args", "--params-file", str(path)])
-    try:
+    with living(SkinNode(cli_args=["--ros-args", "--params-file", str(path)])) as node:
         assert node._declared.faults == {}
         assert list(node.get_parameter("mount_xyz_m").value) == [0.0, 1.0, 2.0]
         [offer] = node.get_publishers_info_by_topic("/skin/tactile")
         assert offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-    finally:
-        node.destroy_node()

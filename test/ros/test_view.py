@@ -20,17 +20,17 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import State
 
 from tactile_cdma.msg import TactileArray, TactileContact, TactileContacts
-from tactile_cdma.ros.common.process import Running
 from tactile_cdma.ros.common.qos import QUEUE
 from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
-from tactile_cdma.ros.viewers.view import Viewer, draw, look_for
+from tactile_cdma.ros.viewers.view import RIVALS_S, Viewer, draw, look_for
 from test.support.programs import run_python
 from test.support.skin_client import running
+from test.support.spinning import living, spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
 
@@ -50,22 +50,12 @@ def test_a_patch_is_called_by_its_namespace_or_its_whole_name(patch: str, name: 
 
 def test_two_drivers_of_one_name_are_told_of() -> None:
     node, viewer = rclpy.create_node("drivers"), Viewer("/twice/skin/tactile")
-    program = Running(viewer, lambda: False)
-
-    def complaint() -> str:
-        program.spin(0.1)
-        return viewer.complaint
-
-    try:
+    with spinning([node], [viewer]):
         node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
-        program.spin(1.5)
+        time.sleep(3 * RIVALS_S)
         assert viewer.complaint == ""
         node.create_publisher(TactileArray, "/twice/skin/tactile", QUEUE)
-        wait_for(lambda: complaint().startswith("2 drivers publish /twice/skin/tactile"))
-    finally:
-        program.executor.shutdown()
-        viewer.destroy_node()
-        node.destroy_node()
+        wait_for(lambda: viewer.complaint.startswith("2 drivers publish /twice/skin/tactile"))
 
 
 def status(name: str, level: bytes, message: str) -> DiagnosticStatus:
@@ -168,9 +158,8 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
     told: list[tuple[bool, str, int]] = []
     viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     try:
-        observer = rclpy.create_node("observer")
-        wait_for(lambda: observer.count_subscribers("/skin/tactile"))
-        observer.destroy_node()
+        with living(rclpy.create_node("observer")) as observer:
+            wait_for(lambda: observer.count_subscribers("/skin/tactile"))
         with running(port=port, stale_after_s=1.5) as (_, client):
             assert viewer.stdout is not None
             for line in viewer.stdout:
@@ -179,7 +168,7 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
                 told.append((int(found[1]) > 0, found[2], int(found[3])))
                 was_read = any(frames and valid == 16 for frames, _, valid in told)
                 if was_read and frames_stop and client.state() == State.PRIMARY_STATE_ACTIVE:
-                    assert client.change(Transition.TRANSITION_DEACTIVATE)
+                    assert client.change("deactivate")
                 if was_read and told[-1] == last:
                     break
     finally:
@@ -191,7 +180,7 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
 
 def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
     with running(port="sim://?scene=all&threshold=0") as (_, client):
-        stop = partial(client.change, Transition.TRANSITION_DEACTIVATE)
+        stop = partial(client.change, "deactivate")
         shown = shown_by_the_viewer(
             "no frame for", b"q", (r"force \d+\.\d\d N", stop), TERM="xterm", NO_COLOR="1"
         )
@@ -213,11 +202,9 @@ def test_the_force_of_a_skin_with_dead_nodes_is_at_least_or_unknown(
 ) -> None:
     with running(port=f"sim://?scene=press&dead={dead}"):
         viewer = Viewer("/skin/tactile")
-        program = Running(viewer, lambda: False)
 
         def shows_force() -> bool:
             """Frames that a busy machine loses leave it unknown; it is never said to be known."""
-            program.spin(0.1)
             if viewer.latest is None:
                 return False
             look, size = look_for("ascii", 140e3), os.terminal_size((100, 40))
@@ -225,11 +212,8 @@ def test_the_force_of_a_skin_with_dead_nodes_is_at_least_or_unknown(
             assert not re.search(r"force \d", screen)
             return stale in screen and bool(viewer.layout and re.search(force, screen))
 
-        try:
+        with spinning([viewer]):
             wait_for(lambda: shows_force() and viewer.tally.received > 100)
-        finally:
-            program.executor.shutdown()
-            viewer.destroy_node()
 
 
 @pytest.mark.parametrize(

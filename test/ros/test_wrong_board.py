@@ -50,7 +50,7 @@ def test_a_node_finds_its_board_by_usb_number_on_whichever_port(
             client,
         ),
     ):
-        wait_for(lambda: any("USB serial number" in s.message for s in client.diagnostics))
+        wait_for(lambda: client.says("USB serial number"))
         kernel[:] = [(first, "0A")]
         node._start()
         wait_for(lambda: len(client.arrays) > 20)

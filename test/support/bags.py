@@ -6,6 +6,7 @@ They share no code with the reader: messages are written by rosbags from their d
 """
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -50,6 +51,26 @@ class BagMaker:
         """A message, recorded seen_s after BEGIN_NS."""
         time_ns = BEGIN_NS + round(seen_s * 1e9)
         self.messages.append((time_ns, topic, kind, self.make(kind, **fields)))
+
+    def of(self, topic: str) -> list[Any]:
+        """The messages of a topic, in the order in which they were added."""
+        return [message for _, its, _, message in self.messages if its == topic]
+
+    def without(self, topic: str, *indices: int) -> Self:
+        """Lose messages of a topic, by their index in of(); all where none is given."""
+        lost = self._places(topic, indices)
+        self.messages = [one for place, one in enumerate(self.messages) if place not in lost]
+        return self
+
+    def spoilt(self, topic: str, *indices: int) -> Self:
+        """Damage messages likewise: they do not fit their definition."""
+        for place in self._places(topic, indices):
+            self.messages[place] = (*self.messages[place][:3], b"\x00\x01\x00\x00odd")
+        return self
+
+    def _places(self, topic: str, indices: tuple[int, ...]) -> set[int]:
+        places = [place for place, one in enumerate(self.messages) if one[1] == topic]
+        return {places[i] for i in indices or range(len(places))}
 
     def skin(
         self,
@@ -142,18 +163,21 @@ class BagMaker:
             self.add(t_s + 0.04, topic, kind, **fields)
         return self
 
-    def joints(self, topic: str, seconds: float) -> Self:
-        """Two joints at 100 Hz: the time, and its negative."""
+    def joints(
+        self, topic: str, seconds: float, rate_hz: float = 100, **places: Callable[[float], float]
+    ) -> Self:
+        """Joints by name, each where it says by time (s); default: finger = t, wrist = −t."""
+        places = places or {"finger": lambda t_s: t_s, "wrist": lambda t_s: -t_s}
         nothing = np.zeros(0)
-        for i in range(round(seconds * 100)):
-            t_s = i / 100
+        for i in range(round(seconds * rate_hz)):
+            t_s = i / rate_hz
             self.add(
                 t_s + 0.001,
                 topic,
                 "sensor_msgs/msg/JointState",
                 header=self.header(t_s),
-                name=["finger", "wrist"],
-                position=np.array([t_s, -t_s]),
+                name=list(places),
+                position=np.array([place(t_s) for place in places.values()]),
                 velocity=nothing,
                 effort=nothing,
             )

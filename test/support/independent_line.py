@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .sparse_codes import node_chips
+from .sparse_codes import mixed, node_chips, scrambler
 
 Floats: TypeAlias = NDArray[np.floating[Any]]
 Ints: TypeAlias = NDArray[np.integer[Any]]
@@ -67,30 +67,16 @@ def default_order(rows: int) -> int:
 
 def row_sign(row: int, seed: int | None) -> int:
     """Sign of a code row; seed None: natural signs."""
-    return 1 if seed is None or _hash(row, seed) < 2**31 else -1
+    return 1 if seed is None or mixed(row, seed) < 2**31 else -1
 
 
 @cache
 def flips(bits: int, order: int, seed: int) -> NDArray[np.int8]:
     """What scrambled nodes multiply their chips by, (bits, N) of ±1."""
-    h = _hash(65536, seed)
-    state = (h ^ h >> 16) or 1
-    octets = [state >> shift & 255 for shift in (0, 8, 16, 24)]  # the oldest first
     per_bit = -(-order // 8)
-    while len(octets) < 4 + bits * per_bit:
-        oldest, newest = octets[-4], octets[-1]
-        t = oldest ^ oldest << 1 & 255
-        octets.append(newest ^ newest >> 3 ^ t ^ t >> 1)
-    taken = np.array(octets[4:], np.uint8).reshape(bits, per_bit)
+    taken = np.array(scrambler(bits * per_bit, seed), np.uint8).reshape(bits, per_bit)
     read = np.unpackbits(taken, axis=1, bitorder="little")[:, -order:]
     return 1 - 2 * read.astype(np.int8)
-
-
-def _hash(row: int, seed: int) -> int:
-    """Of a row and a seed, 32 bits."""
-    h = (seed + row * 0x9E3779B9) % 2**32
-    h = (h ^ h >> 16) * 0x85EBCA6B % 2**32
-    return (h ^ h >> 13) * 0xC2B2AE35 % 2**32
 
 
 def _ways(order: int, least: int) -> Iterator[tuple[int, ...]]:

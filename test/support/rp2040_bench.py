@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rp2040 import Rp2040
+from tactile_cdma.driver.timeline import sample_count
 from tactile_cdma.wire._protocol import SYNC_LEAD, SYNC_UNIT_US
 from tactile_cdma.wire.messages import (
     Ack,
@@ -166,8 +167,7 @@ class Bench:
         """
         total, times_ns, line = 0, self.times_ns, self.counts
         for packet in packets:
-            first = packet.first_index
-            size = packet.count if isinstance(packet, Quiet) else packet.counts.size
+            first, size = packet.first_index, sample_count(packet)
             counts = line[first : first + size]
             if isinstance(packet, Quiet):
                 assert (packet.sum, packet.count) == (counts.astype(np.int64).sum(), counts.size)

@@ -23,7 +23,7 @@ from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame, RollCalls
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Samples, Start
+from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
 
@@ -109,12 +109,26 @@ def scope_capture(
     return np.arange(first) / rate_hz, np.concatenate(volts)
 
 
-def configuration(config: SkinConfig) -> Configure:
+def configuration(config: SkinConfig, quiet_uv: int = 0) -> Configure:
     """What the driver would ask of the digitizer."""
     return Configure(
         FrameLayout.of(config.spec, config.samples_per_chip),
         SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
         config.samples_per_chip == 1,
+        quiet_uv,
+    )
+
+
+def introduction(config: SkinConfig, volts_per_count: float = 1e-3, **changes: int) -> Info:
+    """What a digitizer says that is set like this."""
+    asked, rate_hz = configuration(config), config.samples_per_chip / config.spec.chip_s
+    return Info(
+        frame=asked.frame,
+        sample_rate_uhz=round(rate_hz * 1e6),
+        volts_per_count=volts_per_count,
+        sync_mode=asked.sync_mode,
+        integrated=asked.integrated,
+        **changes,
     )
 
 

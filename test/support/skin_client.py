@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -14,7 +15,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import Image
+from rclpy.qos import QoSProfile
 
 from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
@@ -32,7 +33,6 @@ class Client(Node):
         super().__init__("client")
         self._asked = asked
         self.arrays: list[TactileArray] = []
-        self.images: list[Image] = []
         self.infos: list[TactileSkinInfo] = []
         self.entries: dict[str, list[DiagnosticStatus]] = {}  # of /diagnostics, by last word
         self.diagnostics: list[DiagnosticStatus] = []  # all entries of a report in one
@@ -53,6 +53,16 @@ class Client(Node):
         """The newest value of this name in an entry; empty if there is none."""
         return {pair.key: pair.value for pair in self.entry(entry).values}.get(key, "")
 
+    def says(self, text: str) -> bool:
+        """Whether /diagnostics have said so."""
+        return any(text in status.message for status in self.diagnostics)
+
+    def heard(self, kind: type, topic: str, qos: QoSProfile | int = 10) -> list[Any]:
+        """The messages of a topic from now on."""
+        messages: list[Any] = []
+        self.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.create_client(kind, f"{self._asked}/{name}")
         assert client.wait_for_service(PATIENCE_S), f"no service {name}"
@@ -61,9 +71,11 @@ class Client(Node):
         self.destroy_client(client)
         return future.result()
 
-    def change(self, transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return bool(self.call(ChangeState, "change_state", request).success)
+    def change(self, *names: str) -> bool:
+        """Ask for these transitions, as far as they are possible; returns whether all were."""
+        numbers = (getattr(Transition, f"TRANSITION_{name.upper()}", 222) for name in names)
+        requests = (ChangeState.Request(transition=Transition(id=number)) for number in numbers)
+        return all(self.call(ChangeState, "change_state", each).success for each in requests)
 
     def state(self) -> int:
         return int(self.call(GetState, "get_state", GetState.Request()).current_state.id)
@@ -83,6 +95,11 @@ def in_one(message: DiagnosticArray) -> DiagnosticStatus:
     texts = [status.message for status in message.status if status.level == level]
     values = [pair for status in message.status for pair in status.values]
     return DiagnosticStatus(level=level, message="; ".join(texts), values=values)
+
+
+def xyz(vector: Any) -> np.ndarray:
+    """A Point, Vector3 or the like, (3,)."""
+    return np.array([vector.x, vector.y, vector.z])
 
 
 def wait_sending(sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], object]) -> None:
@@ -110,9 +127,5 @@ def running(
     """A driver node and a client, each spinning in a thread of its own."""
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     node, client = make(parameter_overrides=overrides), Client()
-    try:
-        with spinning([node], [client]):
-            yield node, client
-    finally:
-        for member in (node, client):
-            member.destroy_node()
+    with spinning([node], [client]):
+        yield node, client

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sparse codes by docs/protocol.md, octet by octet as a node makes them: no line of the package."""
+"""Sparse codes and scrambler by docs/protocol.md, octet by octet: no line of the package."""
 
 import numpy as np
 from numpy.typing import NDArray

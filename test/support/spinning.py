@@ -5,16 +5,29 @@
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
+from typing import TypeVar
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from tactile_cdma.ros.common.executor import LeanExecutor
 
+N = TypeVar("N", bound=Node)
+
+
+@contextmanager
+def living(node: N) -> Iterator[N]:
+    """A node that nobody serves, or the test itself."""
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+
 
 @contextmanager
 def spinning(*groups: Sequence[Node]) -> Iterator[None]:
-    """Nodes served in the background, each group by an executor in a thread of its own.
+    """Nodes served in the background, each group by an executor in a thread of its own; then ended.
 
     Executors are shut down when they spin no more: rclpy would trip over what is gone.
     """
@@ -40,6 +53,8 @@ def spinning(*groups: Sequence[Node]) -> Iterator[None]:
             executor.create_task(lambda: None)  # rclpy's wait ends only with something to do
             thread.join()
             executor.shutdown()
+        for node in chain(*groups):
+            node.destroy_node()
 
 
 @contextmanager

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import FrameLayout, Info, Quiet
+from tactile_cdma.wire.messages import Quiet
 from tactile_cdma.wire.packets import PacketWriter
 
 from .clock_model import FRAME_S, PERIOD_S, RATE_HZ, SAMPLES, SAMPLES_PER_PERIOD, Read
+from .simulated import introduction
 
 
 class Stamped(NamedTuple):
@@ -28,15 +28,8 @@ def silent_pipeline(compiled: bool = True) -> tuple[Pipeline, PacketWriter]:
     config = SkinConfig.of({"nodes": 16, "order": 20, "frame_period_ms": 1e3 * PERIOD_S})
     writer = PacketWriter()
     assert math.isclose(config.spec.frame_s, FRAME_S)
-    info = Info(
-        frame=FrameLayout.of(config.spec, config.samples_per_chip),
-        sample_rate_uhz=RATE_HZ * 10**6,
-        volts_per_count=1e-3,
-        sync_mode=SyncMode.DRIVE,
-        quiet_uv=2000,
-    )
     pipeline = Pipeline(config, background=False, compiled=compiled)
-    pipeline.feed(writer.encode(info), 0.0)
+    pipeline.feed(writer.encode(introduction(config, quiet_uv=2000)), 0.0)
     assert pipeline.problem is None
     return pipeline, writer
 

@@ -71,7 +71,6 @@ def main() -> None:
     sys.addaudithook(watch)
     # Not before: what they import and open is to be seen, too.
     import rclpy
-    from lifecycle_msgs.msg import Transition
     from sensor_msgs.msg import Image, PointCloud2
     from std_srvs.srv import Trigger
     from visualization_msgs.msg import MarkerArray
@@ -96,8 +95,7 @@ def main() -> None:
         assert client.set(calibration_file=calibration) == (True, "")
         assert client.call(Trigger, "save_calibration", Trigger.Request()).success
         found = {"open": open_files(), "sockets": sockets()}
-        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
-            assert client.change(transition)
+        assert client.change("deactivate", "cleanup")
     rclpy.shutdown()
     found |= {"written": written, "changed": changed, "others": others}
     print(json.dumps({**found, "user": [os.getresuid(), os.getgroups()]}))

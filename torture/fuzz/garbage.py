@@ -16,9 +16,10 @@ import numpy as np
 from tactile_cdma.config.parameters import GAP, LINE
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.wire._protocol import MAX_SAMPLES, SyncMode
-from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples
+from tactile_cdma.wire._protocol import MAX_SAMPLES
+from tactile_cdma.wire.messages import Quiet, Samples
 from tactile_cdma.wire.packets import PacketWriter, wrap
+from test.support.simulated import introduction
 
 CHUNK = 1 << 16
 """Bytes fed at once."""
@@ -99,7 +100,7 @@ class Held:
 
 def feed(kind: str, seed: int, most_bytes: int, most_s: float, pipeline: Pipeline) -> Held:
     """Feed INFO, then garbage up to most_bytes or most_s of processor time."""
-    pipeline.feed(PacketWriter().encode(_info(pipeline.config)), 0.0)
+    pipeline.feed(PacketWriter().encode(introduction(pipeline.config)), 0.0)
     chunks, fed = KINDS[kind][1](random.Random(seed)), 0
     tracemalloc.start()
     before, _ = tracemalloc.get_traced_memory()
@@ -116,12 +117,3 @@ def feed(kind: str, seed: int, most_bytes: int, most_s: float, pipeline: Pipelin
 def pipeline_for(kind: str) -> Pipeline:
     """The pipeline that this kind of garbage is meant for."""
     return Pipeline(CONFIGS[KINDS[kind][0]], background=False)
-
-
-def _info(config: SkinConfig) -> Info:
-    return Info(
-        frame=FrameLayout.of(config.spec, config.samples_per_chip),
-        sample_rate_uhz=round(RATE_HZ * 1e6),
-        volts_per_count=1e-3,
-        sync_mode=SyncMode.NONE if config.timing == GAP else SyncMode.DRIVE,
-    )

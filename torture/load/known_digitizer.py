@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A virtual digitizer in a thread, behind a tty or a socket, that remembers the truth."""
+"""A virtual digitizer that remembers the truth, and a socket to serve it on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.sim.pty import serve
 from test.support.oracle import Stream
 
 from ..connection.plug import Host
@@ -107,16 +105,6 @@ class KnownDigitizer(VirtualDigitizer):
 
 
 @contextmanager
-def on_a_tty(digitizer: KnownDigitizer, path: Path) -> Iterator[str]:
-    """Serve it on a tty with this path, which is the port's URL."""
-    stop, ready = threading.Event(), threading.Event()
-    arguments = (lambda: digitizer, path, stop, lambda _: ready.set())
-    with _running(threading.Thread(target=serve, args=arguments), stop):
-        ready.wait(READY_S)
-        yield str(path)
-
-
-@contextmanager
 def on_a_socket(digitizer: KnownDigitizer) -> Iterator[str]:
     """Serve it on a socket, whose kernel buffers hold many seconds; yields the port's URL."""
     stop, host = threading.Event(), Host()
@@ -126,16 +114,11 @@ def on_a_socket(digitizer: KnownDigitizer) -> Iterator[str]:
         while not stop.wait(_TURN_S):
             host.step()
 
-    with _running(threading.Thread(target=run, daemon=True), stop):
-        yield host.url
-    host.unplug()
-
-
-@contextmanager
-def _running(thread: threading.Thread, stop: threading.Event) -> Iterator[None]:
+    thread = threading.Thread(target=run, daemon=True)
     thread.start()
     try:
-        yield
+        yield host.url
     finally:
         stop.set()
         thread.join(READY_S)
+    host.unplug()

@@ -155,7 +155,6 @@ def _liar(domain: int) -> Iterator[Node]:
         with spinning([node]):
             yield node
     finally:
-        node.destroy_node()
         rclpy.shutdown(context=context)
 
 

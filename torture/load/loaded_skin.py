@@ -26,12 +26,13 @@ from sensor_msgs.msg import Image
 from tactile_cdma.msg import TactileArray
 from tactile_cdma.readings.status import Status
 from tactile_cdma.sim.options import SimOptions
+from test.support.boards import plugged
 from test.support.domains import own_domain
 from test.support.spinning import spinning
 
 from ..outcome import Outcome, Tally
 from ..process_watch import memory_kb, waited_s
-from .known_digitizer import KnownDigitizer, on_a_socket, on_a_tty
+from .known_digitizer import KnownDigitizer, on_a_socket
 from .message_judge import MessageJudge
 
 SKIN_DRIVER = Path(__file__).resolve().parents[2] / "scripts" / "skin_driver"
@@ -131,12 +132,11 @@ class LoadedSkin:
 
     def __enter__(self) -> LoadedSkin:
         with ExitStack() as stack:
-            plugged = (
+            port = stack.enter_context(
                 on_a_socket(self.digitizer)
                 if self._networked
-                else on_a_tty(self.digitizer, self.folder / "tty")
+                else plugged(lambda: self.digitizer, self.folder / "tty")
             )
-            port = stack.enter_context(plugged)
             stack.enter_context(self._listening())
             self.process = stack.enter_context(self._driver(port))
             self.judge.waited_s = partial(waited_s, self.process.pid)
@@ -259,7 +259,6 @@ class LoadedSkin:
             with spinning([self.node]):
                 yield
         finally:
-            self.node.destroy_node()
             rclpy.shutdown(context=context)
 
     def _watch(self) -> None:

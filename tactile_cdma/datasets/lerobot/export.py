@@ -84,10 +84,10 @@ def write_lerobot(
     without pyarrow, OSError.
     """
     pyarrow()
+    sources = [open_source(path, wanted) for path in paths]
     for path in paths:
         if not has_times(path):
             raise CaptureError(f"{path}: bytes alone have no times, which a dataset needs")
-    sources = [open_source(path, wanted) for path in paths]
     if not patches_of(sources[0].streams):
         raise CaptureError(f"{paths[0]}: no frames of a skin in this bag")
     layout = _Layout(sources, plan)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Bools, Floats32
 from ..alignment import Row
 from ..parquet_table import PNG_OR_JPEG
 from ..samples import DERIVED, NANO, Kind, RawImage, SampleStream
@@ -118,7 +117,9 @@ def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]
                 f"{name}.age_s": value.age_s,
             }
         elif stream.kind in DERIVED:
-            found[name], found[f"{name}.valid"] = _filled(value, stream.shape)
+            values: Any = np.full(stream.shape, np.nan, np.float32) if value is None else value
+            valid = np.isfinite(values)
+            found |= {name: np.where(valid, values, np.float32(0)), f"{name}.valid": valid}
         elif isinstance(value, RawImage):
             check_size(value.message, stream.key, stream.shape)
             take = depth if stream.kind == Kind.DEPTH else encoded
@@ -130,10 +131,3 @@ def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]
         if its := elements.get(feature.name):
             found[feature.name] = np.array([its[name] for name in feature.names], np.float32)
     return found
-
-
-def _filled(value: Any, shape: tuple[int, ...]) -> tuple[Floats32, Bools]:
-    """Values with 0 for NaN, and which were none."""
-    values = np.full(shape, np.nan, dtype=np.float32) if value is None else value
-    valid = np.isfinite(values)
-    return np.where(valid, values, np.float32(0)), valid

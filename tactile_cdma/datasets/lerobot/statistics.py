@@ -93,6 +93,4 @@ class ImageStatistics:
     def content(self) -> dict[str, Any]:
         """As in meta/stats.json."""
         each = [statistics.content() for statistics in self._each]
-        names = ("min", "max", "mean", "std")
-        content: dict[str, Any] = {name: [one[name] for one in each] for name in names}
-        return content | {"count": [self._images]}
+        return {name: [one[name] for one in each] for name in each[0]} | {"count": [self._images]}

@@ -48,7 +48,11 @@ class DatasetWriter:
         self._features = (*features, *COUNTERS)
         self._arrow = pyarrow()
         self._statistics = {
-            feature.name: _statistics(feature) for feature in self._features if not feature.mask
+            feature.name: ImageStatistics()
+            if feature.dtype == PNG_OR_JPEG
+            else Statistics(feature.shape, feature.pooled)
+            for feature in self._features
+            if not feature.mask
         }
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
@@ -182,9 +186,3 @@ class DatasetWriter:
         described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
         library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
-
-
-def _statistics(feature: Feature) -> Statistics | ImageStatistics:
-    if feature.dtype == PNG_OR_JPEG:
-        return ImageStatistics()
-    return Statistics(feature.shape, feature.pooled)

@@ -11,7 +11,7 @@ from ...base.errors import CaptureError, ParameterError, needed_for
 from ...config.parameters import Value
 from ...recording.recording_file import is_recording
 from ..samples import MOST_SHOWN, SampleSource
-from .recording_source import RecordingSource, check_bytes
+from .recording_source import RecordingSource
 
 _log = logging.getLogger(__name__)
 
@@ -60,14 +60,8 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
 
 
 def has_times(path: Path) -> bool:
-    """Whether frames of this source have a wall time: raw bytes have none.
-
-    Raises CaptureError for what is none of these.
-    """
-    if is_bag(path) or is_recording(path):
-        return True
-    check_bytes(path)
-    return False
+    """Whether frames of this source have a wall time: raw bytes have none. Raises CaptureError."""
+    return is_bag(path) or is_recording(path)
 
 
 def is_bag(path: Path) -> bool:

@@ -37,7 +37,10 @@ class RecordingSource:
 
     def __init__(self, path: Path, asked: dict[str, Value], derived: bool) -> None:
         """asked: parameters that override the file's. derived: contacts and wrench, too."""
-        check_bytes(path)
+        if is_text(path):
+            raise CaptureError(
+                f"{path}: text; of an oscilloscope's capture decode --json makes frames"
+            )
         self.path, self._derived = path, derived
         self.capture = RawCapture(path, asked)
         self.begin_ns = self.end_ns = 0
@@ -82,12 +85,6 @@ class RecordingSource:
                 continue  # every frame is decoded: a reading rests on all words before it
             keys = Kind.TACTILE, *DERIVED
             yield from samples_of(keys, skin_frame(frame, wall_s), found, stamp_ns, stamp_ns)
-
-
-def check_bytes(path: Path) -> None:
-    """Raises CaptureError for a file that is no recording and no raw bytes, as far as is seen."""
-    if is_text(path):
-        raise CaptureError(f"{path}: text; of an oscilloscope's capture decode --json makes frames")
 
 
 def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:

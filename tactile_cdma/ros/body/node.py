@@ -13,14 +13,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from tactile_cdma.msg import TactileBody, TactileContacts
@@ -30,8 +29,8 @@ from ...messages.cdr import Heading, TaxelArray
 from ...messages.rounds import Rounds
 from ...places.poses import Pose
 from ...views.cloud import BODY_POINT
-from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, wrench_stamped
-from ..common.nodes import TAKEN, all_or_nothing, changing
+from ..common.convert import UNKNOWN_WRENCH, is_known, point_cloud, report, wrench_stamped
+from ..common.nodes import STEADY, TAKEN, all_or_nothing, changing
 from ..common.process import run_node
 from ..common.qos import PICTURE, RELIABLE, offered
 from ..common.touches import Touches
@@ -84,11 +83,10 @@ class BodyNode(Node):
         self._cloud = b""
         back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
         self._watch = self.get_clock().create_jump_callback(back, post_callback=self._step_back)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
-        self.create_timer(TICK_S, self._tick, clock=steady)
-        self.create_timer(REPORT_S, self._report, clock=steady)
+        self.create_timer(TICK_S, self._tick, clock=STEADY)
+        self.create_timer(REPORT_S, self._report, clock=STEADY)
         self._points_timer = self.create_timer(
-            1.0 / self._values["visual_rate_hz"], self._ask_for_points, clock=steady
+            1.0 / self._values["visual_rate_hz"], self._ask_for_points, clock=STEADY
         )
         self._points_timer.cancel()  # until somebody asks
 
@@ -265,9 +263,7 @@ class BodyNode(Node):
     def _report(self) -> None:
         name, stale_after_s = self.get_fully_qualified_name(), self._values["stale_after_s"]
         status = body_status(name, self._feeds, self._faults, stale_after_s, time.monotonic())
-        header = Header(stamp=self.get_clock().now().to_msg())
-        entries = [status, host_status(name)]
-        self._diagnostics.publish(DiagnosticArray(header=header, status=entries))
+        self._diagnostics.publish(report(self, [status, host_status(name)]))
 
 
 def main() -> int:

@@ -64,28 +64,24 @@ def body_tactile(
 ) -> bytes:
     """The message TactileBody. absent: all patches that are, heard ever or not."""
     sizes = [len(part.places) for part in parts]
-    pressure_pa = [
-        np.full(len(part.places), np.nan) if part.absent else part.array.pressure_pa
-        for part in parts
-    ]
-    status = [
-        np.full(len(part.places), Status.STALE) if part.absent else part.array.status
-        for part in parts
+    readings = [
+        (np.full(size, np.nan), np.full(size, Status.STALE))
+        if part.absent
+        else (part.array.pressure_pa, part.array.status)
+        for part, size in zip(parts, sizes, strict=True)
     ]
     placed = [part.places.placed(part.pose) for part in parts]
     writer = CdrWriter()
     writer.header(heading)
     writer.add(_SEQUENCE.pack(sequence), 8)
-    for names in (absent, [part.name for part in parts]):
-        writer.count(len(names))
-        for name in names:
-            writer.text(name)
+    writer.texts(absent)
+    writer.texts([part.name for part in parts])
     writer.array(np.cumsum([0, *sizes])[:-1].astype("<u4"))
     writer.count(len(parts))
     for part in parts:
         writer.add(part.array.heading.stamp, 4)
-    writer.array(_joined(pressure_pa, (0,)).astype("<f4"))
-    writer.array(_joined(status, (0,)).astype("u1"))
+    writer.array(_joined([pressure_pa for pressure_pa, _ in readings], (0,)).astype("<f4"))
+    writer.array(_joined([status for _, status in readings], (0,)).astype("u1"))
     writer.array(_joined([positions_m for positions_m, _ in placed], (0, 3)).astype("<f4"))
     writer.array(_joined([normals for _, normals in placed], (0, 3)).astype("<f4"))
     writer.array(_joined([part.places.areas_m2 for part in parts], (0,)).astype("<f4"))

@@ -14,9 +14,10 @@ from struct import Struct
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Point32, Vector3
 from numpy.typing import NDArray
+from rclpy.node import Node
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Header
 
@@ -26,7 +27,7 @@ from ...base.arrays import Floats, Floats32
 from ...base.errors import MessageError
 from ...config.skin_config import SkinConfig
 from ...driver.digitizer import Source
-from ...messages.cdr import CdrWriter, Heading, check_array
+from ...messages.cdr import ENCAPSULATION, CdrWriter, Heading, check_array
 from ...messages.fields import info_fields
 from ...places.layout import Layout
 from ...readings.baseline import Baseline
@@ -122,7 +123,7 @@ def _point_fields(kind: np.dtype[np.void]) -> bytes:
     for name, (number, offset, *_) in kind.fields.items():
         writer.text(name)
         writer.add(_FIELD.pack(offset, _POINT_TYPES[number.str], 1), 4)
-    return writer.fields
+    return writer.message[len(ENCAPSULATION) :]
 
 
 _POINT_TYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
@@ -139,6 +140,11 @@ def diagnostic(
     return DiagnosticStatus(
         level=level, name=name, message=text, hardware_id=hardware_id, values=pairs
     )
+
+
+def report(node: Node, entries: list[DiagnosticStatus]) -> DiagnosticArray:
+    """The message for /diagnostics."""
+    return DiagnosticArray(header=Header(stamp=node.get_clock().now().to_msg()), status=entries)
 
 
 def nanoseconds(stamp: Time) -> int:

@@ -10,6 +10,7 @@ from typing import Any
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -18,6 +19,8 @@ from ...base.errors import ParameterError
 from ...base.text import plain
 from .failures import FAILURES
 
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""For timers: it goes on where simulated time stands."""
 TAKEN = SetParametersResult(successful=True)
 """The answer where no parameter is to be set."""
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]

@@ -70,9 +70,7 @@ class Touches:
         writer = CdrWriter()
         writer.header(self.heading)
         writer.add(_SEQUENCE.pack(self.sequence, self.info_id, self.stamp_uncertainty_s), 8)
-        writer.count(len(self.absent))
-        for name in self.absent:
-            writer.text(name)
+        writer.texts(self.absent)
         counts = self.taxels_in_service, self.taxels_valid
         writer.add(_COVERAGE.pack(*counts, self.touched, self.untouched), 4)
         writer.add(_AREA.pack(self.area_m2), 4)

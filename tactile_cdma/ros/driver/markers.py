@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
 from ...base.arrays import Bools, Floats, Floats32
-from ...messages.cdr import CdrWriter, Heading
+from ...messages.cdr import PADDING, CdrWriter, Heading, string
 from ...places.layout import Layout
 from ...places.mesh import CORNERS, MOST_SQUARES, taxel_squares
 from ...readings.contact import Contacts
@@ -50,6 +50,11 @@ _TINY_N = 1e-12
 _NUMBERS, _SHAPE = Struct("<3i"), Struct("<10d4fiI?")
 _NOWHERE, _UPRIGHT = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
 _Rgba = tuple[float, float, float, float]
+_NOTHING = string("") + PADDING[3]
+_NO_TEXTURE = _NOTHING + bytes(8) + 2 * _NOTHING + bytes(8)
+"""Empty texture_resource, texture (with its header) and uv_coordinates of a marker."""
+_NO_MESH = 2 * _NOTHING + bytes(5)
+"""Empty mesh_resource and mesh_file; mesh_use_embedded_materials is False."""
 _NO_POINTS, _NO_COLOURS = np.zeros((0, 3)), _SCALE_RGBA[:0]
 
 
@@ -224,27 +229,3 @@ def _message(markers: Sequence[_Marker], heading: Heading, lifetime_s: float) ->
         writer.text(marker.text)
         writer.add(_NO_MESH, 4)
     return writer.message
-
-
-def _no_texture() -> bytes:
-    """Empty texture_resource, texture and uv_coordinates of a marker."""
-    writer = CdrWriter()
-    writer.text("")
-    writer.header(Heading(0, ""))
-    writer.text("")
-    writer.count(0)
-    writer.count(0)
-    return writer.fields
-
-
-def _no_mesh() -> bytes:
-    """Empty mesh_resource and mesh_file; mesh_use_embedded_materials is False."""
-    writer = CdrWriter()
-    writer.text("")
-    writer.text("")
-    writer.count(0)
-    writer.add(b"\0")
-    return writer.fields
-
-
-_NO_TEXTURE, _NO_MESH = _no_texture(), _no_mesh()

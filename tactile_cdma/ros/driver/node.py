@@ -11,11 +11,9 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Header
 
 from ...base.errors import ParameterError, RestError, TactileError
 from ...base.text import plain
@@ -31,7 +29,8 @@ from ...rest.rest_keeper import RestKeeper
 from ...wire.messages import Info
 from ...wire.port import Port
 from ...wire.port_failures import is_remote
-from ..common.nodes import TAKEN, ManagedNode, all_or_nothing, changing, reported
+from ..common.convert import report
+from ..common.nodes import STEADY, TAKEN, ManagedNode, all_or_nothing, changing, reported
 from ..common.process import run_node
 from ..common.qos import LATCHED
 from .diagnostics import SkinReport
@@ -91,12 +90,11 @@ class SkinNode(ManagedNode):
         )
         self._declared.check_all_taken()
         RestServices(self, lambda: self._rest)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
-        self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
-        self.look_timer = self.create_timer(LOOK_S, self.pictures.look, clock=steady)
-        self._review_timer = self.create_timer(REVIEW_S, self._review, clock=steady)
+        self._diagnostics_timer = self.create_timer(1.0, self._publish_diagnostics, clock=STEADY)
+        self.look_timer = self.create_timer(LOOK_S, self.pictures.look, clock=STEADY)
+        self._review_timer = self.create_timer(REVIEW_S, self._review, clock=STEADY)
         self._review_timer.cancel()
-        self._start_timer = self.create_timer(RETRY_S, self._start, clock=steady)
+        self._start_timer = self.create_timer(RETRY_S, self._start, clock=STEADY)
         if self._live["autostart"]:
             self._start()
         else:
@@ -318,8 +316,7 @@ class SkinNode(ManagedNode):
                 self._driver, self._watch, latest and latest[0], self._rest.tared, drivers
             )
             self._rest.tick()
-        header = Header(stamp=self.get_clock().now().to_msg())
-        self._diagnostics_publisher.publish(DiagnosticArray(header=header, status=entries))
+        self._diagnostics_publisher.publish(report(self, entries))
 
     def _log_problem(self, problem: str | None) -> None:
         if problem in NOT_YET:

@@ -15,15 +15,8 @@ from ...base.errors import ParameterError, TactileError
 from ...config.parameters import Values
 from ...config.python_arguments import instance
 from ...driver.driver import Driver
-from ...sim.indenters import (
-    STIFFNESS_PA_PER_M,
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    Indenter,
-    Sphere,
-)
+from ...sim import Box, Capsule, Cylinder, Ellipsoid, Indenter, Sphere
+from ...sim.indenters import STIFFNESS_PA_PER_M
 from ...sim.pressing import is_pressable, press
 from ...wire.port import Port
 from ..common.qos import RELIABLE

@@ -13,18 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
-from std_msgs.msg import Header
 
 from ...base.errors import TactileError
 from ...base.text import plain
 from ...config.body_file import Patch, read_body
-from ..common.convert import diagnostic
+from ..common.convert import diagnostic, report
 from ..common.failures import FAILURES
-from ..common.nodes import all_or_nothing
+from ..common.nodes import STEADY, all_or_nothing
 from ..common.process import run_node
 from .node import SkinNode
 from .pictures import LOOK_S, Pictures
@@ -48,11 +46,10 @@ class PatchesNode(Node):
         self._untried, self._failed = deque(patches), list[Patch]()
         self._faults: dict[str, str] = {}  # by node
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on where simulated time stands
-        self._next = self.create_timer(NEXT_S, self._make_next, clock=steady)
-        self._retry = self.create_timer(RETRY_S, self._try_again, clock=steady)
+        self._next = self.create_timer(NEXT_S, self._make_next, clock=STEADY)
+        self._retry = self.create_timer(RETRY_S, self._try_again, clock=STEADY)
         # One for all: every timer that comes has the executor look at all that all nodes have.
-        self.create_timer(LOOK_S, self._look, clock=steady)
+        self.create_timer(LOOK_S, self._look, clock=STEADY)
 
     def destroy_node(self) -> None:
         """End the patches' nodes, too.
@@ -100,8 +97,7 @@ class PatchesNode(Node):
             self._faults[name] = fault
             self.get_logger().error(f"{name} cannot run: {fault}")
         entry = diagnostic(f"{name.lstrip('/')}: process", DiagnosticStatus.ERROR, fault, {})
-        header = Header(stamp=self.get_clock().now().to_msg())
-        self._diagnostics.publish(DiagnosticArray(header=header, status=[entry]))
+        self._diagnostics.publish(report(self, [entry]))
 
 
 def made(patch: Patch) -> SkinNode:

@@ -5,7 +5,6 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -20,6 +19,7 @@ from ...readings.status import is_certain
 from ...views.cloud import POINT, Cloud
 from ...views.heatmap import heatmap, pressure_raster
 from ..common.convert import image, point_cloud
+from ..common.nodes import STEADY
 from ..common.qos import PICTURE
 from .frames import FramePublishers
 from .markers import SkinMarkers
@@ -42,8 +42,7 @@ class Pictures:
     """Pictures of a skin, each drawn only while somebody subscribes.
 
     A timer draws the latest frame, at most visual_rate_hz times a second and no frame twice, from
-    a `look` that finds subscribers until there are none. Its clock is steady, so that it goes on
-    where simulated time stands.
+    a `look` that finds subscribers until there are none.
     """
 
     def __init__(
@@ -62,8 +61,7 @@ class Pictures:
         self._drawings: Drawings | None = None
         self._drawn: TactileFrame | None = None
         self._published: dict[str, bytes] = {}  # the last message of each topic
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(_period_s(live), self._turn, clock=steady)
+        self._timer = node.create_timer(_period_s(live), self._turn, clock=STEADY)
         self._timer.cancel()
 
     def start(self, config: SkinConfig) -> None:

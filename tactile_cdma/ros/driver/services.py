@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -16,6 +15,7 @@ from tactile_cdma.srv import Tare
 from ...base.errors import Refusal, RestError, TactileError
 from ...rest.rest_keeper import RestKeeper
 from ..common.convert import by_taxel
+from ..common.nodes import STEADY
 
 RETRY_S = 0.1
 """Interval of attempts to tare, s; chosen: short for whoever waits, and they cost little."""
@@ -29,9 +29,6 @@ class RestServices:
     def __init__(self, node: LifecycleNode, keeper: Callable[[], RestKeeper | None]) -> None:
         """keeper: returns that of the skin; None while the node is not configured."""
         self._keeper, self._log, self._node = keeper, node.get_logger(), node
-        self._steady = Clock(
-            clock_type=ClockType.STEADY_TIME
-        )  # goes on where simulated time stands
         self._group = ReentrantCallbackGroup()  # a tare that waits holds up nothing else
         node.create_service(Tare, "~/tare", self._tare, callback_group=self._group)
         node.create_service(Trigger, "~/save_calibration", self._save)
@@ -76,7 +73,7 @@ class RestServices:
             future.set_result(None)
 
         group = self._group
-        timer = self._node.create_timer(RETRY_S, end, callback_group=group, clock=self._steady)
+        timer = self._node.create_timer(RETRY_S, end, callback_group=group, clock=STEADY)
         return future
 
     def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -9,9 +9,14 @@ and ends with a summary of `key=value` pairs.
 import argparse
 import math
 import os
+import select
 import shutil
 import sys
+import termios
 import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +39,6 @@ from ..common.nodes import all_or_nothing
 from ..common.process import PATIENCE_S, Running, running
 from ..common.qos import LATCHED, QUEUE
 from .complaints import LEVELS, Complaints
-from .keys import typed_keys
 from .patches import OLD_S, full_name, layout_of
 from .tally import Tally, summary
 
@@ -175,6 +179,27 @@ def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode
     if not math.isnan(history.latest) and not viewer.silent_s(now_s):
         now = f"{'' if viewer.coverage.is_whole else '> '}{history.latest * per_unit:.2f}"
     return f"{name} {now} {unit}  {sparkline(values, unicode)}  of {top}"
+
+
+@contextmanager
+def typed_keys() -> Iterator[Callable[[], str]]:
+    """Have stdin, a terminal, deliver keys at once and not echo them.
+
+    Yields a function that returns the keys pressed since its last call.
+    """
+    stdin = sys.stdin.fileno()
+    before = termios.tcgetattr(stdin)
+
+    def read() -> str:
+        if not select.select([stdin], [], [], 0)[0]:
+            return ""
+        return os.read(stdin, 64).decode("ascii", errors="ignore")
+
+    tty.setcbreak(stdin)  # Ctrl-C still interrupts
+    try:
+        yield read
+    finally:
+        termios.tcsetattr(stdin, termios.TCSADRAIN, before)
 
 
 def live(program: Running[Viewer], look: Look) -> None:

@@ -62,8 +62,7 @@ class BatchCover:
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
         N: each object is moved along the normal of the skin, which has to be flat, from wherever it
         is until the cover answers with this force; with none where it is beside the skin. NaN where
-        something of this is, or a force is negative. Raises ParameterError for other shapes, or no
-        Indenter.
+        one of these is, or a force is negative. Raises ParameterError for other shapes or objects.
         """
         if not isinstance(thing, Indenter) or isinstance(thing, HeightMap):
             raise ParameterError(f"BatchCover knows no {type(thing).__name__}")
@@ -142,8 +141,7 @@ class BatchCover:
         """By how much to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
 
         With the points in the order in which the skin is reached, Σ aᵢ·max(s − eᵢ, 0) is the
-        greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ), so that s is the least of their solutions. −∞
-        where no point is below the object.
+        greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ): s is the least of their solutions; −∞: none.
         """
         point_m2 = here(self._point_m2)
         if self._is_even:

@@ -5,7 +5,7 @@
 On a line without faults the driver hears every word that a node sends. So all between the nodes'
 words and the driver's is left out; what is before it, sensors, converters and the rule by which
 nodes speak, is computed as in the simulator, and what is after it is looked up in a table of all
-codes, which the driver's own Taxels has filled. test_batch.py compares both ways code by code.
+codes, which the driver's own Taxels has filled. test_sim_batch.py compares both ways code by code.
 
 Every function of arrays is one of the array API standard, so that numpy, torch and JAX do, on any
 device; nothing depends on values, so that it can be compiled (jax.jit, torch.compile).
@@ -53,8 +53,7 @@ class BatchFrame(NamedTuple):
     """One frame of e skins of t taxels, as the driver's; arrays of the kind that was given.
 
     pressure_pa: (e, t) float32, Pa, NaN without a valid reading. status: (e, t) uint8, bits of
-    Status. active: (e, t) bool, whether the taxel's node spoke. codes: (e, t) integers, the word
-    that it sent last.
+    Status. active: (e, t) bool, whose nodes spoke. codes: (e, t) integers, their last words.
     """
 
     pressure_pa: Array

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.bag_source import BagSource
 from tactile_cdma.datasets.sources.bag_times import FAR_NS, believed_span
 from tactile_cdma.datasets.sources.opening import Wanted
 from test.support.bags import BEGIN_NS, BagMaker
+from test.support.command_line import Printed
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.0
@@ -63,28 +63,25 @@ BAGS: dict[str, Callable[[Path, int], Path]] = {
 @pytest.mark.parametrize("time_ns", TIMES_NS)
 @pytest.mark.parametrize("kind", BAGS)
 def test_one_damaged_time_costs_one_message(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, time_ns: int
+    tmp_path: Path, printed: Printed, kind: str, time_ns: int
 ) -> None:
     bag = BAGS[kind](tmp_path / "bag", time_ns)
     note = f"/skin/tactile: 1 of {FRAMES} messages were recorded more than 24 h before or after"
-    assert main(["info", str(bag)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed("info", bag).out.splitlines()
     assert lines[0].startswith("bag: 1.00")
     [rate] = [line for line in lines if line.startswith("frames: ")]
     assert rate.startswith(f"frames: {FRAMES - 1} in 0.986 s")
     assert any(line.startswith(f"note: {note}") for line in lines)
 
     table = tmp_path / "out.npz"
-    assert main(["export", str(bag), "-o", str(table), "--start", "0", "--end", "0.7"]) == 0
+    printed("export", bag, "-o", table, "--start", 0, "--end", 0.7)
     with np.load(table) as found:
         assert STRAY not in found["sequence"] and 50 < len(found["sequence"]) < 56
         assert (np.diff(found["wall_time_s"]) > 0).all()
-    capsys.readouterr()
 
     parquet = pytest.importorskip("pyarrow.parquet")
-    out = ["--lerobot", str(tmp_path / "out"), "--fps", "30", "--state", "/joint_states"]
-    assert main(["export", str(bag), *out]) == 0
-    assert f"tactile-cdma: {bag}: {note}" in capsys.readouterr().err
+    out = ["--lerobot", tmp_path / "out", "--fps", 30, "--state", "/joint_states"]
+    assert f"tactile-cdma: {bag}: {note}" in printed("export", bag, *out).err
     rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet")
     assert 28 <= len(rows) <= 30
 
@@ -97,19 +94,17 @@ def test_what_is_left_out_is_counted_anew_in_every_reading(tmp_path: Path) -> No
         assert note.startswith(f"/skin/tactile: 1 of {FRAMES} messages")
 
 
-def test_damaged_times_of_marks_are_not_believed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_times_of_marks_are_not_believed(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().skin("/skin", SECONDS)
     for seen_s, begins in ((0.2, True), (0.6, False)):
         maker.add(seen_s, "/marks", "std_msgs/msg/Bool", data=begins)
     time_ns, *rest = maker.messages[-1]
     maker.messages.append((time_ns + 2 * FAR_NS, *rest))
     bag, table = maker.write(tmp_path / "bag"), tmp_path / "out.npz"
-    assert main(["export", str(bag), "-o", str(table), "--marks", "/marks"]) == 0
+    said = printed("export", bag, "-o", table, "--marks", "/marks").err
+    assert "/marks: 1 of 3 messages were recorded more than 24 h" in said
     with np.load(table) as found:
         assert set(found["episode"]) == {0} and 30 < len(found["episode"]) < 33
-    assert "/marks: 1 of 3 messages were recorded more than 24 h" in capsys.readouterr().err
 
 
 def test_a_bag_of_many_days_is_believed() -> None:

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.lerobot import export
 from test.support.bags import BEGIN_NS, TAXELS, BagMaker
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 
 parquet = pytest.importorskip("pyarrow.parquet")
 pytestmark = pytest.mark.xdist_group("datasets")
-JOINTS = "sensor_msgs/msg/JointState"
 
 
-def rows(folder: Path, *words: object) -> Any:
-    """What an export to a dataset writes."""
-    assert main(["export", *map(str, words), "--lerobot", str(folder), "--fps", "30"]) == 0
+DATASET = "--fps", 30, "--lerobot"
+
+
+def rows(folder: Path) -> Any:
+    """Of a dataset, by column."""
     return parquet.read_table(folder / "data").to_pydict()
 
 
@@ -33,32 +33,18 @@ def names(folder: Path, column: str) -> list[str]:
 
 def robot(maker: BagMaker, seconds: float, gripper_end_s: float) -> None:
     """An arm at 100 Hz and a gripper at 20 Hz, by two programs on one topic."""
-    nothing = np.zeros(0)
-    for rate_hz, joints, end_s in (
-        (100, ["elbow", "wrist"], seconds),
-        (20, ["finger"], gripper_end_s),
-    ):
-        for i in range(round(end_s * rate_hz)):
-            t_s = i / rate_hz
-            position = np.array([t_s, -t_s][: len(joints)]) + (10 if joints == ["finger"] else 0)
-            fields = {"position": position, "velocity": nothing, "effort": nothing}
-            maker.add(
-                t_s + 0.001,
-                "/joint_states",
-                JOINTS,
-                header=maker.header(t_s),
-                name=joints,
-                **fields,
-            )
+    arm = {"elbow": lambda t_s: t_s, "wrist": lambda t_s: -t_s}
+    maker.joints("/joint_states", seconds, **arm)
+    maker.joints("/joint_states", gripper_end_s, 20, finger=lambda t_s: 10 + t_s)
 
 
-def test_two_publishers_of_joints_are_one_state_or_chosen(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_publishers_of_joints_are_one_state_or_chosen(tmp_path: Path, printed: Printed) -> None:
     maker = BagMaker().skin("/skin", 2.0)
     robot(maker, 2.0, 2.0)
     bag = maker.write(tmp_path / "bag")
-    found = rows(tmp_path / "all", bag, "--state", "/joint_states", "--action", "/joint_states")
+    words, joints = ("export", bag, *DATASET), "/joint_states"
+    said = printed(*words, tmp_path / "all", "--state", joints, "--action", joints).err
+    found = rows(tmp_path / "all")
     state = np.array(found["observation.state"])
     assert (state == np.array(found["action"])).all() and len(state) > 50
     order = names(tmp_path / "all", "observation.state")
@@ -67,45 +53,37 @@ def test_two_publishers_of_joints_are_one_state_or_chosen(
     assert (wrist == -elbow).all() and (np.abs(elbow - t_s) < 0.011).all()
     assert ((t_s - (finger - 10) >= -1e-6) & (t_s - (finger - 10) < 0.051)).all()
 
-    some = rows(tmp_path / "some", bag, "--state", "/joint_states:finger,wrist")
+    said += printed(*words, tmp_path / "some", "--state", f"{joints}:finger,wrist").err
+    some = rows(tmp_path / "some")
     assert sorted(names(tmp_path / "some", "observation.state")) == ["finger", "wrist"]
     assert np.array(some["observation.state"]).shape == (len(state), 2)
-    assert not capsys.readouterr().err
+    assert not said
 
 
-def test_one_of_two_publishers_that_stops_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_of_two_publishers_that_stops_is_told(tmp_path: Path, printed: Printed) -> None:
     """The arm goes on: the gripper's last position must not be taken for the present one."""
     maker = BagMaker().skin("/skin", 3.0)
     robot(maker, 3.0, 1.0)
-    found = rows(tmp_path / "out", maker.write(tmp_path / "bag"), "--state", "/joint_states")
-    t_s = (np.array(found["unix_time_ns"]) - BEGIN_NS) * 1e-9
+    words = maker.write(tmp_path / "bag"), *DATASET, tmp_path / "out", "--state", "/joint_states"
+    assert "(/joint_states) had stopped, first at 0.9" in printed("export", *words).err
+    t_s = (np.array(rows(tmp_path / "out")["unix_time_ns"]) - BEGIN_NS) * 1e-9
     assert 1.3 < t_s[-1] < 1.55
-    assert "(/joint_states) had stopped, first at 0.9" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arm_first", [False, True])
-def test_files_agree_on_joints_by_name(tmp_path: Path, arm_first: bool) -> None:
+def test_files_agree_on_joints_by_name(tmp_path: Path, printed: Printed, arm_first: bool) -> None:
     """Whoever publishes first, and in whatever order: a column is one joint in all files."""
     bags = []
     for file in range(2):
         maker = BagMaker().skin("/skin", 1.0)
         robot(maker, 1.0, 1.0)
         if bool(file) == arm_first:
-            maker.messages = [
-                one
-                for one in maker.messages
-                if one[1] != "/joint_states" or one[0] > BEGIN_NS + 3e6
-            ]
-            for *_, message in maker.messages:
-                if getattr(message, "name", []) == ["elbow", "wrist"]:
-                    message.name, message.position = (
-                        ["wrist", "elbow"],
-                        message.position[::-1].copy(),
-                    )
+            first_of_each = [0, 100]
+            for message in maker.without("/joint_states", *first_of_each).of("/joint_states"):
+                message.name, message.position = message.name[::-1], message.position[::-1].copy()
         bags.append(maker.write(tmp_path / f"bag_{file}"))
-    found = rows(tmp_path / "out", *bags, "--state", "/joint_states")
+    printed("export", *bags, *DATASET, tmp_path / "out", "--state", "/joint_states")
+    found = rows(tmp_path / "out")
     state = np.array(found["observation.state"])
     order = names(tmp_path / "out", "observation.state")
     elbow, wrist, finger = (state[:, order.index(name)] for name in ("elbow", "wrist", "finger"))
@@ -113,14 +91,16 @@ def test_files_agree_on_joints_by_name(tmp_path: Path, arm_first: bool) -> None:
     assert (wrist == -elbow).all() and elbow.min() >= 0 and finger.min() >= 10
 
 
-def test_two_topics_with_the_same_elements_are_refused(tmp_path: Path, refused: Refused) -> None:
+def test_two_topics_with_the_same_elements_are_refused(
+    tmp_path: Path, printed: Printed, refused: Refused
+) -> None:
     maker = BagMaker().skin("/skin", 0.5).joints("/left", 0.5).joints("/right", 0.5)
     bag = maker.write(tmp_path / "bag")
-    words = ["export", bag, "--lerobot", tmp_path / "out", "--fps", "30", "--state", "/left"]
-    said = refused(*words, "--state", "/right")
+    words = "export", bag, *DATASET, tmp_path / "out"
+    said = refused(*words, "--state", "/left", "--state", "/right")
     assert "state: /right has finger, wrist, as another topic does" in said
-    rows(tmp_path / "some", bag, "--state", "/left:finger", "--state", "/right:wrist")
-    assert names(tmp_path / "some", "observation.state") == ["finger", "wrist"]
+    printed(*words, "--state", "/left:finger", "--state", "/right:wrist")
+    assert names(tmp_path / "out", "observation.state") == ["finger", "wrist"]
 
 
 def with_channels(bag: Path, *channels: tuple[str, str, str, str, str]) -> Path:
@@ -152,7 +132,7 @@ def with_channels(bag: Path, *channels: tuple[str, str, str, str, str]) -> Path:
 
 
 def test_channels_that_cannot_be_read_are_left_out_by_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+    tmp_path: Path, printed: Printed, refused: Refused
 ) -> None:
     maker = BagMaker().skin("/skin", 1.0).camera("/front/image_raw", 1.0, 30)
     event = "example_interfaces/srv/AddTwoInts_Event"
@@ -165,10 +145,10 @@ def test_channels_that_cannot_be_read_are_left_out_by_name(
         ("/skin/contacts", "tactile_cdma/msg/TactileContacts", "ros2msg", "Nothing here", "cdr"),
         ("/top/image", "sensor_msgs/msg/Image", "", "", "cdr"),
     )
-    found = rows(tmp_path / "out", bag)
+    said = printed("export", bag, *DATASET, tmp_path / "out").err
+    found = rows(tmp_path / "out")
     assert len(found["observation.images.front"]) > 25
     assert {name.split(".")[1] for name in found if "." in name} == {"tactile", "images"}
-    said = capsys.readouterr().err
     for topic, reason in (
         ("/boxes", "encoded as protobuf"),
         ("/log", "encoded as json"),
@@ -177,33 +157,22 @@ def test_channels_that_cannot_be_read_are_left_out_by_name(
         ("/top/image", "none of its 1 messages can be read"),
     ):
         assert f"{topic} is left out: {reason}" in said
-    assert main(["info", str(bag)]) == 0
-    assert "/boxes: foxglove.SceneUpdate, 1 message" in capsys.readouterr().out
-    words = ["export", bag, "--lerobot", tmp_path / "none", "--fps", "30"]
+    assert "/boxes: foxglove.SceneUpdate, 1 message" in printed("info", bag).out
+    words = "export", bag, *DATASET, tmp_path / "none"
     assert "/wrist/image: the definition" in refused(*words, "--image", "/wrist/image")
     assert "/log is log; state takes" in refused(*words, "--state", "/log")
 
 
-def test_messages_that_do_not_fit_are_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    maker = BagMaker().skin("/skin", 1.0)
-    for i in [i for i, one in enumerate(maker.messages) if one[1] == "/skin/tactile"][5:8]:
-        maker.messages[i] = (*maker.messages[i][:3], b"\x00\x01\x00\x00odd")
-    bag = maker.write(tmp_path / "bag")
-    assert main(["export", str(bag), "-o", str(tmp_path / "out.npz")]) == 0
-    output = capsys.readouterr()
+def test_messages_that_do_not_fit_are_counted(tmp_path: Path, printed: Printed) -> None:
+    maker = BagMaker().skin("/skin", 1.0).spoilt("/skin/tactile", 5, 6, 7)
+    output = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz")
     assert "frames=75 missing_frames=3 " in output.out
     assert "/skin/tactile: 3 of 78 messages do not fit their definition" in output.err
 
 
-def test_the_info_of_a_split_bag_is_in_its_first_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    first, later = BagMaker(), BagMaker()
-    first.skin("/skin", 0.5)
-    later.skin("/skin", 0.5)
-    del later.messages[0]  # the info
+def test_the_info_of_a_split_bag_is_in_its_first_file(tmp_path: Path, printed: Printed) -> None:
+    first, later = (BagMaker().skin("/skin", 0.5) for _ in range(2))
+    later.without("/skin/info")
     folder = tmp_path / "session"
     folder.mkdir()
     for number, maker in enumerate((first, later)):
@@ -219,8 +188,7 @@ def test_the_info_of_a_split_bag_is_in_its_first_file(
         ([moved, "--info", folder / "session_0.mcap"], True),
         ([moved, "--info", moved], False),
     ):
-        assert main(["export", *map(str, words), "-o", str(out), "--force"]) == 0
-        said = capsys.readouterr().err
+        said = printed("export", *words, "-o", out, "--force").err
         assert ("/skin/info is that of" in said) == known
         assert ("no info, so places" in said) != known
         with np.load(out) as found:
@@ -230,11 +198,11 @@ def test_the_info_of_a_split_bag_is_in_its_first_file(
 @pytest.mark.parametrize("compressed", ["file", "message"])
 @pytest.mark.parametrize("sqlite", [False, True], ids=["mcap", "sqlite"])
 def test_compressed_bags_are_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], sqlite: bool, compressed: str
+    tmp_path: Path, printed: Printed, sqlite: bool, compressed: str
 ) -> None:
     bag = BagMaker().skin("/skin", 0.5).write(tmp_path / "bag", sqlite, compressed)
-    assert main(["export", str(bag), "-o", str(tmp_path / "out.npz")]) == 0
-    assert f"frames=39 missing_frames=0 taxels={TAXELS} " in capsys.readouterr().out
+    said = printed("export", bag, "-o", tmp_path / "out.npz").out
+    assert f"frames=39 missing_frames=0 taxels={TAXELS} " in said
 
 
 def test_a_compressed_file_by_itself_is_told(tmp_path: Path, refused: Refused) -> None:
@@ -244,7 +212,7 @@ def test_a_compressed_file_by_itself_is_told(tmp_path: Path, refused: Refused) -
 
 
 def test_long_sessions_keep_lerobot_s_tolerance(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, printed: Printed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps of float32 timestamps within an episode differ from 1 / fps by less than 100 µs."""
     steps_s = np.diff(np.arange(export.LONGEST_S * 30).astype(np.float32) / np.float32(30))
@@ -252,8 +220,10 @@ def test_long_sessions_keep_lerobot_s_tolerance(
     later_s = np.diff((np.arange(2 * export.LONGEST_S * 30) / 30).astype(np.float32))
     assert np.abs(later_s - 1 / 30).max() > 1e-4  # else there were nothing to do
     monkeypatch.setattr(export, "LONGEST_S", 1)
-    found = rows(tmp_path / "out", BagMaker().skin("/skin", 2.5).write(tmp_path / "bag"))
+    bag = BagMaker().skin("/skin", 2.5).write(tmp_path / "bag")
+    said = printed("export", bag, *DATASET, tmp_path / "out").err
+    assert "2 episodes begin only because the one before is 1 s long" in said
+    found = rows(tmp_path / "out")
     lengths = np.bincount(found["episode_index"]).tolist()
     assert lengths[:-1] == [30, 30] and 0 < lengths[-1] < 30
     assert (np.diff(found["unix_time_ns"]) < 1e9 / 29).all()  # no row is lost
-    assert "2 episodes begin only because the one before is 1 s long" in capsys.readouterr().err

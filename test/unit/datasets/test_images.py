@@ -43,6 +43,14 @@ def image(encoding: str, rows: Any, padding: int = 0) -> Any:
     )
 
 
+def compressed(pixels: Any, format_: str = "PNG", header: bytes = b"") -> Any:
+    """A CompressedImage message."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, format_)
+    data = np.frombuffer(header + file.getvalue(), dtype=np.uint8)
+    return SimpleNamespace(format=format_, data=data)
+
+
 @pytest.mark.parametrize("padding", [0, 5])
 @pytest.mark.parametrize("encoding", RAW)
 def test_pixels_are_those_of_the_message(encoding: str, padding: int) -> None:
@@ -97,10 +105,8 @@ def test_depths_are_exact(big_endian: bool) -> None:
         assert is_depth(message) and problem(message) is None
         found = depth(message, "/depth")
         assert found.dtype == numbers.dtype and np.array_equal(found, numbers, equal_nan=True)
-    file = io.BytesIO()
-    Image.fromarray(millimetres).save(file, "PNG")
-    data = np.frombuffer(bytes(12) + file.getvalue(), dtype=np.uint8)
-    message = SimpleNamespace(format="16UC1; compressedDepth png", data=data)
+    message = compressed(millimetres, header=bytes(12))
+    message.format = "16UC1; compressedDepth png"
     assert problem(message) is None and (depth(message, "/depth") == millimetres).all()
     message.format = "32FC1; compressedDepth png"  # of which 16 bits are left
     with pytest.raises(CaptureError, match="/depth: format '32FC1; compressedDepth png'"):
@@ -109,10 +115,8 @@ def test_depths_are_exact(big_endian: bool) -> None:
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG"])
 def test_compressed_images_stay_as_they_are(kind: str) -> None:
-    file = io.BytesIO()
-    Image.fromarray(PIXELS).save(file, kind)
-    data = np.frombuffer(file.getvalue(), dtype=np.uint8)
-    assert encoded(SimpleNamespace(format=kind, data=data), "/camera") == file.getvalue()
+    message = compressed(PIXELS, kind)
+    assert encoded(message, "/camera") == bytes(message.data)
 
 
 def test_what_is_no_image_is_named() -> None:
@@ -130,14 +134,11 @@ def test_what_is_no_image_is_named() -> None:
 
 
 def test_another_size_is_told() -> None:
-    file = io.BytesIO()
-    Image.fromarray(PIXELS).save(file, "PNG")
-    data = np.frombuffer(file.getvalue(), dtype=np.uint8)
-    for message in (image("rgb8", PIXELS), SimpleNamespace(format="png", data=data)):
+    said = "/camera: an image of 7 × 5 pixels after others of 5 × 7"
+    for message in (image("rgb8", PIXELS), compressed(PIXELS)):
         check_size(message, "/camera", (5, 7, 3))
-        with pytest.raises(
-            CaptureError, match="/camera: an image of 7 × 5 pixels after others of 5 × 7"
-        ):
+        with pytest.raises(CaptureError, match=said):
             check_size(message, "/camera", (7, 5, 3))
+    message.data = message.data[:20]
     with pytest.raises(CaptureError, match="/camera: an image that cannot be read"):
-        check_size(SimpleNamespace(format="png", data=data[:20]), "/camera", (5, 7, 3))
+        check_size(message, "/camera", (5, 7, 3))

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ pyarrow = pytest.importorskip("pyarrow", reason="the extra [datasets] is not ins
 parquet = pytest.importorskip("pyarrow.parquet")
 
 pytestmark = pytest.mark.xdist_group("datasets")  # its bag is made once
+Capsys: TypeAlias = pytest.CaptureFixture[str]
 SECONDS = 3.0
 FPS = 30
 SKIN = "observation.tactile.skin"
@@ -53,7 +54,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def exported(bag: Path, folder: Path, *options: str) -> Any:
     """The rows of the dataset, as pyarrow reads them."""
-    fps = () if "--clock" in options else ("--fps", str(FPS))
+    fps = () if {"--clock", "--fps"} & {*options} else ("--fps", str(FPS))
     assert main(["export", str(bag), "--lerobot", str(folder), *fps, *options]) == 0
     return parquet.read_table(folder / "data/chunk-000/file-000.parquet")
 
@@ -81,6 +82,19 @@ def seconds(table: Any) -> NDArray[np.float64]:
 
 def meta(folder: Path, name: str) -> Any:
     return json.loads((folder / "meta" / name).read_text())
+
+
+def episodes(folder: Path) -> Any:
+    return parquet.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+
+
+def reds(table: Any, camera: str) -> list[int]:
+    """The number that each image shows; all of it is of that colour."""
+    files = table.column(f"observation.images.{camera}").to_pylist()
+    pixels = np.array([np.asarray(Image.open(io.BytesIO(file["bytes"]))) for file in files])
+    assert pixels.shape == (len(table), 6, 8, 3) and (pixels == pixels[:, :1, :1]).all()
+    assert (pixels[..., 1:] == [200, 0]).all()
+    return pixels[:, 0, 0, 0].tolist()  # type: ignore[no-any-return]
 
 
 def worst_error_s(found: NDArray[Any], t_s: NDArray[np.float64], valid: NDArray[Any]) -> float:
@@ -115,7 +129,7 @@ def test_every_sample_is_at_its_time_to_less_than_a_millisecond(dataset: tuple[P
 
 
 def test_a_taxel_without_a_reading_is_held_zero_or_its_row_left_out(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: Capsys
 ) -> None:
     only = ("--topic", "/left_palm/skin/tactile", "--samples", "last")
     held = exported(bag, tmp_path / "hold", *only)
@@ -144,15 +158,10 @@ def test_a_taxel_without_a_reading_is_held_zero_or_its_row_left_out(
     assert len(dropped) == len(held) - left
     assert array(dropped, f"{PALM}.valid").all()
     # Rows of an episode follow one another: where some were left out, another one begins.
-    lengths = parquet.read_table(tmp_path / "drop/meta/episodes/chunk-000/file-000.parquet")
-    assert (
-        lengths.column("length").to_pylist()
-        == np.bincount(array(dropped, "episode_index")).tolist()
-    )
-    for episode in range(2):
-        mine = array(dropped, "episode_index") == episode
-        assert np.diff(seconds(dropped)[mine]) == pytest.approx(1 / FPS, abs=1e-6)
-    assert lengths.num_rows == 2
+    lengths = [episode["length"] for episode in episodes(tmp_path / "drop")]
+    assert lengths == np.bincount(array(dropped, "episode_index")).tolist() and len(lengths) == 2
+    for t_s in np.split(seconds(dropped), lengths[:1]):
+        assert np.diff(t_s) == pytest.approx(1 / FPS, abs=1e-6)
 
 
 def test_from_first_complete_begins_when_every_taxel_has_spoken(bag: Path, tmp_path: Path) -> None:
@@ -162,7 +171,7 @@ def test_from_first_complete_begins_when_every_taxel_has_spoken(bag: Path, tmp_p
 
 
 def test_a_taxel_that_never_speaks_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+    tmp_path: Path, capsys: Capsys, refused: Refused
 ) -> None:
     bag = BagMaker().skin("/skin", 0.5, lambda t_s: [7]).write(tmp_path / "bag")
     exported(bag, tmp_path / "out")
@@ -178,12 +187,8 @@ def test_images_joints_and_actions_ride_along(dataset: tuple[Path, Any]) -> None
     folder, table = dataset
     t_s = seconds(table)
     for name, rate_hz in (("front", 30), ("wrist", 15)):
-        images = table.column(f"observation.images.{name}").to_pylist()
-        for tick_s, image in zip(t_s, images, strict=True):
-            pixels = np.asarray(Image.open(io.BytesIO(image["bytes"])))
-            newest = min(np.floor(tick_s * rate_hz - 0.25 + 1e-6), SECONDS * rate_hz - 1)
-            assert pixels.shape == (6, 8, 3)
-            assert (pixels == [newest, 200, 0]).all()
+        newest = np.minimum(np.floor(t_s * rate_hz - 0.25 + 1e-6), SECONDS * rate_hz - 1)
+        assert reds(table, name) == newest.tolist()
     joints = array(table, "observation.state")
     assert (array(table, "action") == joints).all()
     newest_s = np.minimum(np.floor(t_s * 100 + 1e-6) / 100, SECONDS - 0.01)
@@ -225,19 +230,9 @@ def test_a_camera_is_the_clock(bag: Path, tmp_path: Path) -> None:
     t_s = seconds(table)
     assert t_s == pytest.approx((np.arange(len(t_s)) + 0.25) / 15, abs=1e-6)
     assert array(table, SKIN).shape[1] == 6  # 66.7 ms, 12.8 ms a frame
-    assert (
-        worst_error_s(
-            array(table, SKIN),
-            t_s[:, None] - array(table, f"{SKIN}.age_s"),
-            array(table, f"{SKIN}.valid"),
-        )
-        < 1e-3
-    )
-    reds = [
-        np.asarray(Image.open(io.BytesIO(image["bytes"])))[0, 0, 0]
-        for image in table.column("observation.images.wrist").to_pylist()
-    ]
-    assert reds == list(range(len(reds)))
+    pressures, ages_s, valid = (array(table, f"{SKIN}{end}") for end in ("", ".age_s", ".valid"))
+    assert worst_error_s(pressures, t_s[:, None] - ages_s, valid) < 1e-3
+    assert reds(table, "wrist") == list(range(len(table)))
 
 
 def test_vectors_are_the_clock(bag: Path, tmp_path: Path) -> None:
@@ -267,7 +262,7 @@ def stopping(*stops: tuple[str, float, float]) -> BagMaker:
 @pytest.mark.parametrize("of", ["--state", "--image"])
 @pytest.mark.parametrize("end_s", [7.0, 4.0])
 def test_rows_without_a_present_image_or_vector_are_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], of: str, end_s: float
+    tmp_path: Path, capsys: Capsys, of: str, end_s: float
 ) -> None:
     topic, name = {
         "--state": ("/joints", "observation.state"),
@@ -297,9 +292,7 @@ def test_rows_without_a_present_image_or_vector_are_left_out(
     assert 2.4 < float(found[2]) < 2.5
 
 
-def test_an_old_command_is_still_in_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_old_command_is_still_in_force(tmp_path: Path, capsys: Capsys) -> None:
     bag = stopping(("/joints", 2.5, 4.0)).write(tmp_path / "bag")
     table = exported(bag, tmp_path / "out", "--action", "/joints", "--task", "press")
     t_s, action = seconds(table), array(table, "action")[:, 0]
@@ -310,9 +303,7 @@ def test_an_old_command_is_still_in_force(
     assert f"the last command of /joints is repeated in {old} rows" in capsys.readouterr().err
 
 
-def test_touch_of_a_patch_that_stopped_is_marked_and_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_touch_of_a_patch_that_stopped_is_marked_and_told(tmp_path: Path, capsys: Capsys) -> None:
     bag = stopping(("/skin/tactile", 2.5, 7.0)).write(tmp_path / "bag")
     table = exported(bag, tmp_path / "out")
     t_s, valid = seconds(table), array(table, f"{SKIN}.valid")
@@ -347,9 +338,7 @@ def test_slow_rows_are_whole_where_every_reading_was_valid(
     bag: Path, tmp_path: Path, fps: str
 ) -> None:
     only = ("--topic", "/skin/tactile", "--image", "/front/image_raw", "--nan", "drop")
-    words = ["export", bag, "--lerobot", tmp_path / "out", "--fps", fps, *only]
-    assert main(list(map(str, words))) == 0
-    table = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet")
+    table = exported(bag, tmp_path / "out", "--fps", fps, *only)
     rows, slots = {"1": (2, 79), "2": (5, 40)}[fps]  # the last frame is at 2.99 s
     assert array(table, SKIN).shape == (rows, slots, TAXELS)
 
@@ -366,20 +355,17 @@ def test_metadata_is_as_lerobot_reads_it(bag: Path, tmp_path: Path) -> None:
             continue
         assert array(table, name).shape[1:] == tuple(feature["shape"])
     assert (array(table, "index") == np.arange(len(table))).all()
-    episodes = parquet.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
-    assert [episode["tasks"] for episode in episodes] == [["grip"], ["lift"]]
-    for number, (episode, bounds) in enumerate(
-        zip(episodes, [(0.7, 1.5), (2.0, 2.6)], strict=True)
-    ):
+    index = episodes(folder)
+    assert [episode["tasks"] for episode in index] == [["grip"], ["lift"]]
+    for number, (begin_s, end_s) in enumerate([(0.7, 1.5), (2.0, 2.6)]):
+        episode = index[number]
         rows = slice(episode["dataset_from_index"], episode["dataset_to_index"])
         assert (array(table, "episode_index")[rows] == number).all()
         frame = array(table, "frame_index")[rows]
         assert (frame == np.arange(episode["length"])).all()
         assert array(table, "timestamp")[rows] == pytest.approx(frame / FPS)
         t_s = seconds(table)[rows]
-        assert (
-            bounds[0] < t_s[0] < bounds[0] + 2 / FPS and bounds[1] - 2 / FPS < t_s[-1] <= bounds[1]
-        )
+        assert begin_s < t_s[0] < begin_s + 2 / FPS and end_s - 2 / FPS < t_s[-1] <= end_s
     pandas = pytest.importorskip("pandas")
     tasks = pandas.read_parquet(folder / "meta/tasks.parquet")
     assert tasks.iloc[1].name == "lift" and tasks["task_index"].tolist() == [0, 1]
@@ -418,13 +404,9 @@ def test_statistics_are_of_valid_readings_and_one_for_all_taxels(
     folder, table = dataset
     found = meta(folder, "stats.json")
     pressures = array(table, PALM)[array(table, f"{PALM}.valid")].astype(float)
-    for name, value in (
-        ("min", pressures.min()),
-        ("max", pressures.max()),
-        ("mean", pressures.mean()),
-        ("std", pressures.std()),
-    ):
-        assert np.array(found[PALM][name]) == pytest.approx(np.full((3, TAXELS), value), rel=1e-5)
+    for name in ("min", "max", "mean", "std"):
+        expected = np.full((3, TAXELS), getattr(pressures, name)())
+        assert np.array(found[PALM][name]) == pytest.approx(expected, rel=1e-5)
     assert found[PALM]["min"][0][0] > 5e3  # no filled zero
     assert np.unique(found[f"{PALM}.valid"]["std"]) == 1  # normalising must not blow up a mask
     assert not np.any(found[f"{PALM}.valid"]["mean"])
@@ -460,9 +442,8 @@ def test_episodes_begin_new_files_where_one_is_large(
     monkeypatch.setattr(writer, "FILE_MB", 0)
     monkeypatch.setattr(writer, "CHUNK_FILES", 2)
     exported(bag, tmp_path / "out", "--episode=0.2:0.6", "--episode=1:1.5", "--episode=2:2.3")
-    index = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet")
     places = [(0, 0), (0, 1), (1, 0)]
-    for number, (episode, place) in enumerate(zip(index.to_pylist(), places, strict=True)):
+    for number, (episode, place) in enumerate(zip(episodes(tmp_path / "out"), places, strict=True)):
         assert (episode["data/chunk_index"], episode["data/file_index"]) == place
         rows = parquet.read_table(
             tmp_path / "out" / "data/chunk-{:03d}/file-{:03d}.parquet".format(*place)
@@ -493,21 +474,19 @@ def test_work_that_ends_early_leaves_nothing(
     bag: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capsys,
     interrupt: BaseException,
 ) -> None:
-    from tactile_cdma.datasets.lerobot.writer import DatasetWriter
+    add: Callable[..., None] = writer.DatasetWriter.add
 
-    add: Callable[..., None] = DatasetWriter.add
-
-    def ends(self: DatasetWriter, cells: Any) -> None:
+    def ends(self: writer.DatasetWriter, cells: Any) -> None:
         if self.frames == 20:
             raise interrupt
         add(self, cells)
 
     exported(bag, tmp_path / "old", "--episode=1:1.2")
     before = (tmp_path / "old/meta/info.json").read_bytes()
-    monkeypatch.setattr(DatasetWriter, "add", ends)
+    monkeypatch.setattr(writer.DatasetWriter, "add", ends)
     words = ["export", str(bag), "--fps", "30", "--lerobot"]
     assert main([*words, str(tmp_path / "new")]) != 0
     assert main([*words, str(tmp_path / "old"), "--force"]) != 0
@@ -521,26 +500,26 @@ def test_what_cannot_be_is_one_clear_error(bag: Path, tmp_path: Path, refused: R
     (tmp_path / "torn.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(40))
     out = ["--lerobot", tmp_path / "out"]
     fps = ["--fps", "30"]
+    of_bag: list[tuple[list[object], str]] = [
+        ([*out], "--fps N, or --clock"),
+        ([*out, "--fps", "0"], "--fps is 0; it must lie within 1…1000"),
+        (["--lerobot", tmp_path, *fps], "exists already"),
+        ([*out, "--clock", "/none"], "/none is not exported (but /left_palm/skin/tactile, "),
+        ([*out, *fps, "--topic", "/none"], "no skin's frames in /none"),
+        ([*out, *fps, "--image", "/none"], "no topic /none"),
+        ([*out, *fps, "--image", "/joint_states"], "not an image"),
+        ([*out, *fps, "--state", "/front/image_raw"], "state takes sensor_msgs/msg/JointState"),
+        ([*out, *fps, "--marks", "/joint_states"], "marks are std_msgs/msg/Bool"),
+        ([*out, *fps, "--episode", "2"], "START:END"),
+        ([*out, *fps, "--episode", "1:2", "--marks", "/task"], "both say where episodes are"),
+        ([*out, *fps, "--start", "5", "--end", "2"], "--start 5 is after --end 2"),
+        ([*out, *fps, "--task", "grip \udcff"], "--task is not UTF-8"),
+        ([*out, *fps, "--episode", "50:60"], "no row is whole: no sample"),
+        (["-o", tmp_path / "x.npz", *fps], "--fps goes with --lerobot"),
+        (["-o", tmp_path / "x", "--bag"], "is a bag already"),
+    ]
     for words, message in (
-        ([bag, *out], "--fps N, or --clock"),
-        ([bag, *out, "--fps", "0"], "--fps is 0; it must lie within 1…1000"),
-        ([bag, "--lerobot", tmp_path, *fps], "exists already"),
-        ([bag, *out, "--clock", "/none"], "/none is not exported (but /left_palm/skin/tactile, "),
-        ([bag, *out, *fps, "--topic", "/none"], "no skin's frames in /none"),
-        ([bag, *out, *fps, "--image", "/none"], "no topic /none"),
-        ([bag, *out, *fps, "--image", "/joint_states"], "not an image"),
-        (
-            [bag, *out, *fps, "--state", "/front/image_raw"],
-            "state takes sensor_msgs/msg/JointState",
-        ),
-        ([bag, *out, *fps, "--marks", "/joint_states"], "marks are std_msgs/msg/Bool"),
-        ([bag, *out, *fps, "--episode", "2"], "START:END"),
-        ([bag, *out, *fps, "--episode", "1:2", "--marks", "/task"], "both say where episodes are"),
-        ([bag, *out, *fps, "--start", "5", "--end", "2"], "--start 5 is after --end 2"),
-        ([bag, *out, *fps, "--task", "grip \udcff"], "--task is not UTF-8"),
-        ([bag, *out, *fps, "--episode", "50:60"], "no row is whole: no sample"),
-        ([bag, "-o", tmp_path / "x.npz", *fps], "--fps goes with --lerobot"),
-        ([bag, "-o", tmp_path / "x", "--bag"], "is a bag already"),
+        *(([bag, *words], message) for words, message in of_bag),
         ([without_skin, *out, *fps], "no frames of a skin"),
         ([tmp_path / "nothing", *out, *fps], "neither a bag (metadata.yaml) nor a dataset"),
         ([tmp_path / "torn.mcap", *out, *fps], "torn.mcap"),
@@ -559,16 +538,15 @@ def test_what_cannot_be_is_one_clear_error(bag: Path, tmp_path: Path, refused: R
     ],
 )
 def test_stamps_far_from_their_recording_are_not_believed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, camera_off_s: int, expected: int
+    tmp_path: Path, capsys: Capsys, topic: str, camera_off_s: int, expected: int
 ) -> None:
     """One stamp in 2036; a camera whose clock counts from its start; one ahead, one 5 s behind."""
     seconds_s = 6.0 if camera_off_s == -5 else 1.0
     maker = BagMaker().skin("/skin", seconds_s).camera("/front/image", seconds_s, 30)
-    for _, of, _, message in maker.messages:
-        if of == topic == "/front/image":
-            message.header.stamp.sec += camera_off_s
-        elif of == topic and message.sequence == 40:
-            message.header.stamp.sec = 2_100_000_000
+    if topic == "/skin/tactile":
+        maker.of(topic)[40].header.stamp.sec = 2_100_000_000
+    for message in maker.of("/front/image"):
+        message.header.stamp.sec += camera_off_s
     bag = maker.write(tmp_path / "bag")
     table = exported(bag, tmp_path / "out", "--samples", "last", "--image", "/front/image")
     said = capsys.readouterr().err
@@ -601,7 +579,7 @@ def test_rows_hold_a_bounded_number_of_frames(tmp_path: Path, refused: Refused) 
 
 def test_joints_are_taken_by_their_names(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker().skin("/skin", 1.0).joints("/joints", 1.0)
-    joints = [message for _, topic, _, message in maker.messages if topic == "/joints"]
+    joints = maker.of("/joints")
     for message in joints[1::2]:
         message.name, message.position = message.name[::-1], message.position[::-1].copy()
     joints[50].position = joints[50].position * np.nan
@@ -622,12 +600,11 @@ def test_joints_are_taken_by_their_names(tmp_path: Path, refused: Refused) -> No
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_values_that_are_not_finite_stay_out_of_the_statistics(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], bad: float
+    tmp_path: Path, capsys: Capsys, bad: float
 ) -> None:
     maker = BagMaker().skin("/skin", 1.0).joints("/joints", 1.0)
-    for seen_ns, topic, _, message in maker.messages:
-        if topic == "/joints" and seen_ns < BEGIN_NS + 500_000_000:
-            message.position[0] = bad
+    for message in maker.of("/joints")[:50]:
+        message.position[0] = bad
     table = exported(maker.write(tmp_path / "bag"), tmp_path / "out", "--state", "/joints")
     finger, wrist = array(table, "observation.state").T
     finite = np.isfinite(finger)
@@ -643,8 +620,6 @@ def test_values_that_are_not_finite_stay_out_of_the_statistics(
 def test_no_row_is_later_than_the_recording(tmp_path: Path) -> None:
     """A stamp 9 s ahead is believed, since clocks may differ, but makes no rows of its own."""
     maker = BagMaker().skin("/skin", 1.0)
-    for _, topic, _, message in maker.messages:
-        if topic == "/skin/tactile" and message.sequence == 40:
-            message.header.stamp.sec += 9
+    maker.of("/skin/tactile")[40].header.stamp.sec += 9
     t_s = seconds(exported(maker.write(tmp_path / "bag"), tmp_path / "out"))
     assert len(t_s) == 29 and t_s[-1] <= 78 * PERIOD_S + 0.01

@@ -1,25 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a policy gets at run time is what it was trained on: recorded, exported, replayed."""
+"""What a policy gets at run time is what it was trained on: recorded, exported, replayed.
+
+And what lerobot-record keeps of skins means the same; that trial with LeRobot itself is by hand:
+docs/learning.md.
+"""
 
 import json
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 
-from tactile_cdma import CaptureError, LiveObservation, ObservationError, ParameterError, Skin
+from tactile_cdma import (
+    CaptureError,
+    LiveObservation,
+    ObservationError,
+    ParameterError,
+    PortError,
+    Skin,
+)
 from tactile_cdma.commands.cli import main
 from tactile_cdma.datasets.sources.recording_source import RecordingSource
 from tactile_cdma.sim.options import SimOptions
 from test.support import simulated
 from test.support.bags import BagMaker
+from test.support.scripts import loaded
 from test.support.waiting import wait_for
 
 pytestmark = pytest.mark.xdist_group("public_skin")
+TOUCH = (
+    Path(__file__)
+    .resolve()
+    .parents[3]
+    .joinpath("integrations", *["lerobot_robot_tactile_cdma"] * 2, "touch.py")
+)
+PARAMETERS = "/**:\n  ros__parameters:\n    port: {port}\n    skin: {skin}\n    nodes: 16\n"
+TACTILE = "observation.tactile.skin"
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +56,25 @@ def exported(source: Path, folder: Path, *options: str) -> Path:
     return folder
 
 
+def observed(
+    recording: Path, dataset: Path, skin: Skin, observation: LiveObservation
+) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """The rows of a dataset, and what is observed at their times in a replay of its recording."""
+    stamps = {
+        sample.value.sequence: (sample.stamp_ns, sample.value.stamp_uncertainty_s)
+        for sample in RecordingSource(recording, {}, derived=False).samples(None, None)
+    }
+    rows = pyarrow.parquet.read_table(dataset / "data/chunk-000/file-000.parquet").to_pylist()
+    assert len(rows) > 15
+    frames = iter(skin)
+    ahead = next(frames, None)
+    for row in rows:
+        while ahead is not None and stamps[ahead.sequence][0] <= row["unix_time_ns"]:
+            observation.take(ahead, "skin", *stamps[ahead.sequence])
+            ahead = next(frames, None)
+        yield row, observation.at(row["unix_time_ns"])
+
+
 @pytest.mark.parametrize(
     "options", [("--samples", "window"), ("--samples", "last", "--nan", "zero")], ids=" ".join
 )
@@ -40,31 +82,18 @@ def test_a_replay_gives_the_rows_of_the_dataset_bit_for_bit(
     recording: Path, tmp_path: Path, options: tuple[str, ...]
 ) -> None:
     dataset = exported(recording, tmp_path / "set", *options)
-    table = pyarrow.parquet.read_table(dataset / "data/chunk-000/file-000.parquet")
-    columns = {name for name in table.column_names if name.startswith(("observation.", "unix_"))}
-    source = RecordingSource(recording, {}, derived=False)
-    stamps = {
-        sample.value.sequence: (sample.stamp_ns, sample.value.stamp_uncertainty_s)
-        for sample in source.samples(None, None)
-    }
-    parameters = LiveObservation.parameters(dataset)
-    touched = 0
+    parameters, touched = LiveObservation.parameters(dataset), 0
     with Skin(f"replay://{recording}?speed=0", contacts=True, **parameters) as skin:
         observation = LiveObservation(dataset, skin)
-        assert observation.features.keys() == columns and not observation.others
-        frames = iter(skin)
-        ahead = next(frames)
-        for row in table.to_pylist():
-            while ahead is not None and stamps[ahead.sequence][0] <= row["unix_time_ns"]:
-                observation.take(ahead, "skin", *stamps[ahead.sequence])
-                ahead = next(frames, None)  # type: ignore[arg-type]
-            found = observation.at(row["unix_time_ns"])
+        for row, found in observed(recording, dataset, skin, observation):
+            columns = {name for name in row if name.startswith(("observation.", "unix_"))}
+            assert observation.features.keys() == columns and not observation.others
             for name, array in found.items():
                 expected = np.array(row[name], dtype=array.dtype).reshape(array.shape)
                 assert array.tobytes() == expected.tobytes(), name
             touched += found["observation.contacts.skin"][0] == 1.0
         assert observation.notes == []
-    assert len(table) > 15 and touched > 0
+    assert touched > 0
 
 
 def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
@@ -78,14 +107,13 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
 
         def is_valid() -> bool:  # the first second's stamps are not certain
             with suppress(ObservationError):
-                return bool(observation.read()["observation.tactile.skin.valid"].any())
+                return bool(observation.read()[f"{TACTILE}.valid"].any())
             return False
 
         wait_for(is_valid)
         found = observation.read()
-        assert found["observation.tactile.skin"].shape == (4, 16)
-        assert found["observation.tactile.skin.valid"].any()
-        ages_s = found["observation.tactile.skin.age_s"]
+        assert found[TACTILE].shape == (4, 16) and found[f"{TACTILE}.valid"].any()
+        ages_s = found[f"{TACTILE}.age_s"]
         assert (np.diff(ages_s) < 0).all() and 0 <= ages_s[-1] < 0.1
         assert "amplitude_mv of patch skin is 300.0, in the dataset 0.0" in observation.notes[-1]
         assert without.notes == [], "there is no dataset to differ from"
@@ -100,8 +128,7 @@ def test_a_live_skin_is_observed_without_waiting_and_its_silence_is_told(
 
 
 def test_a_state_is_put_into_the_order_of_the_dataset(tmp_path: Path) -> None:
-    maker = BagMaker().skin("/skin", 2.0)
-    maker.messages = [one for one in maker.messages if one[1] != "/skin/info"]  # places unknown
+    maker = BagMaker().skin("/skin", 2.0).without("/skin/info")  # places unknown
     maker.joints("/joint_states", 2.0)
     maker.contacts("/skin", 2.0, end_s=2.0)
     dataset = exported(maker.write(tmp_path / "bag"), tmp_path / "set", "--state", "/joint_states")
@@ -152,3 +179,63 @@ def test_what_does_not_fit_the_dataset_is_refused(recording: Path, tmp_path: Pat
         about.write_text(text)
         with pytest.raises(CaptureError, match=r"tactile.json|no dataset of this version's export"):
             LiveObservation(dataset, Skin("sim://", contacts=True))
+
+
+@pytest.fixture(scope="module")
+def touch() -> ModuleType:
+    """The module of the package that does without LeRobot."""
+    return loaded(TOUCH)
+
+
+def test_the_numbers_are_the_rows_of_an_export_bit_for_bit(
+    touch: ModuleType, tmp_path: Path
+) -> None:
+    recording = tmp_path / "touch.skin"
+    options = SimOptions.from_url("sim://?scene=all&seed=3&heartbeat=40&dead=5")
+    simulated.recording(recording, options, 1.2)
+    dataset = exported(recording, tmp_path / "set", "--samples", "last")
+    parameters = LiveObservation.parameters(dataset)
+    with Skin(f"replay://{recording}?speed=0", contacts=True, **parameters) as skin:
+        observation = LiveObservation.of(skin)
+        for row, arrays in observed(recording, dataset, skin, observation):
+            # As lerobot-record: the robot's own numbers first, all in one vector of float32.
+            values = {"elbow.pos": 0.5, **touch.flat(observation, arrays)}
+            state = np.array(list(values.values()), np.float32)
+            found = touch.touch_of(list(values), state)
+            assert found.pop("observation.state").tolist() == [0.5]
+            assert found.keys() == {name for name in row if name.startswith("observation.")}
+            for name, array in found.items():
+                assert array.tobytes() == np.array(row[name], np.float32).tobytes(), name
+    assert found["observation.contacts.skin"][0] == 1.0
+    assert found[f"{TACTILE}.valid"].tolist() == [1.0] * 4 + [0.0] + [1.0] * 11
+
+
+def test_a_skin_is_there_before_recording_and_is_told_when_it_stops(
+    touch: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "palm.yaml"
+    file.write_text(PARAMETERS.format(port='"sim://?scene=all&threshold=0"', skin="Left Palm"))
+    skin = touch.Touch(str(file))
+    assert len(skin.names) == 33
+    assert skin.names[3] == "tactile.left_palm.taxel_3"
+    assert skin.names[-1] == "tactile.left_palm.age_s.age_0"
+    assert skin.names[16] == "tactile.left_palm.valid.taxel_0"
+    skin.open()
+    try:
+        # The first second's stamps are not certain.
+        wait_for(lambda: all(list(skin.read().values())[16:32]))
+        values = list(skin.read().values())
+        assert min(values[:16]) > 5e3 and skin.is_open
+        time.sleep(0.02)  # a frame is 5 ms old when it arrives
+        assert 0.004 < list(skin.read().values())[32] < 5.0
+        skin._ends.close()  # as where the cable is pulled
+        monkeypatch.setattr(Skin, "waiting", lambda self: [])
+        monkeypatch.setattr(Skin, "problem", None)
+        time.sleep(0.7)
+        stopped = list(skin.read().values())
+        assert stopped[16:32] == [0.0] * 16 and min(stopped[:16]) > 5e3 and stopped[32] > 0.5
+    finally:
+        skin.close()
+    file.write_text(PARAMETERS.format(port="/dev/tactile-none", skin="x"))
+    with pytest.raises(PortError, match="tactile-none"):
+        touch.Touch(str(file)).open()

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_cdma.commands.cli import main
 from tactile_cdma.sim.options import SimOptions
 from test.support.bags import BagMaker
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
 pytest.importorskip("pyarrow", reason="the extra [datasets] is not installed")
@@ -31,26 +30,22 @@ def bag(path: Path, contacts: bool = False, seconds: float = SECONDS, **info: An
     return maker.write(path)
 
 
-def dataset(folder: Path, *words: object, fps: int = 30) -> None:
-    assert main(["export", "--lerobot", str(folder), "--fps", str(fps), *map(str, words)]) == 0
+DATASET = "--fps", 30, "--lerobot"
 
 
 def meta(folder: Path, name: str) -> Any:
     return json.loads((folder / "meta" / name).read_text())
 
 
-def test_readings_from_elsewhere_are_told_and_kept_apart(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_readings_from_elsewhere_are_told_and_kept_apart(tmp_path: Path, printed: Printed) -> None:
     first = bag(tmp_path / "first")
     others = [
         bag(tmp_path / "board", origin=1, measured_by=1),
         bag(tmp_path / "curves", calibration_id="other"),
         bag(tmp_path / "same"),
     ]
-    dataset(tmp_path / "out", first, *others)
-    told = capsys.readouterr().err.splitlines()
-    assert told == [
+    told = printed("export", first, *others, *DATASET, tmp_path / "out").err
+    assert told.splitlines() == [
         f"tactile-cdma: {path}: {key} of patch skin is {its!r}, in the first file {mine!r}"
         for path, key, its, mine in (
             (others[0], "origin", "board", "simulated"),
@@ -68,16 +63,13 @@ def test_readings_from_elsewhere_are_told_and_kept_apart(
     }
 
 
-def test_a_recording_s_digitizer_is_compared_too(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_s_digitizer_is_compared_too(tmp_path: Path, printed: Printed) -> None:
     """It is known only when its frames are decoded."""
     skin = recording(tmp_path / "touch.skin", SimOptions(scene="moving"), 1.0)
-    assert main(["export", str(skin), "-o", str(tmp_path / "bag"), "--bag"]) == 0
-    capsys.readouterr()
-    dataset(tmp_path / "out", tmp_path / "bag", skin)
+    printed("export", skin, "-o", tmp_path / "bag", "--bag")
+    said = printed("export", tmp_path / "bag", skin, *DATASET, tmp_path / "out").err
     # Without contacts and wrench, which the bag does not hold.
-    assert capsys.readouterr().err.splitlines() == [
+    assert said.splitlines() == [
         f"tactile-cdma: {tmp_path}/bag: no observation.{kind}.skin, which is left out"
         for kind in ("contacts", "wrench")
     ]
@@ -85,18 +77,17 @@ def test_a_recording_s_digitizer_is_compared_too(
 
 @pytest.mark.parametrize("lacking_first", [False, True])
 def test_contacts_that_not_all_files_have_are_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], lacking_first: bool
+    tmp_path: Path, printed: Printed, lacking_first: bool
 ) -> None:
     files = [bag(tmp_path / "with", contacts=True), bag(tmp_path / "without")]
-    dataset(tmp_path / "out", *files[:: -1 if lacking_first else 1])
-    said = capsys.readouterr().err
+    either = files[::-1] if lacking_first else files
+    said = printed("export", *either, *DATASET, tmp_path / "out").err
     for kind in ("contacts", "wrench"):
         assert f"{files[1]}: no observation.{kind}.skin, which is left out" in said
     features = meta(tmp_path / "out", "info.json")["features"]
     assert {name.split(".")[1] for name in features if "." in name} == {"tactile"}
-    dataset(tmp_path / "both", files[0], files[0])
+    assert not printed("export", files[0], files[0], *DATASET, tmp_path / "both").err
     assert "observation.contacts.skin" in meta(tmp_path / "both", "info.json")["features"]
-    assert not capsys.readouterr().err
 
 
 def test_other_streams_have_to_be_in_all_files(tmp_path: Path, refused: Refused) -> None:
@@ -114,27 +105,21 @@ def test_other_streams_have_to_be_in_all_files(tmp_path: Path, refused: Refused)
     assert not (tmp_path / "out").exists()
 
 
-def test_tables_do_not_read_contacts(tmp_path: Path) -> None:
-    maker = BagMaker().skin("/skin", 0.3).contacts("/skin", 0.3, 0.3)
-    for i, (time_ns, topic, kind, _) in enumerate(maker.messages):
-        if topic == "/skin/contacts":
-            maker.messages[i] = (time_ns, topic, kind, b"\x00\x01\x00\x00odd")
-    words = ["export", str(maker.write(tmp_path / "bag")), "-o", str(tmp_path / "out.npz")]
-    assert main(words) == 0
+def test_tables_do_not_read_contacts(tmp_path: Path, printed: Printed) -> None:
+    maker = BagMaker().skin("/skin", 0.3).contacts("/skin", 0.3, 0.3).spoilt("/skin/contacts")
+    printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz")
 
 
 @pytest.mark.parametrize("stray_s", [-3600, 9, 3600])
-def test_no_rows_are_made_for_a_pause(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], stray_s: int
-) -> None:
+def test_no_rows_are_made_for_a_pause(tmp_path: Path, printed: Printed, stray_s: int) -> None:
     """An hour off is too little to say which times are wrong: the recorder may have paused."""
     maker = BagMaker().skin("/skin", SECONDS)
     for i, (seen_ns, topic, kind, message) in enumerate(maker.messages):
         if topic == "/skin/tactile" and message.sequence == 40:
             message.header.stamp.sec += stray_s
             maker.messages[i] = (seen_ns + stray_s * 10**9, topic, kind, message)
-    dataset(tmp_path / "out", maker.write(tmp_path / "bag"), fps=10)
-    said = capsys.readouterr().err
+    words = "--fps", 10, "--lerobot", tmp_path / "out"
+    said = printed("export", maker.write(tmp_path / "bag"), *words).err
     info = meta(tmp_path / "out", "info.json")
     if stray_s == 9:  # which is no pause
         assert 90 <= info["total_frames"] <= 97 and len(said.splitlines()) == 1
@@ -148,7 +133,7 @@ def test_no_rows_are_made_for_a_pause(
     assert info["total_episodes"] == (2 if stray_s < 0 else 1)  # no row comes after the last sample
 
 
-def test_an_image_ends_a_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_image_ends_a_pause(tmp_path: Path, printed: Printed) -> None:
     """Every image is a row, also the first one after a pause, before the skin's next frame."""
     maker, later = BagMaker(), BagMaker()
     for one in (maker, later):
@@ -159,27 +144,23 @@ def test_an_image_ends_a_pause(tmp_path: Path, capsys: pytest.CaptureFixture[str
             message.header.stamp.sec += 20
             maker.messages.append((seen_ns + 20 * 10**9, topic, kind, message))
     bag = maker.write(tmp_path / "bag")
-    words = ["export", bag, "--lerobot", tmp_path / "out", "--clock", "/front"]
-    assert main(list(map(str, words))) == 0
-    said = capsys.readouterr()
+    said = printed("export", bag, "--lerobot", tmp_path / "out", "--clock", "/front")
     assert "episodes=2 frames=90 fps=30 left_out=0 " in said.out
     assert said.err.endswith("/skin/tactile had stopped in 5 rows, where nothing is valid\n")
 
 
-def test_a_file_that_contributes_nothing_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_contributes_nothing_is_told(tmp_path: Path, printed: Printed) -> None:
     short = bag(tmp_path / "short", seconds=0.5, calibration_id="other")
     whole = bag(tmp_path / "whole")
-    late = ["--episode", "1:1.4"]
-    dataset(tmp_path / "out", short, whole, *late)
-    assert capsys.readouterr().err == f"tactile-cdma: {short}: no row in its episodes\n"
+    words = "export", short, whole, "--episode", "1:1.4"
+    said = printed(*words, *DATASET, tmp_path / "out").err
+    assert said == f"tactile-cdma: {short}: no row in its episodes\n"
     about = meta(tmp_path / "out", "tactile.json")
     assert about["files"] == ["whole"] and [one["file"] for one in about["patches"]] == ["whole"]
 
     table = tmp_path / "out.npz"
-    assert main(["export", str(short), str(whole), "-o", str(table), *late]) == 0
-    assert capsys.readouterr().err == f"tactile-cdma: {short}: no frame of skin in its episodes\n"
+    said = printed(*words, "-o", table).err
+    assert said == f"tactile-cdma: {short}: no frame of skin in its episodes\n"
     with np.load(table) as found:
         about = json.loads(str(found["about"]))
         assert set(found["episode"]) == {1} and about["files"] == ["short", "whole"]

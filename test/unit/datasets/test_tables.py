@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile_cdma.commands.cli import main
 from test.support.bags import BEGIN_NS, PERIOD_S, TAXELS, BagMaker, pressure_pa
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 
 pytestmark = pytest.mark.xdist_group("datasets")
 SECONDS = 1.6
@@ -32,10 +31,6 @@ def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return maker.write(path, sqlite=request.param == "sqlite3")
 
 
-def export(bag: Path, output: Path, *options: str) -> None:
-    assert main(["export", str(bag), "-o", str(output), *options]) == 0
-
-
 def read(path: Path) -> dict[str, NDArray[Any]]:
     with np.load(path) as table:
         return dict(table)
@@ -45,8 +40,10 @@ def t_of(table: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     return np.asarray(table["wall_time_s"] - BEGIN_NS * 1e-9)
 
 
-def test_every_patch_has_a_file_of_all_its_frames(bag: Path, tmp_path: Path) -> None:
-    export(bag, tmp_path / "out.npz")
+def test_every_patch_has_a_file_of_all_its_frames(
+    bag: Path, tmp_path: Path, printed: Printed
+) -> None:
+    printed("export", bag, "-o", tmp_path / "out.npz")
     assert {path.name for path in tmp_path.iterdir()} == {"out.skin.npz", "out.left_palm.npz"}
     table = read(tmp_path / "out.skin.npz")
     frames = round(SECONDS / PERIOD_S)
@@ -66,9 +63,9 @@ def test_every_patch_has_a_file_of_all_its_frames(bag: Path, tmp_path: Path) -> 
     assert about | said | {"topic": "/skin/tactile", "frame_id": "palm", "tared": False} == about
 
 
-def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path) -> None:
+def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path, printed: Printed) -> None:
     def chosen(name: str, *options: str) -> dict[str, NDArray[Any]]:
-        export(bag, tmp_path / name, "--topic", "/skin/tactile", *options)
+        printed("export", bag, "-o", tmp_path / name, "--topic", "/skin/tactile", *options)
         return read(tmp_path / name)
 
     part = chosen("part.npz", "--start", "0.5", "--end", "1.1")
@@ -84,19 +81,18 @@ def test_bounds_marks_and_completeness(bag: Path, tmp_path: Path) -> None:
     assert np.bincount(given["episode"]).tolist() == [8, 8]
 
 
-def test_a_bag_s_file_alone_and_many_files(bag: Path, tmp_path: Path) -> None:
+def test_a_bag_s_file_alone_and_many_files(bag: Path, tmp_path: Path, printed: Printed) -> None:
     [file] = [path for path in bag.iterdir() if path.suffix in (".mcap", ".db3")]
-    topic = ["--topic", "/skin/tactile"]
-    assert main(["export", str(file), str(bag), "-o", str(tmp_path / "two.npz"), *topic]) == 0
+    printed("export", file, bag, "-o", tmp_path / "two.npz", "--topic", "/skin/tactile")
     table = read(tmp_path / "two.npz")
     assert np.bincount(table["episode"]).tolist() == [round(SECONDS / PERIOD_S)] * 2
     assert json.loads(str(table["about"]))["files"] == [file.name, bag.name]
 
 
-def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path) -> None:
-    topic = ("--topic", "/skin/tactile")
-    export(bag, tmp_path / "out.npz", *topic)
-    export(bag, tmp_path / "out.csv", *topic)
+def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, printed: Printed) -> None:
+    words = "export", bag, "--topic", "/skin/tactile", "-o"
+    printed(*words, tmp_path / "out.npz")
+    printed(*words, tmp_path / "out.csv")
     expected = read(tmp_path / "out.npz")
     with (tmp_path / "out.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -104,7 +100,7 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path) -> None
     assert np.array(cells, dtype=np.float32).tobytes() == expected["pressure_pa"].tobytes()
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    export(bag, tmp_path / "out.parquet", *topic)
+    printed(*words, tmp_path / "out.parquet")
     frames = pandas.read_parquet(tmp_path / "out.parquet")
     for name in ("pressure_pa", "status"):
         assert np.stack(frames[name].to_numpy()).tobytes() == expected[name].tobytes()
@@ -112,13 +108,10 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path) -> None
         assert frames[name].to_numpy().tobytes() == expected[name].tobytes()
 
 
-def test_a_patch_without_info_has_unknown_places(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    maker = BagMaker().skin("/skin", 0.3)
-    maker.messages = [message for message in maker.messages if message[1] != "/skin/info"]
-    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
-    assert "no info, so places and calibration are unknown" in capsys.readouterr().err
+def test_a_patch_without_info_has_unknown_places(tmp_path: Path, printed: Printed) -> None:
+    bag = BagMaker().skin("/skin", 0.3).without("/skin/info").write(tmp_path / "bag")
+    said = printed("export", bag, "-o", tmp_path / "out.npz").err
+    assert "no info, so places and calibration are unknown" in said
     table = read(tmp_path / "out.npz")
     assert np.isnan(table["position_m"]).all() and not table["node"].any()
     assert table["pressure_pa"].shape == (round(0.3 / PERIOD_S), TAXELS)
@@ -132,11 +125,10 @@ def test_frames_of_another_size_are_refused(
 ) -> None:
     """A shorter or longer row would shift all that follow it."""
     maker = BagMaker().skin("/skin", 1.2)
-    for _, topic, _, message in maker.messages:
-        if topic == "/skin/tactile" and message.sequence >= 80:
-            message.status = np.zeros(taxels, dtype=np.uint8)
-            if field == "pressure":
-                message.pressure = np.arange(taxels, dtype=np.float32)
+    for message in maker.of("/skin/tactile")[80:]:
+        message.status = np.zeros(taxels, dtype=np.uint8)
+        if field == "pressure":
+            message.pressure = np.arange(taxels, dtype=np.float32)
     bag = maker.write(tmp_path / "bag")
     for name in ("out.npz", "out.csv"):
         said = refused("export", bag, "-o", tmp_path / name)
@@ -146,9 +138,8 @@ def test_frames_of_another_size_are_refused(
 
 def test_a_patch_without_taxels_is_refused(tmp_path: Path, refused: Refused) -> None:
     maker = BagMaker().skin("/skin", 0.3)
-    for _, topic, _, message in maker.messages:
-        if topic == "/skin/tactile":
-            message.pressure, message.status = np.zeros(0, np.float32), np.zeros(0, np.uint8)
+    for message in maker.of("/skin/tactile"):
+        message.pressure, message.status = np.zeros(0, np.float32), np.zeros(0, np.uint8)
     said = refused("info", maker.write(tmp_path / "bag"))
     assert "/skin/tactile: its first frame has no taxels" in said
 
@@ -182,11 +173,9 @@ def test_files_of_different_skins_are_not_one_table(
 
 
 def test_rows_and_columns_of_files_must_agree(tmp_path: Path, refused: Refused) -> None:
-    first, maker = other_skin(tmp_path / "first"), BagMaker()
-    maker.skin("/skin", 0.2)
-    for _, topic, _, message in maker.messages:
-        if topic == "/skin/tactile":
-            message.height, message.width = 2, 8
+    first, maker = other_skin(tmp_path / "first"), BagMaker().skin("/skin", 0.2)
+    for message in maker.of("/skin/tactile"):
+        message.height, message.width = 2, 8
     other = maker.write(tmp_path / "other")
     words, problem = ["export", first, other], "has 2 × 8 taxels, in the first file 4 × 4"
     assert problem in refused(*words, "-o", tmp_path / "out.npz")
@@ -194,20 +183,15 @@ def test_rows_and_columns_of_files_must_agree(tmp_path: Path, refused: Refused) 
     assert problem in refused(*words, "--lerobot", tmp_path / "out", "--fps", "30")
 
 
-def test_an_info_of_another_type_is_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    maker = BagMaker().skin("/skin", 0.3)
-    del maker.messages[0]
+def test_an_info_of_another_type_is_none(tmp_path: Path, printed: Printed) -> None:
+    maker = BagMaker().skin("/skin", 0.3).without("/skin/info")
     maker.add(0.0, "/skin/info", "std_msgs/msg/String", data="left palm")
-    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
-    assert "no info, so places and calibration are unknown" in capsys.readouterr().err
+    said = printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
+    assert "no info, so places and calibration are unknown" in said
 
 
 @pytest.mark.parametrize("begins_tared", [False, True])
-def test_a_tare_within_a_bag_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], begins_tared: bool
-) -> None:
+def test_a_tare_within_a_bag_is_told(tmp_path: Path, printed: Printed, begins_tared: bool) -> None:
     tares = [np.full(TAXELS, 300.0, dtype=np.float32), np.full(TAXELS, 500.0, dtype=np.float32)]
     if not begins_tared:
         tares[0] = np.zeros(0, dtype=np.float32)
@@ -219,31 +203,24 @@ def test_a_tare_within_a_bag_is_told(
         time_ns, *rest, info = later.messages.pop()
         info.tare = tare
         maker.messages.append((time_ns + round(seen_s * 1e9), *rest, info))
-    bag = maker.write(tmp_path / "bag")
-    export(bag, tmp_path / "out.npz")
-    note = "/skin/tactile: the tare changes within the bag"
-    assert f"tactile-cdma: {bag}: {note}" in capsys.readouterr().err
-    assert main(["info", str(bag)]) == 0
-    assert capsys.readouterr().out.count(note) == 1
+    bag, note = maker.write(tmp_path / "bag"), "/skin/tactile: the tare changes within the bag"
+    said = printed("export", bag, "-o", tmp_path / "out.npz").err
+    assert f"tactile-cdma: {bag}: {note}" in said
+    assert printed("info", bag).out.count(note) == 1
     assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] == "changes"
 
 
-def test_the_same_tare_again_is_no_change(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_same_tare_again_is_no_change(tmp_path: Path, printed: Printed) -> None:
     maker, again = BagMaker(), BagMaker()
     for one, seconds in ((maker, 0.3), (again, 0.0)):
         one.skin("/skin", seconds)
         one.messages[0][3].tare = np.full(TAXELS, 300.0, dtype=np.float32)
     maker.messages += again.messages
-    export(maker.write(tmp_path / "bag"), tmp_path / "out.npz")
-    assert not capsys.readouterr().err
+    assert not printed("export", maker.write(tmp_path / "bag"), "-o", tmp_path / "out.npz").err
     assert json.loads(str(read(tmp_path / "out.npz")["about"]))["tared"] is True
 
 
-def test_a_bag_whose_info_changes_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_whose_info_changes_says_so(tmp_path: Path, printed: Printed) -> None:
     maker, real = BagMaker(), BagMaker()
     maker.skin("/skin", 1.0)
     real.skin("/skin", 0.0, simulated=False)
@@ -251,12 +228,11 @@ def test_a_bag_whose_info_changes_says_so(
     info.calibration_id, info.node = "other", info.node[::-1].copy()
     maker.messages.append((time_ns + 500_000_000, *rest, info))
     bag = maker.write(tmp_path / "bag")
-    assert main(["info", str(bag)]) == 0
-    said = capsys.readouterr().out
+    said = printed("info", bag).out
     assert "measured by: simulated, then board" in said and "nothing was touched" not in said
     assert "calibration: abcd1234, then other" in said
     assert "note: /skin/tactile: its taxels change within the bag" in said
-    export(bag, tmp_path / "out.npz")
+    said = printed("export", bag, "-o", tmp_path / "out.npz").err
+    assert "measured_by changes within the bag" in said
     about = json.loads(str(read(tmp_path / "out.npz")["about"]))
     assert about["origin"] == "simulated, then board" and about["skin"] == "palm-1"
-    assert "measured_by changes within the bag" in capsys.readouterr().err

@@ -17,7 +17,7 @@ from tactile_cdma.code.frame import UNIPOLAR
 from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.doctor.report import Check, Grade
-from tactile_cdma.doctor.stream import RawStream, judge
+from tactile_cdma.doctor.stream import Chunks, judge
 from tactile_cdma.driver.session import Session
 from tactile_cdma.recording.offline import parameters_of
 from tactile_cdma.sim.digitizer import VirtualDigitizer
@@ -43,14 +43,14 @@ def packets_of(url: str, asked: SkinConfig | None = None) -> list[Packet]:
     return [packet for packet in packets if isinstance(packet, Packet)]
 
 
-def stream_of(packets: list[Packet]) -> RawStream:
+def stream_of(packets: list[Packet]) -> Chunks:
     """The same packets on a port, each read when its samples were taken."""
     writer, t_host, chunks = PacketWriter(), 100.0, []
     for packet in packets:
         if isinstance(packet, Samples | Quiet):
             t_host = 100.0 + packet.device_time_us * 1e-6
         chunks.append((writer.encode(packet), t_host))
-    return RawStream(chunks, None)
+    return chunks
 
 
 def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
@@ -63,10 +63,9 @@ def checks(packets: list[Packet], **values: object) -> dict[str, list[Check]]:
     return found
 
 
-def judged(chunks: list[tuple[bytes, float]]) -> dict[str, Check]:
+def judged(chunks: Chunks) -> dict[str, Check]:
     """By subject, what is said of bytes and the times when they were read."""
-    found = judge(RawStream(chunks, None), SkinConfig.of({}), SECONDS)
-    return {check.subject: check for check in found}
+    return {check.subject: check for check in judge(chunks, SkinConfig.of({}), SECONDS)}
 
 
 def with_node(packets: list[Packet], others: list[Packet], share: float) -> list[Packet]:
@@ -195,7 +194,7 @@ def test_silence_in_one_value_per_chip_is_told_by_the_stated_amplitude() -> None
 
 
 def test_frames_that_waited_do_not_come_faster_than_they_were_sent() -> None:
-    chunks = stream_of(packets_of(ALL_TALK)).chunks
+    chunks = stream_of(packets_of(ALL_TALK))
     late_s = chunks[len(chunks) // 2][1]
     found = judged([(data, max(t_host, late_s)) for data, t_host in chunks])
     assert found["frames"].text == "78.1 of 78.1 per s, 0 lost"
@@ -266,13 +265,13 @@ def test_clipping_is_told_and_no_amplitude_is_read_from_it() -> None:
 
 
 def test_lost_packets_are_told() -> None:
-    found = judged([c for i, c in enumerate(stream_of(talk(SOUND)).chunks) if i % 20 != 19])
+    found = judged([c for i, c in enumerate(stream_of(talk(SOUND))) if i % 20 != 19])
     assert found["link"].verdict is Grade.WARNING
     assert found["frames"].verdict is Grade.WARNING
 
 
 def test_broken_bytes_are_told() -> None:
-    chunks = stream_of(talk(SOUND)).chunks
+    chunks = stream_of(talk(SOUND))
     found = judged(
         [(b[:9] + b"\x55" + b[10:] if i % 30 == 29 else b, t) for i, (b, t) in enumerate(chunks)]
     )
@@ -295,7 +294,7 @@ def test_bytes_without_frames_are_an_error_and_no_verdict() -> None:
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-5, 1e-4, 1e-3, 0.1]))
 def test_whatever_comes_there_is_a_verdict_or_a_reason(seed: int, share: float) -> None:
-    rng, chunks = np.random.default_rng(seed), stream_of(talk(SOUND)).chunks
+    rng, chunks = np.random.default_rng(seed), stream_of(talk(SOUND))
     data = np.frombuffer(b"".join(chunk for chunk, _ in chunks), np.uint8).copy()
     data = data[: rng.integers(1, len(data))]
     hit = rng.random(len(data)) < share

@@ -155,7 +155,8 @@ def test_words_of_a_sound_skin_are_read_in_one_call(
 ) -> None:
     """Of few words Python is asked where they leave energy over; those of sound nodes do not."""
     looked: list[object] = []
-    monkeypatch.setattr(taxels, "out_of_place", lambda *arguments: looked.append(arguments))
+    for name in ("few_differ", "out_of_place"):
+        monkeypatch.setattr(taxels, name, lambda *arguments: looked.append(arguments))
     config = SkinConfig.of(parameters)
     pipeline = Pipeline(config)
     frames = pipeline.feed(sent(tuple(parameters.items()), f"sim://?seed=1&{options}"), 0.0)

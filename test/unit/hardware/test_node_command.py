@@ -139,14 +139,6 @@ def test_nodes_too_silent_for_the_driver_are_warned_of(
     assert capsys.readouterr().err == ""
 
 
-def test_larger_skins_are_not_stale_by_default(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["node", "--nodes", "64", "--frame-period-ms", "40", "--node", "64"]
-    assert main([*arguments, "-o", str(tmp_path / "a.hex")]) == 0
-    assert capsys.readouterr().err == ""
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Geometry of layouts: surfaces, neighbours, rasters."""
+"""Geometry of layouts: surfaces, neighbours, rasters, and the squares that are drawn of taxels."""
 
 import itertools
 import math
@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.places.adjacency import cells, polygon_areas_m2
 from tactile_cdma.places.layout import MAX_CELLS, Layout
-from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere
+from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere, tangents
+from tactile_cdma.places.mesh import taxel_squares
 from tactile_cdma.places.proximity import usual_distance_m
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
 from test.support.examples import examples
@@ -26,6 +27,7 @@ SURFACES = {
     "cylinder": cylinder(5, 8, PITCH_M, 20e-3),
     "sphere": sphere(5, 8, PITCH_M, 25e-3),
 }
+SLEEVE = cylinder(3, 12, PITCH_M, 12 * PITCH_M / (2 * math.pi))
 
 
 def on(surface: Surface, rows: int = 5, columns: int = 8, **changes: Any) -> Layout:
@@ -136,7 +138,7 @@ def test_neighbours_on_gridded_surfaces_are_the_eight_around(name: str) -> None:
 
 
 def test_a_sleeve_closes_and_a_thin_finger_keeps_its_sides_apart() -> None:
-    sleeve = on(cylinder(3, 12, PITCH_M, 12 * PITCH_M / (2 * math.pi)), 3, 12)
+    sleeve = on(SLEEVE, 3, 12)
     assert {len(set(row)) for row in sleeve.neighbours[12:24].tolist()} == {8}
     assert (0, 11) in pairs(sleeve)
     finger = on(cylinder(1, 4, PITCH_M, 4 * PITCH_M / (2 * math.pi)), 1, 4)
@@ -279,3 +281,61 @@ def test_rasters_of_scattered_skins_are_bounded_and_show_every_taxel() -> None:
     picture = heatmap(np.zeros(3, np.float32), far, 1e5, pixels=256)
     assert picture.size <= 3 << 20
     assert tuple(picture[0, 0]) == tuple(picture[-1, -1]) == NO_TAXEL_RGB
+
+
+def triangles(squares: np.ndarray) -> np.ndarray:
+    """(t, 2, 3): twice the area of each triangle along its normal, m²."""
+    corners = squares.astype(np.float64).reshape(-1, 2, 3, 3)
+    first, second = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
+    return np.cross(first, second)
+
+
+@pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
+def test_two_triangles_have_the_area_of_their_taxel_and_look_outwards(surface: Surface) -> None:
+    twice = triangles(taxel_squares(on(surface)))
+    assert np.allclose(
+        twice.sum(axis=1) / 2, surface.normals * surface.areas_m2[:, None], atol=1e-10
+    )
+    areas = np.linalg.norm(twice, axis=2) / 2
+    assert np.allclose(areas, surface.areas_m2[:, None] / 2, rtol=1e-4)
+
+
+@pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
+def test_squares_lie_about_their_taxel_in_the_tangent_plane(surface: Surface) -> None:
+    squares = taxel_squares(on(surface))
+    arms = squares - surface.positions_m[:, None]
+    assert np.allclose((arms * surface.normals[:, None]).sum(axis=2), 0, atol=1e-8)
+    half_diagonals = np.sqrt(surface.areas_m2 / 2)[:, None]
+    assert np.allclose(np.linalg.norm(arms, axis=2), half_diagonals, rtol=1e-4)
+
+
+def test_squares_of_a_plane_cover_it_without_a_gap() -> None:
+    corners = np.unique(taxel_squares(on(SURFACES["plane"]))[..., :2].round(7), axis=None)
+    lines = {round(float(x), 4) for x in corners}
+    edges = {round((i - n / 2) * PITCH_M, 4) for n in (5, 8) for i in range(n + 1)}
+    assert lines == edges
+
+
+def test_squares_stand_along_rows_and_columns_of_a_sleeve() -> None:
+    skin = on(SLEEVE, 3, 12)
+    right, up = tangents(skin.normals)
+    assert np.allclose(up, [0, 1, 0], atol=1e-6)
+    places = skin.positions_m.reshape(3, 12, 3).astype(float)
+    chords = np.roll(places, -1, axis=1) - np.roll(places, 1, axis=1)  # along the columns
+    chords /= np.linalg.norm(chords, axis=2, keepdims=True)
+    assert np.allclose(right.reshape(3, 12, 3), chords, atol=1e-5)
+
+
+unit = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3)
+almost_down = st.tuples(st.floats(-1e-6, 1e-6), st.floats(-1e-6, 1e-6), st.just(-1.0))
+
+
+@given(unit | almost_down)
+def test_tangents_and_normal_are_right_handed_wherever_the_normal_points(
+    direction: tuple[float, float, float],
+) -> None:
+    normal = (np.array(direction) / np.linalg.norm(direction)).astype(np.float32)
+    [right], [up] = tangents(normal[None])
+    frame = np.stack([right, up, normal])
+    assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-6)
+    assert np.linalg.det(frame) == pytest.approx(1)

@@ -40,6 +40,11 @@ def taxels(*places: str) -> str:
     return "taxels:\n" + "".join(f"  - {{{place}}}\n" for place in places)
 
 
+def at(x_mm: float, node: int | str) -> str:
+    """A taxel of a list, on the x axis."""
+    return f"position_mm: [{x_mm}, 0, 0], node: {node}"
+
+
 def test_a_grid_file_is_the_grid_of_the_parameters(tmp_path: Path) -> None:
     layout = read_layout(written(tmp_path, GRID), Wiring(nodes=6))
     grid = Layout.grid(6, 2, 3, 7e-3, 7e-3)
@@ -84,7 +89,7 @@ def test_code_rows_count_from_the_first_row(tmp_path: Path) -> None:
     text = GRID + "code_rows: [[0, 1, ~], [4, 3, 2]]\n"
     layout = read_layout(written(tmp_path, text), Wiring(nodes=5, first_row=0))
     assert layout.nodes.tolist() == [1, 2, 0, 5, 4, 3]
-    rows = taxels("position_mm: [0, 0, 0], code_row: 9", "position_mm: [9, 0, 0], code_row: 8")
+    rows = taxels(at(0, 9), at(9, 8)).replace("node", "code_row")
     layout = read_layout(written(tmp_path, LIST + rows), Wiring(first_row=8))
     assert layout.nodes.tolist() == [2, 1]
 
@@ -119,7 +124,7 @@ def test_a_wrap_around_layout_reads_the_same_forces_anywhere_in_the_order(tmp_pa
 
 
 def test_nodes_out_of_service_or_without_a_place_are_not_missed(tmp_path: Path) -> None:
-    places = taxels(*(f"position_mm: [{7 * n}, 0, 0], node: {n}" for n in (1, 2, 4)))
+    places = taxels(*(at(7 * n, n) for n in (1, 2, 4)))
     path = written(tmp_path, LIST + "masked: [2]\nunplaced: [3]\n" + places)
     pipeline = Pipeline(SkinConfig.of({"nodes": 4, "layout_file": str(path)}))
     read = pipeline.taxels.update(silent(4, 0.0), 10.0, pipeline.health)
@@ -142,10 +147,8 @@ def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
 
 
 def test_the_simulator_is_centred_on_the_skin(tmp_path: Path) -> None:
-    path = written(
-        tmp_path,
-        LIST + taxels(*(f"position_mm: [{100 + 7 * n}, 50, 0], node: {4 - n}" for n in range(4))),
-    )
+    places = taxels(*(at(100 + 7 * n, 4 - n) for n in range(4)))
+    path = written(tmp_path, LIST + places.replace(", 0, 0]", ", 50, 0]"))
     skin = SimOptions.from_url(f"sim://?layout={path}").skin(4)
     assert np.allclose(skin.positions_m * 1e3, [[10.5, 0], [3.5, 0], [-3.5, 0], [-10.5, 0]])
     assert skin.pitch_m == pytest.approx(7e-3)
@@ -164,8 +167,8 @@ def test_there_is_an_example_of_every_shape() -> None:
     assert {path.stem for path in EXAMPLES} == {"grid", "cylinder", "sphere", "mesh", "list"}
 
 
-ONE = "position_mm: [0, 0, 0], node: 1"
-HEAP = taxels(*(f"position_mm: [{n * 1e-5:.5f}, 0, 0], node: {n}" for n in range(1, 3000)))
+ONE = at(0, 1)
+HEAP = taxels(*(at(round(n * 1e-5, 5), n) for n in range(1, 3000)))
 BENT = "shape: cylinder\nrows: 2\ncolumns: 9\npitch_mm: 7\n"
 REFUSED = {
     # what it is
@@ -236,41 +239,27 @@ REFUSED = {
     "no position": (LIST + taxels("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
     "far away": (LIST + taxels("position_mm: [0, 1e6, 0], node: 1"), ["-100000…100000 mm"]),
     "no normal": (
-        LIST + taxels(ONE, "position_mm: [7, 0, 0], node: 2, normal: [0, 0, 0]"),
+        LIST + taxels(ONE, at(7, 2) + ", normal: [0, 0, 0]"),
         ["line 6", "normal of taxel 1", "length is 0"],
     ),
     "no area": (LIST + taxels(ONE + ", area_mm2: 0"), ["line 5", "area of taxel 0 is 0"]),
     "no node": (LIST + taxels("position_mm: [0, 0, 0]"), ["line 5", "taxel 0 needs a node or"]),
     "node and row": (LIST + taxels(ONE + ", code_row: 1"), ["line 5", "not both"]),
-    "node 0": (
-        LIST + taxels("position_mm: [0, 0, 0], node: 0"),
-        ["line 5", "node of taxel 0 is 0"],
-    ),
+    "node 0": (LIST + taxels(at(0, 0)), ["line 5", "node of taxel 0 is 0"]),
     "node twice": (
-        LIST + taxels(ONE, "position_mm: [7, 0, 0], node: 1"),
+        LIST + taxels(ONE, at(7, 1)),
         ["line 6", "taxel 1 has node 1", "taxel 0 already (line 5)"],
     ),
     "same place": (
-        LIST + taxels(ONE, "position_mm: [0, 0, 0], node: 2"),
+        LIST + taxels(ONE, at(0, 2)),
         ["line 6", "taxel 1 is at the same place as taxel 0"],
     ),
     "too near": (
-        LIST
-        + taxels(
-            ONE,
-            "position_mm: [7, 0, 0], node: 2",
-            "position_mm: [14, 0, 0], node: 3",
-            "position_mm: [15, 0, 0], node: 4",
-            "position_mm: [22, 0, 0], node: 5",
-            "position_mm: [29, 0, 0], node: 6",
-        ),
+        LIST + taxels(*(at(x_mm, n) for n, x_mm in enumerate([0, 7, 14, 15, 22, 29], 1))),
         ["line 8", "taxel 3 is 1 mm from taxel 2", "quarter of the pitch of 7 mm"],
     ),
     "piled up": (LIST + "pitch_mm: 7\n" + HEAP, ["on top of each other"]),
-    "in metres": (
-        LIST + taxels(ONE, "position_mm: [0.007, 0, 0], node: 2"),
-        ["0.007 mm apart", "are positions in mm"],
-    ),
+    "in metres": (LIST + taxels(ONE, at(0.007, 2)), ["0.007 mm apart", "are positions in mm"]),
     "misspelt in a list": (
         LIST + taxels("positon_mm: [0, 0, 0], node: 1"),
         ["line 5", "taxel 0", "did you mean 'position_mm'"],

@@ -4,6 +4,7 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
 from tactile_cdma.driver.pipeline import Pipeline
-from tactile_cdma.places.layout import Layout
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.contact import ContactTracker
@@ -33,8 +33,12 @@ SLOW_S = 0.1
 class Patch:
     """Six nodes, 2 × 3, speaking as they would: on a change of two counts, and once a second."""
 
-    def __init__(self, frame_s: float = FRAME_S, **parameters: float | str) -> None:
+    def __init__(
+        self, frame_s: float = FRAME_S, layout: dict[str, Any] | None = None, **parameters: float
+    ) -> None:
+        """layout: what is to be other than in a grid."""
         config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, **parameters})
+        config = replace(config, layout=replace(config.layout, **(layout or {})))
         self.pipeline = Pipeline(config)
         self.taxels, self.health = self.pipeline.taxels, NodeHealth(config.spec)
         self.mute: tuple[int, ...] = ()
@@ -59,6 +63,12 @@ class Patch:
             readings = self.taxels.update(self.words(codes), self.frame * self.frame_s, self.health)
             self.frame += 1
         return readings
+
+    def refusal(self, force: bool = False) -> str:
+        """Why it is not tared."""
+        with pytest.raises(RestError) as refused:
+            self.taxels.tare(1000.0, force)
+        return str(refused.value)
 
 
 PRELOAD_PA = np.array([0.0, 300.0, 600.0, 900.0, 100.0, 200.0])
@@ -88,11 +98,8 @@ def test_a_tare_is_taken_while_nobody_speaks() -> None:
 
 def test_the_tare_is_the_median_of_the_last_second() -> None:
     patch = Patch(drift_pa_per_min=0.0)
-    curves, chain, valid = (
-        patch.taxels.chain.calibration.curves,
-        patch.taxels.chain,
-        np.ones(6, bool),
-    )
+    chain, valid = patch.taxels.chain, np.ones(6, bool)
+    curves = chain.calibration.curves
     rng = np.random.default_rng(4)
     looks = 500 + rng.normal(0, 20, (LOOKS, 6))
     looks[5] += 45  # an outlier
@@ -105,9 +112,7 @@ def test_the_tare_is_the_median_of_the_last_second() -> None:
 def test_a_tare_under_load_is_refused_by_name_unless_forced() -> None:
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(SECOND, [0, 0, 0, 0, 2e3, 12.3e3])
-    with pytest.raises(RestError) as refused:
-        patch.taxels.tare(1000.0)
-    assert str(refused.value) == (
+    assert patch.refusal() == (
         "not tared, under load: node 6 (row 1, column 2) 12.30 kPa, node 5 (row 1, column 1) "
         "1.95 kPa; take away what touches them, or, if this is how the skin rests, tare with "
         "force: true"
@@ -125,8 +130,7 @@ def test_load_counts_from_the_present_zero() -> None:
     patch.read(SECOND, 20.3e3)
     patch.taxels.tare(1000.0)
     patch.read(SECOND, 22e3)
-    with pytest.raises(RestError, match="under load"):
-        patch.taxels.tare(1000.0)
+    assert re.search("under load", patch.refusal())
 
 
 def test_many_tares_under_a_little_load_take_no_more_than_one() -> None:
@@ -150,8 +154,7 @@ def test_a_tare_while_moving_is_refused_even_if_the_load_is_light() -> None:
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(SECOND)
     patch.read(SECOND // 3, [0, 0, 500.0, 0, 0, 0])
-    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait"):
-        patch.taxels.tare(1000.0)
+    assert re.search(r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait", patch.refusal())
     patch.read(SECOND, [0, 0, 500.0, 0, 0, 0])
     patch.taxels.tare(1000.0)
 
@@ -161,19 +164,17 @@ def test_of_a_load_that_moves_only_the_nodes_that_it_moves_to_are_named() -> Non
     patch.read(SECOND)
     patch.read(SECOND // 2, [20e3, 9e3, 0, 0, 0, 0])
     patch.read(5 * SECOND // 8, [0, 9e3, 20e3, 0, 0, 0])
-    with pytest.raises(RestError) as refused:
-        patch.taxels.tare(1000.0)
-    assert str(refused.value).startswith("not tared, moving: node 3 (row 0, column 2)")
-    assert "node 2 (" not in str(refused.value), "it is pressed, but does not move"
-    assert "node 1 (" not in str(refused.value), "it moved, but nothing is there any more"
+    refusal = patch.refusal()
+    assert refusal.startswith("not tared, moving: node 3 (row 0, column 2)")
+    assert "node 2 (" not in refusal, "it is pressed, but does not move"
+    assert "node 1 (" not in refusal, "it moved, but nothing is there any more"
 
 
 def test_of_a_light_load_that_moves_beside_a_heavy_one_the_moving_node_is_named() -> None:
     patch = Patch(drift_pa_per_min=0.0)
     patch.read(2 * SECOND, [20e3, 0, 0, 0, 0, 0])
     patch.read(SECOND // 3, [20e3, 0, 500.0, 0, 0, 0])
-    with pytest.raises(RestError, match=r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait"):
-        patch.taxels.tare(1000.0)
+    assert re.search(r"moving: node 3 \(row 0, column 2\) 1\d\.\d\d mV; wait", patch.refusal())
 
 
 def test_a_node_that_moves_where_no_pressure_reaches_is_named_with_how_far() -> None:
@@ -181,8 +182,7 @@ def test_a_node_that_moves_where_no_pressure_reaches_is_named_with_how_far() -> 
     patch = Patch(v0_v=3.2, drift_pa_per_min=0.0)
     for part in range(10):
         patch.read(SECOND // 8, 0.0, np.array([0, 0, 0, part % 2, 0, 0]) * 16e-3 - 0.09)
-    with pytest.raises(RestError, match=r"moving: node 4 \(row 1, column 0\) 16\.11 mV; wait"):
-        patch.taxels.tare(1000.0)
+    assert re.search(r"moving: node 4 \(row 1, column 0\) 16\.11 mV; wait", patch.refusal())
 
 
 def test_many_nodes_are_not_all_named() -> None:
@@ -213,18 +213,15 @@ def test_nodes_without_a_reading_keep_their_tare_and_are_named() -> None:
 
 def test_a_tare_needs_a_second_of_readings() -> None:
     patch = Patch()
-    with pytest.raises(RestError, match="less than 1 s; try again"):
-        patch.taxels.tare(1000.0)
+    assert re.search("less than 1 s; try again", patch.refusal())
     patch.read(SECOND // 2)
-    with pytest.raises(RestError, match="less than 1 s"):
-        patch.taxels.tare(1000.0, force=True)
+    assert re.search("less than 1 s", patch.refusal(True))
     patch.read(SECOND // 2)
     patch.taxels.tare(1000.0)
     patch.taxels.forget()  # the digitizer was started again
     patch.frame = 0
     patch.read(5)
-    with pytest.raises(RestError, match="less than 1 s"):
-        patch.taxels.tare(1000.0)
+    assert re.search("less than 1 s", patch.refusal())
 
 
 def test_a_tare_waits_for_nodes_that_are_still_to_be_heard() -> None:
@@ -232,15 +229,13 @@ def test_a_tare_waits_for_nodes_that_are_still_to_be_heard() -> None:
     patch = Patch(drift_pa_per_min=0.0, stale_after_s=3.0)
     patch.mute = (1, 4)
     patch.read(SECOND, 500.0)
-    with pytest.raises(RestError, match="not yet heard for 1 s: nodes 2, 5; try again, or"):
-        patch.taxels.tare(1000.0)
+    assert re.search("not yet heard for 1 s: nodes 2, 5; try again, or", patch.refusal())
     patch.mute = (4,)
     patch.read(2 * SECOND, 500.0)  # 4.5 s after the start node 5 is awaited no longer
     assert patch.taxels.tare(1000.0) == [5]
     patch.mute = ()
     patch.read(SECOND // 2, 500.0)
-    with pytest.raises(RestError, match="not yet heard for 1 s: node 5;"):
-        patch.taxels.tare(1000.0)
+    assert re.search("not yet heard for 1 s: node 5;", patch.refusal())
     assert patch.taxels.tare(1000.0, force=True) == [5]
     patch.read(SECOND, 500.0)
     assert patch.taxels.tare(1000.0) == []
@@ -251,8 +246,7 @@ def test_a_skin_that_nobody_heard_is_not_tared() -> None:
     patch = Patch()
     patch.mute = tuple(range(6))
     patch.read(2 * SECOND)
-    with pytest.raises(RestError, match="no node has a valid reading"):
-        patch.taxels.tare(1000.0, force=True)
+    assert re.search("no node has a valid reading", patch.refusal(True))
 
 
 def test_a_voltage_above_the_curve_is_tared_too() -> None:
@@ -345,8 +339,7 @@ def test_a_tare_is_of_what_was_seen_with_the_curves_in_force() -> None:
     curve = PressureCurve.two_stage(stage1_v_per_pa=0.04e-3)
     patch.taxels.calibrate(Calibration.default(curve, 6))
     patch.read(SECOND // 2, 5e3)
-    with pytest.raises(RestError, match="less than 1 s"):
-        patch.taxels.tare(1000.0, force=True)
+    assert re.search("less than 1 s", patch.refusal(True))
     patch.read(SECOND // 2, 5e3)
     patch.taxels.tare(1000.0, force=True)
     assert np.array_equal(patch.read(1, 5e3).pressure_pa, np.zeros(6))
@@ -354,30 +347,21 @@ def test_a_tare_is_of_what_was_seen_with_the_curves_in_force() -> None:
 
 def test_nodes_out_of_service_are_not_named() -> None:
     """Their readings are not awaited; that of node 6, which is, is."""
-    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3})
-    layout = replace(config.layout, masked=(2, 3))
-    patch = Patch()
-    patch.pipeline = Pipeline(replace(config, layout=layout))
-    patch.taxels = patch.pipeline.taxels
+    patch = Patch(layout={"masked": (2, 3)})
     patch.mute = (2, 5)
     patch.read(3 * SECOND)
     assert patch.taxels.tare(1000.0) == [6]
 
 
 def test_tares_follow_nodes_not_places() -> None:
-    grid = Layout.grid(6, 2, 3, 7e-3, 5e-3)
-    config = SkinConfig.of({"nodes": 6, "rows": 2, "columns": 3, "drift_pa_per_min": 0.0})
-    layout = replace(grid, nodes=grid.nodes[::-1].copy())
-    patch = Patch()
-    patch.pipeline = Pipeline(replace(config, layout=layout))
-    patch.taxels = patch.pipeline.taxels
+    numbers = np.arange(6, 0, -1, dtype=np.int32)
+    patch = Patch(layout={"nodes": numbers}, drift_pa_per_min=0.0)
     patch.read(SECOND, PRELOAD_PA)
     patch.taxels.tare(1000.0)
     assert patch.taxels.baseline.tare_pa[3] == pytest.approx(900, abs=60)
     assert np.array_equal(patch.read(1, PRELOAD_PA).pressure_pa, np.zeros(6))
     patch.read(SECOND, 5e3 * (np.arange(6) == 0))
-    with pytest.raises(RestError, match=r"node 1 \(row 1, column 2\)"):
-        patch.taxels.tare(1000.0)
+    assert re.search(r"node 1 \(row 1, column 2\)", patch.refusal())
 
 
 def says(patch: Patch, readings: Readings) -> tuple[bool, bool, str]:
@@ -437,10 +421,8 @@ def test_a_torn_sensor_is_not_tared_unless_forced() -> None:
     """As is one whose rest the parameters do not have; then it is for a person to say."""
     patch = Patch(v0_v=3.0)
     patch.read(SECOND, 0.0, TORN)
-    with pytest.raises(
-        RestError, match=r"before where their curves begin: node 4 .* 29\d\.\d\d mV;"
-    ):
-        patch.taxels.tare(1000.0)
+    cause = r"before where their curves begin: node 4 .* 29\d\.\d\d mV;"
+    assert re.search(cause, patch.refusal())
     patch.taxels.tare(1000.0, force=True)
     readings = patch.read(SECOND, 0.0, TORN)
     assert says(patch, readings) == (False, True, "")

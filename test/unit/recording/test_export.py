@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -24,17 +25,18 @@ from tactile_cdma.recording.bag_export import write_bag
 from tactile_cdma.recording.offline import RawCapture
 from tactile_cdma.recording.recording_file import Recorder, describe, read_bytes
 from tactile_cdma.sim.options import SimOptions
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 from test.support.simulated import recording
 
 pytestmark = pytest.mark.xdist_group("export")  # its recording is made once
 TAXELS = 16
+Recorded: TypeAlias = tuple[Path, list[TactileFrame]]
+"""A recording with a node that never speaks, and its frames."""
 RECORDED = Source("touch.skin", recorded=True)
 
 
 @pytest.fixture(scope="module")
-def skin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFrame]]:
-    """A recording with a node that never speaks, and its frames."""
+def skin(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     path = tmp_path_factory.mktemp("export") / "touch.skin"
     asked = {"amplitude_mv": 300.0, "frame_id": "palm", "threshold": 0.45}  # its earlier name
     recording(path, SimOptions(scene="moving", seed=2, dead="5"), 1.5, **asked)
@@ -49,9 +51,7 @@ def exported(path: Path, output: Path, *options: str) -> Path:
     return output
 
 
-def test_numpy_arrays_are_the_decoder_s(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
-) -> None:
+def test_numpy_arrays_are_the_decoder_s(skin: Recorded, tmp_path: Path) -> None:
     path, frames = skin
     table = np.load(exported(path, tmp_path / "out.npz"))
     assert table["sequence"].tolist() == [frame.sequence for frame in frames]
@@ -72,7 +72,7 @@ def test_numpy_arrays_are_the_decoder_s(
     assert about["parameters"]["nodes"] == TAXELS and about["parameters"]["frame_id"] == "palm"
 
 
-def test_csv_holds_the_same_numbers(skin: tuple[Path, list[TactileFrame]], tmp_path: Path) -> None:
+def test_csv_holds_the_same_numbers(skin: Recorded, tmp_path: Path) -> None:
     path, frames = skin
     output = exported(path, tmp_path / "out.csv")
     with output.open(newline="") as file:
@@ -91,9 +91,7 @@ def test_csv_holds_the_same_numbers(skin: tuple[Path, list[TactileFrame]], tmp_p
     assert float(taxels[1]["x_m"]) - float(taxels[0]["x_m"]) == pytest.approx(7e-3, rel=1e-6)
 
 
-def test_a_bag_holds_the_same_and_its_definitions(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
-) -> None:
+def test_a_bag_holds_the_same_and_its_definitions(skin: Recorded, tmp_path: Path) -> None:
     path, frames = skin
     with AnyReader([exported(path, tmp_path / "bag", "--bag")]) as reader:
         messages = [
@@ -106,16 +104,14 @@ def test_a_bag_holds_the_same_and_its_definitions(
         assert message.info_id == info.info_id
         assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
         assert message.header.frame_id == "palm"
-        assert (message.sequence, message.device_time_us) == (
-            frame.sequence,
-            round(frame.t_middle * 1e6),
-        )
+        assert message.sequence == frame.sequence
+        assert message.device_time_us == round(frame.t_middle * 1e6)
         assert message.pressure.tobytes() == frame.readings.pressure_pa.tobytes()
         assert message.status.tobytes() == frame.readings.status.tobytes()
 
 
 def test_every_export_says_what_was_recorded(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    skin: Recorded, tmp_path: Path, printed: Printed
 ) -> None:
     path, _ = skin
     said = {"origin": "replayed", "measured_by": "simulated", "digitizer_id": "73696D0002000000"}
@@ -130,12 +126,10 @@ def test_every_export_says_what_was_recorded(
         info = reader.deserialize(raw, connection.msgtype)
     assert (info.origin, info.measured_by) == (info.ORIGIN_REPLAYED, info.ORIGIN_SIMULATED)
     assert info.digitizer_id == said["digitizer_id"]
-    capsys.readouterr()
-    assert main(["info", str(path)]) == 0
-    assert "digitizer: simulated, 73696D0002000000" in capsys.readouterr().out
+    assert "digitizer: simulated, 73696D0002000000" in printed("info", path).out
 
 
-def test_options_of_decoding_count(skin: tuple[Path, list[TactileFrame]], tmp_path: Path) -> None:
+def test_options_of_decoding_count(skin: Recorded, tmp_path: Path) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text("skin:\n  ros__parameters:\n    pitch_mm: 6.0\n    rows: 2\n    columns: 8\n")
     table = np.load(exported(skin[0], tmp_path / "out.npz", "--params", str(params)))
@@ -143,9 +137,7 @@ def test_options_of_decoding_count(skin: tuple[Path, list[TactileFrame]], tmp_pa
     assert table["position_m"][1, 0] - table["position_m"][0, 0] == pytest.approx(6e-3)
 
 
-def test_bytes_alone_have_no_wall_time(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, refused: Refused
-) -> None:
+def test_bytes_alone_have_no_wall_time(skin: Recorded, tmp_path: Path, refused: Refused) -> None:
     raw = tmp_path / "touch.raw"
     raw.write_bytes(b"".join(data for data, _ in read_bytes(skin[0])))
     table = np.load(exported(raw, tmp_path / "out.npz"))
@@ -154,9 +146,7 @@ def test_bytes_alone_have_no_wall_time(
     assert "no times" in refused("export", raw, "-o", tmp_path / "bag", "--bag")
 
 
-def test_an_output_that_cannot_be_is_told_before_the_work(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
-) -> None:
+def test_an_output_that_cannot_be_is_told_before_the_work(skin: Recorded, tmp_path: Path) -> None:
     def unwanted() -> Iterator[tuple[int, SkinFrame]]:
         raise AssertionError("frames were asked for")
         yield
@@ -166,9 +156,7 @@ def test_an_output_that_cannot_be_is_told_before_the_work(
         write_npz(tmp_path / "none" / "out.npz", unwanted(), patch, {})
 
 
-def test_a_bag_refuses_times_that_ros_cannot_tell(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path
-) -> None:
+def test_a_bag_refuses_times_that_ros_cannot_tell(skin: Recorded, tmp_path: Path) -> None:
     for wall_s in (-1.0, 2.0**31):
         frames = iter([(skin[1][0], wall_s)])
         with pytest.raises(CaptureError, match="clock"):
@@ -176,7 +164,7 @@ def test_a_bag_refuses_times_that_ros_cannot_tell(
 
 
 def test_what_cannot_be_exported_is_one_clear_error(
-    skin: tuple[Path, list[TactileFrame]], tmp_path: Path, refused: Refused
+    skin: Recorded, tmp_path: Path, refused: Refused
 ) -> None:
     path, output = skin[0], tmp_path / "out.npz"
     output.write_bytes(b"mine")
@@ -206,10 +194,7 @@ def test_a_recording_without_frames_leaves_no_file(
 
 
 def test_a_bag_without_rosbags_is_one_clear_error(
-    skin: tuple[Path, list[TactileFrame]],
-    tmp_path: Path,
-    refused: Refused,
-    monkeypatch: pytest.MonkeyPatch,
+    skin: Recorded, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delitem(sys.modules, "tactile_cdma.recording.bag_export")
     monkeypatch.setitem(sys.modules, "rosbags.interfaces", None)

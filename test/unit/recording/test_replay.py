@@ -6,12 +6,12 @@ import re
 import threading
 import time
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
 
 from tactile_cdma.base.errors import PortError, RecordingEndError
-from tactile_cdma.commands.cli import main
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import WAITING, Driver
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
@@ -20,7 +20,7 @@ from tactile_cdma.recording.offline import raw_frames
 from tactile_cdma.recording.recording_file import Recorder, describe, read_bytes, survey
 from tactile_cdma.replay.player import Player, ReplayOptions
 from tactile_cdma.wire.port import Port
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 from test.support.same_frames import assert_same
 from test.support.waiting import PATIENCE_S
 
@@ -28,11 +28,12 @@ pytestmark = pytest.mark.xdist_group("replay")  # its recording is made once
 CONFIG = SkinConfig.of({})
 URL = "sim://?scene=moving&seed=4&speed=2"
 SECONDS = 1.2
+Live: TypeAlias = tuple[Path, list[TactileFrame]]
+"""A recording, and what the decoder made of its bytes while they came."""
 
 
 @pytest.fixture(scope="module")
-def live(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[TactileFrame]]:
-    """A recording, and what the decoder made of its bytes while they came."""
+def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
     path = tmp_path_factory.mktemp("replay") / "moving skin.skin"
     frames, pipeline, session = list[TactileFrame](), Pipeline(CONFIG), Session(CONFIG)
     with Port(URL, 9600) as port, Recorder(path, URL, 9600, {}) as recorder:
@@ -86,9 +87,7 @@ def assert_same_words(some: list[TactileFrame], whole: list[TactileFrame]) -> No
 
 
 @pytest.mark.parametrize("speed", [0, 1])
-def test_a_replay_is_decoded_bit_for_bit_as_it_was_live(
-    live: tuple[Path, list[TactileFrame]], speed: float
-) -> None:
+def test_a_replay_is_decoded_bit_for_bit_as_it_was_live(live: Live, speed: float) -> None:
     path, frames = live
     again, problems, took_s = replayed(url_of(path, f"speed={speed}"))
     assert_same(again, frames, at_host=False)
@@ -100,18 +99,16 @@ def test_a_replay_is_decoded_bit_for_bit_as_it_was_live(
         assert passed_s == pytest.approx(frames[-1].t_host - frames[0].t_host, abs=0.3)
 
 
-def test_decoding_the_file_gives_the_same(live: tuple[Path, list[TactileFrame]]) -> None:
+def test_decoding_the_file_gives_the_same(live: Live) -> None:
     path, frames = live
     offline = list(raw_frames(path, Pipeline(CONFIG, background=False)))
-    assert_same(
-        offline[: len(frames)], frames, at_host=False
-    )  # at the end of a file a last frame is given up
-    assert len(offline) - len(frames) in (0, 1)
+    assert_same(offline[: len(frames)], frames, at_host=False)
+    assert len(offline) - len(frames) in (0, 1)  # at the end of a file a last frame is given up
     for one, other in zip(offline, frames, strict=False):
         assert one.t_host == pytest.approx(other.t_host, abs=1e-6)
 
 
-def test_a_loop_goes_on_with_rising_sequence_numbers(live: tuple[Path, list[TactileFrame]]) -> None:
+def test_a_loop_goes_on_with_rising_sequence_numbers(live: Live) -> None:
     path, frames = live
     wanted = 2 * len(frames) + 10
     again, problems, _ = replayed(url_of(path, "speed=0&loop=true"), wanted)
@@ -121,9 +118,7 @@ def test_a_loop_goes_on_with_rising_sequence_numbers(live: tuple[Path, list[Tact
     assert_same(again[: len(frames)], frames, at_host=False)
 
 
-def test_a_loop_over_a_file_that_was_taken_away_says_so(
-    live: tuple[Path, list[TactileFrame]], tmp_path: Path
-) -> None:
+def test_a_loop_over_a_file_that_was_taken_away_says_so(live: Live, tmp_path: Path) -> None:
     path = tmp_path / "going.skin"
     for emptied, message in ((False, "No such file"), (True, "holds no bytes any more")):
         path.write_bytes(live[0].read_bytes())
@@ -136,7 +131,7 @@ def test_a_loop_over_a_file_that_was_taken_away_says_so(
                     port.read()
 
 
-def test_a_part_is_replayed_with_what_describes_it(live: tuple[Path, list[TactileFrame]]) -> None:
+def test_a_part_is_replayed_with_what_describes_it(live: Live) -> None:
     path, frames = live
     part, _, _ = replayed(url_of(path, "speed=0&start=0.4&end=0.8"))
     began_s, pieces = describe(path).monotonic_ns * 1e-9, list(read_bytes(path))
@@ -147,7 +142,7 @@ def test_a_part_is_replayed_with_what_describes_it(live: tuple[Path, list[Tactil
     assert_same_words(part, frames)
 
 
-def test_bytes_come_when_they_are_due(live: tuple[Path, list[TactileFrame]]) -> None:
+def test_bytes_come_when_they_are_due(live: Live) -> None:
     path, _ = live
     now_s = 100.0
     player = Player(ReplayOptions.from_url(url_of(path, "speed=2")), lambda: now_s)
@@ -163,7 +158,7 @@ def test_bytes_come_when_they_are_due(live: tuple[Path, list[TactileFrame]]) -> 
 
 
 def test_a_damaged_and_cut_recording_plays_what_it_has_and_says_what_is_missing(
-    live: tuple[Path, list[TactileFrame]], tmp_path: Path
+    live: Live, tmp_path: Path
 ) -> None:
     path, frames = live
     hurt = tmp_path / "hurt.skin"
@@ -198,7 +193,7 @@ def test_a_damaged_and_cut_recording_plays_what_it_has_and_says_what_is_missing(
     ],
 )
 def test_what_cannot_be_replayed_is_one_clear_error(
-    live: tuple[Path, list[TactileFrame]], tmp_path: Path, url: str, message: str
+    live: Live, tmp_path: Path, url: str, message: str
 ) -> None:
     other = tmp_path / "other.raw"
     other.write_bytes(b"\x01\x02\0" * 100)
@@ -209,27 +204,23 @@ def test_what_cannot_be_replayed_is_one_clear_error(
 
 
 def test_a_replay_can_be_recorded_and_inspected(
-    live: tuple[Path, list[TactileFrame]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    live: Live, tmp_path: Path, printed: Printed
 ) -> None:
     path, frames = live
     copy = tmp_path / "copy.skin"
-    assert main(["record", url_of(path, "speed=0"), str(copy)]) == 0
-    assert [d for d, _ in read_bytes(copy)] and b"".join(
-        d for d, _ in read_bytes(copy)
-    ) == b"".join(d for d, _ in read_bytes(path))
-    capsys.readouterr()
-    assert main(["info", str(copy)]) == 0
-    said = capsys.readouterr().out
+    printed("record", url_of(path, "speed=0"), copy)
+    again, original = (b"".join(d for d, _ in read_bytes(file)) for file in (copy, path))
+    assert again == original != b""
+    said = printed("info", copy).out
     assert "16 nodes" in said and "checksum: right" in said
     counted = re.search(r"frames: (\d+), lost", said)
     assert counted and int(counted[1]) - len(frames) in (0, 1)
     copy.write_bytes(copy.read_bytes()[:-1000])
-    assert main(["info", str(copy)]) == 1
-    assert "cut short" in capsys.readouterr().out
+    assert "cut short" in printed("info", copy, code=1).out
 
 
 def test_a_replay_is_never_recorded_over_what_it_replays(
-    live: tuple[Path, list[TactileFrame]], tmp_path: Path, refused: Refused
+    live: Live, tmp_path: Path, refused: Refused
 ) -> None:
     path = live[0]
     before, link = path.read_bytes(), tmp_path / "other name.skin"

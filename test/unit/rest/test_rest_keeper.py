@@ -68,6 +68,10 @@ class Run:
         self._end_s = self._t_host = 0.0
         return self
 
+    def tared(self) -> "Run":
+        self.activate().stream(TARE_S).keeper.tare()
+        return self
+
     def stream(self, seconds: float) -> "Run":
         self._end_s += seconds
         self.frames = []
@@ -96,10 +100,10 @@ class Run:
         return self.keeper.baseline.drift_v
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def preload(monkeypatch: pytest.MonkeyPatch) -> Preload:
-    """Mounts the idle skin under a pressure, Pa; may be called again while it runs."""
-    load_pa = [0.0]
+    """The idle skin is mounted under PRELOAD_PA, or another pressure by a call, also meanwhile."""
+    load_pa = [PRELOAD_PA]
 
     def scene(t_s: float, skin: SkinGeometry) -> np.ndarray:
         return np.full(len(skin.positions_m), load_pa[0])
@@ -113,8 +117,7 @@ def on_file(folder: Path) -> dict[str, object]:
     return content
 
 
-def test_a_tare_outlives_the_run(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
+def test_a_tare_outlives_the_run(tmp_path: Path) -> None:
     first = Run(tmp_path).activate().stream(TARE_S)
     assert np.allclose(first.pressure_pa, PRELOAD_PA, atol=15)
     result = first.keeper.tare()
@@ -148,10 +151,9 @@ def test_a_tare_of_one_scene_is_not_that_of_another(preload: Preload, tmp_path: 
 
 @pytest.mark.parametrize("earlier", [False, True])
 def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
-    preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, earlier: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, earlier: bool
 ) -> None:
     """The digitizer says what it is, in the driver's thread, before or after the file is made."""
-    preload(PRELOAD_PA)
     run = Run(tmp_path, port="/dev/ttyACM0").activate().stream(TARE_S)
     write = rest_file.write_rest
 
@@ -172,20 +174,15 @@ def test_a_tare_that_is_dropped_while_it_is_written_is_nobodys(
     assert yaml.safe_load((tmp_path / f"{NAME}.old").read_text())["simulated"] == "no"
 
 
-def test_a_third_skins_tare_costs_nobody_his(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
+def test_a_third_skins_tare_costs_nobody_his(tmp_path: Path) -> None:
     for skin in ("left", "right", "spare"):
-        Run(tmp_path, skin=skin).activate().stream(TARE_S).keeper.tare()
+        Run(tmp_path, skin=skin).tared()
     kept = [yaml.safe_load(path.read_text())["skin"] for path in sorted(tmp_path.iterdir())]
     assert kept == ["spare", "left", "right"]
 
 
-def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(
-    preload: Preload, tmp_path: Path
-) -> None:
-    preload(PRELOAD_PA)
-    first = Run(tmp_path).activate().stream(TARE_S)
-    first.keeper.tare()
+def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(tmp_path: Path) -> None:
+    Run(tmp_path).tared()
     run = Run(tmp_path, port="/dev/ttyACM0").activate()
     assert "found on a simulated skin" in run.log.warnings.pop()
     run.keeper.hear(simulated=True)  # an emulator behind a tty: it stays
@@ -199,19 +196,15 @@ def test_a_simulators_tare_is_dropped_once_a_board_introduces_itself(
     assert (tmp_path / f"{NAME}.old").exists()
 
 
-def test_no_frame_has_a_tare_that_is_dropped(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
-    Run(tmp_path).activate().stream(TARE_S).keeper.tare()
+def test_no_frame_has_a_tare_that_is_dropped(tmp_path: Path) -> None:
+    Run(tmp_path).tared()
     run = Run(tmp_path, port="/dev/ttyACM0").activate()
     run.driver.pipeline.on_info = lambda info: run.keeper.hear(simulated=False)
     read_pa = [frame.readings.pressure_pa for frame in run.stream(0.3).frames]
     assert np.allclose(read_pa, PRELOAD_PA, atol=15)
 
 
-def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(
-    preload: Preload, tmp_path: Path
-) -> None:
-    preload(PRELOAD_PA)
+def test_a_boards_tare_is_not_that_of_a_simulator_behind_a_tty(tmp_path: Path) -> None:
     board = Run(tmp_path, port="/dev/ttyACM0").activate().stream(TARE_S)
     board.keeper.hear(simulated=False)
     board.keeper.tare()
@@ -241,8 +234,7 @@ def test_a_tare_under_load_is_refused_unless_forced_and_can_be_cleared(
     assert run.changes == 3
 
 
-def test_a_tare_names_the_nodes_that_keep_what_they_had(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
+def test_a_tare_names_the_nodes_that_keep_what_they_had(tmp_path: Path) -> None:
     run = Run(tmp_path, stale_after_s=0.5).activate().stream(TARE_S)
     run.driver.pipeline.taxels.chain.baseline.look(
         np.zeros(16, np.float32), np.zeros(16, np.float32), np.arange(16) != 6
@@ -272,14 +264,13 @@ def test_without_frames_there_is_no_tare(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["nonsense: [", "other nodes"])
 def test_a_file_that_does_not_fit_is_left_and_set_aside_only_when_there_is_another(
-    tmp_path: Path, content: str, preload: Preload
+    tmp_path: Path, content: str
 ) -> None:
     path = tmp_path / NAME
     if content == "other nodes":
         Run(tmp_path, nodes=9, rows=3, columns=3).keeper.save()
         content = path.read_text()
     path.write_text(content)
-    preload(PRELOAD_PA)
     run = Run(tmp_path).activate().stream(TARE_S)
     assert len(run.log.warnings) == 1
     assert np.allclose(run.pressure_pa, PRELOAD_PA, atol=15)
@@ -302,12 +293,10 @@ def test_a_calibration_that_was_put_there_is_not_overwritten(tmp_path: Path) -> 
     assert (tmp_path / "skin.calibration.yaml.old").read_text().startswith(lab)
 
 
-def test_a_calibration_tried_while_inactive_costs_no_tare(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
+def test_a_calibration_tried_while_inactive_costs_no_tare(tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     write_calibration(other, Calibration.default(OTHER_CURVE, 16), AdcScale())
-    run = Run(tmp_path).activate().stream(TARE_S)
-    run.keeper.tare()
+    run = Run(tmp_path).tared()
     run.keeper.deactivate()
     run.set(calibration_file=str(other))
     assert "other curves" in run.log.warnings[-1] and run.keeper.tared == ""
@@ -315,12 +304,8 @@ def test_a_calibration_tried_while_inactive_costs_no_tare(preload: Preload, tmp_
     assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
 
 
-def test_a_calibration_with_the_same_curves_keeps_the_tare(
-    preload: Preload, tmp_path: Path
-) -> None:
-    preload(PRELOAD_PA)
-    run = Run(tmp_path).activate().stream(TARE_S)
-    run.keeper.tare()
+def test_a_calibration_with_the_same_curves_keeps_the_tare(tmp_path: Path) -> None:
+    run = Run(tmp_path).tared()
     _, calibration = run.keeper.save()
     for _ in range(2):
         run.set(calibration_file=str(calibration))
@@ -332,14 +317,10 @@ def test_a_calibration_with_the_same_curves_keeps_the_tare(
     assert run.changes == 4
 
 
-def test_other_curves_keep_the_rest_that_a_tare_was_taken_at(
-    preload: Preload, tmp_path: Path
-) -> None:
-    preload(PRELOAD_PA)
+def test_other_curves_keep_the_rest_that_a_tare_was_taken_at(tmp_path: Path) -> None:
     steep = PressureCurve.two_stage(stage1_v_per_pa=0.066e-3, knee_pa=24e3)
     write_calibration(tmp_path / "steep.yaml", Calibration.default(steep, 16), AdcScale())
-    run = Run(tmp_path).activate().stream(TARE_S)
-    run.keeper.tare()
+    run = Run(tmp_path).tared()
     run.set(calibration_file=str(tmp_path / "steep.yaml"))
     assert run.keeper.tared and run.changes == 3
     assert np.allclose(run.stream(0.3).pressure_pa, 0, atol=15)
@@ -350,11 +331,9 @@ def test_other_curves_keep_the_rest_that_a_tare_was_taken_at(
     assert np.allclose(run.activate().stream(0.3).pressure_pa, 0, atol=15)
 
 
-def test_without_a_folder_to_write_to_the_skin_goes_on(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
+def test_without_a_folder_to_write_to_the_skin_goes_on(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    run = Run(tmp_path / "file").activate().stream(TARE_S)
-    run.keeper.tare()
+    run = Run(tmp_path / "file").tared()
     run.keeper.tare()
     assert len(run.log.warnings) == 1 and "not kept" in run.log.warnings[0]
     with pytest.raises(RestError, match="not kept"):
@@ -364,10 +343,9 @@ def test_without_a_folder_to_write_to_the_skin_goes_on(preload: Preload, tmp_pat
 
 
 def test_what_was_found_on_a_simulator_and_never_saved_is_dropped_on_a_board(
-    preload: Preload, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """A tare that could not be written, and drift that was not yet due."""
-    preload(PRELOAD_PA)
     (tmp_path / "no").write_text("a file, not a folder")
     run = Run(tmp_path / "no", port="socket://localhost:1").activate().stream(TARE_S)
     run.keeper.hear(simulated=True)
@@ -383,9 +361,8 @@ def test_what_was_found_on_a_simulator_and_never_saved_is_dropped_on_a_board(
     assert not run.drift_v.any()
 
 
-def test_of_a_replayed_recording_nothing_is_read_or_kept(preload: Preload, tmp_path: Path) -> None:
-    preload(PRELOAD_PA)
-    Run(tmp_path).activate().stream(TARE_S).keeper.tare()
+def test_of_a_replayed_recording_nothing_is_read_or_kept(tmp_path: Path) -> None:
+    Run(tmp_path).tared()
     before = (tmp_path / NAME).read_text()
     run = Run(tmp_path, "replay://skin.rec").activate().stream(TARE_S)
     assert np.allclose(run.pressure_pa, PRELOAD_PA, atol=15)
@@ -407,9 +384,7 @@ def test_drift_is_reported_and_kept(
     monkeypatch.setattr(rest_keeper, "TELL_S", 0.0)
     monkeypatch.setattr(rest_keeper, "SAVE_S", 0.0)
     monkeypatch.setattr("tactile_cdma.readings.drift.SETTLE_S", 1.0)
-    preload(PRELOAD_PA)
-    run = Run(tmp_path, drift_pa_per_min=0.0).activate().stream(TARE_S)
-    run.keeper.tare()
+    run = Run(tmp_path, drift_pa_per_min=0.0).tared()
     for counts in (1, 2):
         run.set(drift_pa_per_min=0.0)
         preload(PRELOAD_PA + 1.2 * counts * COUNT_PA)
@@ -431,13 +406,11 @@ def test_drift_is_reported_and_kept(
 
 
 def test_drift_is_reported_and_saved_seldom(
-    preload: Preload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = [1000.0]
     monkeypatch.setattr(rest_keeper.time, "monotonic", lambda: now_s[0])
-    preload(PRELOAD_PA)
-    run = Run(tmp_path).activate().stream(TARE_S)
-    run.keeper.tare()
+    run = Run(tmp_path).tared()
     assert run.keeper.baseline is not None
     for after_s, count in ((9.9, 2), (10.1, 3), (19.9, 3), (59.9, 4)):
         now_s[0] = 1000.0 + after_s

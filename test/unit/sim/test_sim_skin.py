@@ -17,8 +17,9 @@ from tactile_cdma.config.parameters import SIMULATION, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.status import Status
-from tactile_cdma.sim.nodes import NodeFrame, NodeRules, node_frames
-from tactile_cdma.sim.options import SimOptions
+from tactile_cdma.sim.line import truth
+from tactile_cdma.sim.nodes import NodeFrame
+from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import BEGUN_S, EVERY_S, PEAK_PA, REST_S, SCENES, SkinGeometry
 from test.support.simulated import run, stream
 
@@ -65,7 +66,7 @@ def test_scenes_are_what_they_are_called() -> None:
     assert 0.02 < np.mean(pressures("hand", 4096) > 0) < 0.3, "a large one is not"
 
 
-def frames_of(pulses: dict[int, float], rules: NodeRules, count: int) -> list[NodeFrame]:
+def frames_of(pulses: dict[int, float], count: int, **options: int) -> list[NodeFrame]:
     """Frames in which node 0 feels some pressure (Pa) during some frames."""
 
     def scene(t_s: float, taxels: SkinGeometry) -> np.ndarray:
@@ -73,11 +74,11 @@ def frames_of(pulses: dict[int, float], rules: NodeRules, count: int) -> list[No
         field[0] = pulses.get(round(t_s / SPEC.frame_period_s), 0.0)
         return field
 
-    return list(islice(node_frames(SPEC, scene, skin(), rules), count))
+    return list(islice(truth(SimOptions(**options), Setup(SPEC), scene=scene), count))
 
 
 def test_nodes_measure_and_convert() -> None:
-    frame = next(node_frames(SPEC, SCENES["all"], skin(), NodeRules()))
+    frame = next(truth(SimOptions(scene="all"), Setup(SPEC)))
     assert np.array_equal(frame.pressure_pa, SCENES["all"](0.0, skin()))
     assert np.array_equal(frame.voltage_v, PressureCurve.two_stage().voltage(frame.pressure_pa))
     assert np.array_equal(frame.codes, AdcScale(10).code(frame.voltage_v))
@@ -85,7 +86,7 @@ def test_nodes_measure_and_convert() -> None:
 
 
 def test_a_node_talks_while_pressed_and_once_after_release() -> None:
-    frames = frames_of({3: 20e3, 4: 20e3}, NodeRules(heartbeat=0), 8)
+    frames = frames_of({3: 20e3, 4: 20e3}, 8, heartbeat=0)
     assert [bool(f.active[0]) for f in frames] == [False] * 3 + [True] * 3 + [False] * 2
     assert frames[5].codes[0] == 1023, "the release is told"
     assert not any(f.active[1:].any() for f in frames)
@@ -94,14 +95,14 @@ def test_a_node_talks_while_pressed_and_once_after_release() -> None:
 def test_changes_within_the_threshold_are_not_told() -> None:
     one_lsb_pa = 1.6 * AdcScale(10).lsb_v / 0.033e-3
     for threshold, told in ((1, False), (0, True)):
-        frames = frames_of({2: one_lsb_pa}, NodeRules(threshold, heartbeat=0), 3)
+        frames = frames_of({2: one_lsb_pa}, 3, threshold=threshold, heartbeat=0)
         assert frames[2].codes[0] < 1023
         assert frames[2].active[0] == told
 
 
 @pytest.mark.parametrize("heartbeat", [1, 5, 16, 78])
 def test_heartbeats_take_turns(heartbeat: int) -> None:
-    frames = frames_of({}, NodeRules(heartbeat=heartbeat), 3 * heartbeat)
+    frames = frames_of({}, 3 * heartbeat, heartbeat=heartbeat)
     talked = np.array([f.active for f in frames])
     first = talked[:heartbeat]
     assert np.all(first.sum(axis=0) == 1), "everyone once within the first period"
@@ -110,7 +111,7 @@ def test_heartbeats_take_turns(heartbeat: int) -> None:
 
 
 def test_threshold_zero_lets_every_node_talk_always() -> None:
-    assert all(f.active.all() for f in frames_of({}, NodeRules(0, 0), 5))
+    assert all(f.active.all() for f in frames_of({}, 5, threshold=0, heartbeat=0))
 
 
 def shipped_skins() -> Iterator[tuple[str, dict[str, Value]]]:

@@ -4,15 +4,15 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tactile_cdma.hardware.node_memory import node_memory
 from test.support.waiting import PATIENCE_S
 from torture.fuzz.both_languages import same_answers, same_samples
 from torture.fuzz.harnesses import BUILD, FIRMWARE, SIMAVR, build
-from torture.fuzz.sync_storms import NODE, SPEC, node_of, storms_at
+from torture.fuzz.sync_storms import NODE, SPEC, node_for, storms_at
 from torture.outcome import COUNTS, Outcome, Plan
 
 PLAN = Plan(quick=True, seed=1)
@@ -76,7 +76,7 @@ def test_a_node_is_heard_out_after_storms(number: int, count: list[str]) -> None
         pytest.skip("no avr-gcc or no libsimavr-dev on this machine: no node is emulated")
     build("node")
     build("sim")
-    memory = node_memory(SPEC, number, threshold=0, rest=225) if number else b""
-    found = storms_at(node_of("atmega328p", memory), PLAN)
+    node = node_for(SPEC, number) if number else replace(node_for(SPEC), memory=b"")
+    found = storms_at(node, PLAN)
     assert found.times == 10
     assert bad(found) == count
