@@ -76,10 +76,6 @@ class Line:
         np.cumsum(self.volts, out=sums[1:])
         return sums
 
-    def integral(self, times: Floats) -> Floats:
-        """∫ line dt up to each instant, V·samples."""
-        return self.sum_before(*_place(times, self.volts.size))
-
     def means(self, edges: Floats) -> Floats32:
         """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
         whole, share = _split(edges, self.volts.size)
@@ -407,7 +403,8 @@ def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest:
         levels[1:-1] = words.chips(spec).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
-        left, right = line.integral(np.stack((edges - reach, edges + reach)))
+        around = np.stack((edges - reach, edges + reach))
+        left, right = line.sum_before(*_place(around, line.volts.size))  # ∫ line dt, V·samples
         area = right - left - reach * (before + after)
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen

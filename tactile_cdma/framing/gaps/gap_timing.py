@@ -66,9 +66,9 @@ class _Failure:
 class GapTiming(Timing):
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
 
-    Samples from `_cursor` on are undecided. At `due`, when they hold the frame expected next, the
-    search decides: nothing, a frame, or something else. Decisions depend on sample positions only,
-    so any cutting into blocks gives the same frames.
+    Samples from `_cursor` on are undecided. At stream index `due`, when they hold the frame that is
+    expected next, the search decides: nothing, a frame, or something else. Decisions depend on
+    sample positions only, so any cutting into blocks gives the same frames.
     """
 
     def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
@@ -104,16 +104,11 @@ class GapTiming(Timing):
         self._again = (0, 0.0, self.rejections)
         self._cursor = 0
         self._seen = 0  # end of the samples that were looked at last
-        self._due = 0
+        self.due = 0
         self._expected: Expected | None = None  # the next frame
         self._sure = False  # whether the raster places it
         self._next = 0.0  # start of the next slot
         self._failures = 0
-
-    @property
-    def due(self) -> int:
-        """Stream index up to which samples are needed before anything is decided."""
-        return self._due
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames and silent slots that they complete."""
@@ -123,8 +118,8 @@ class GapTiming(Timing):
         volts, slice_size = block.volts, 2 * math.ceil(self._search.period)
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size], block.checked)
-            while self._samples.end >= self._due:
-                frames += self._decide(self._due)
+            while self._samples.end >= self.due:
+                frames += self._decide(self.due)
         return frames
 
     def quiet(self, block: QuietBlock) -> list[FrameLevels]:
@@ -174,14 +169,14 @@ class GapTiming(Timing):
     def _schedule(self) -> None:
         """Drop decided samples; set when the next decision is due."""
         if self._gap is None:  # a whole gap must be in view
-            self._due = self._cursor + math.ceil(self._search.period) + self._reach
+            self.due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
-            self._due = max(math.ceil(self._next), self._cursor) + self._reach
+            self.due = max(math.ceil(self._next), self._cursor) + self._reach
             expected = self._expected = self._raster.expect(self._next)
             self._note(self._search.is_sure(expected))
             if expected and self._sure:
                 early = math.ceil(expected.start + self._proof_chips * expected.chip)
-                self._due = early if self._seen < early < self._due else self._due
+                self.due = early if self._seen < early < self.due else self.due
         if self._cursor - self._again[0] > self._most_again:
             self._again = self._cursor, self._next, self.rejections
         self._samples.drop(self._again[0])
@@ -267,7 +262,7 @@ class GapTiming(Timing):
             complete = min(burst.first + self._reach, burst.last + self._search.bit)
             incomplete = volts.size < complete and volts.size <= self._most_held
             if not final and incomplete:
-                self._due = max(end + 1, self._cursor + math.ceil(complete))
+                self.due = max(end + 1, self._cursor + math.ceil(complete))
                 found = self._proven(line, burst, expected, look)
                 taken = [] if found is None else self._take(line, burst, gap, raw, found)
                 return [] if isinstance(taken, Rejections) else taken
@@ -292,7 +287,7 @@ class GapTiming(Timing):
             fit = search.carried(line, expected)
         proven = look.proven if look else 0.0 if fit is None else search.proven(burst, fit)
         if proven > line.received.size:
-            self._due = min(self._due, self._cursor + math.ceil(proven))
+            self.due = min(self.due, self._cursor + math.ceil(proven))
         elif proven and (fit := fit or search.carried(line, expected)):
             return search.explained(line, burst, fit, expected)
         return None
