@@ -15,11 +15,12 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from subprocess import DEVNULL, PIPE
 from tempfile import TemporaryDirectory
 
-from .outcome import Outcome, Plan, from_json, keep, summary, to_json
+from .outcome import Outcome, Plan, keep, summary
 
 CAMPAIGNS = {  # name: time limit of a full run, s; the longest campaign first
     "day": 1500,
@@ -51,7 +52,7 @@ def main() -> int:
     plan = Plan(arguments.quick, arguments.seed)
     names: Sequence[str] = arguments.campaign or list(CAMPAIGNS)
     if arguments.json:
-        rows = [to_json(outcome) for name in names for outcome in _run(name, plan)]
+        rows = [asdict(outcome) for name in names for outcome in _run(name, plan)]
         arguments.json.write_text(json.dumps(rows))
         return 0
     started = time.monotonic()
@@ -94,7 +95,7 @@ def _in_process(name: str, plan: Plan, folder: Path) -> list[Outcome]:
         if process.returncode:
             outcomes = [Outcome(f"{name}: ended with {process.returncode}", 0, crashes=1)]
         else:
-            outcomes = [from_json(row) for row in json.loads(file.read_text())]
+            outcomes = [Outcome(**row) for row in json.loads(file.read_text())]
         if not all(outcome.good for outcome in outcomes):
             sys.stderr.write(complaint)
     finally:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -33,7 +32,7 @@ class Outcome:
     crashes: unexpected exits, tracebacks and refusals.
     hangs: how often something did not happen in time.
     said: other figures for the table.
-    rss_slope_kb_per_h: growth of memory; NaN where it was not measured.
+    rss_slope_kb_per_h: growth of memory; None where it was not measured.
     """
 
     fault: str
@@ -43,15 +42,20 @@ class Outcome:
     crashes: int = 0
     hangs: int = 0
     said: str = ""
-    rss_slope_kb_per_h: float = math.nan
+    rss_slope_kb_per_h: float | None = None
 
     @property
     def good(self) -> bool:
         """Whether all counts that must be 0 are."""
-        return not (self.wrong_values or self.uncounted_losses or self.crashes or self.hangs)
+        return not bad(self)
 
 
 COUNTS = ("wrong_values", "uncounted_losses", "crashes", "hangs")
+
+
+def bad(found: Outcome | Tally) -> list[str]:
+    """Names of the counts that are not 0."""
+    return [name for name in COUNTS if getattr(found, name)]
 
 
 @dataclass
@@ -91,23 +95,9 @@ def summary(outcomes: Iterable[Outcome]) -> str:
     """The last line of `make torture`: the sums, and the fastest growth of memory."""
     outcomes = list(outcomes)
     sums = " ".join(f"{name}={sum(getattr(o, name) for o in outcomes)}" for name in COUNTS)
-    slopes = [slope for o in outcomes if not math.isnan(slope := o.rss_slope_kb_per_h)]
+    slopes = [slope for o in outcomes if (slope := o.rss_slope_kb_per_h) is not None]
     steepest = f"{max(slopes):.0f}" if slopes else "nan"
     return f"faults={sum(o.times for o in outcomes)} {sums} rss_slope_kb_per_h={steepest}"
-
-
-def to_json(outcome: Outcome) -> dict[str, object]:
-    """An outcome for json.dumps, with None for NaN."""
-    content = asdict(outcome)
-    if math.isnan(outcome.rss_slope_kb_per_h):
-        content["rss_slope_kb_per_h"] = None
-    return content
-
-
-def from_json(content: dict[str, object]) -> Outcome:
-    """The inverse of to_json."""
-    values = {name: math.nan if value is None else value for name, value in content.items()}
-    return Outcome(**values)  # type: ignore[arg-type]
 
 
 # ---- the table of docs/reliability.md
@@ -122,7 +112,7 @@ def keep(found: dict[str, list[Outcome]], seed: int) -> None:
     """Replace the outcomes of these campaigns in docs/reliability.json, and renew the table."""
     content = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     for name, outcomes in found.items():
-        content[name] = {"seed": seed, "outcomes": [to_json(outcome) for outcome in outcomes]}
+        content[name] = {"seed": seed, "outcomes": list(map(asdict, outcomes))}
     text = json.dumps(content, indent=1, ensure_ascii=False)
     text = re.sub(r"\{\n[^{}]*\}", lambda found: re.sub(r"\n *", " ", found[0]), text)
     RESULTS.write_text(text + "\n", encoding="utf-8")
@@ -134,7 +124,7 @@ def updated(page: str) -> str:
     before, rest = page.split(BEGIN)
     after = rest.split(END, 1)[1]
     content = json.loads(RESULTS.read_text(encoding="utf-8"))
-    found = {name: list(map(from_json, run["outcomes"])) for name, run in content.items()}
+    found = {name: [Outcome(**row) for row in run["outcomes"]] for name, run in content.items()}
     return before + BEGIN + _table(found) + END + after
 
 

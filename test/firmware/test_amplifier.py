@@ -39,9 +39,10 @@ from amplifier import (
 from design_amplifier import describe, gaussian_clipping, loads, main, resolution
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.codes import code_book, row_signs
-from tactile_cdma.code.encode import word_bits
+from tactile_cdma.code.encode import line_chips, word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import correlate, spread
+from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.options import Setup, SimOptions
@@ -464,3 +465,28 @@ def test_the_values_in_the_document_are_those_of_the_command(nodes: int) -> None
     stage = front.nodes_stage
     for ohm in (stage.input_ohm, stage.feedback_ohm):
         assert f"| {ohm / 1e3:g} kΩ |" in row
+
+
+WIDE_COUNTS = 8.9
+"""Of 4 of the RP2040's codes; of others a little less than 1 (RP2040-E11; pico-adc.markomo.me)."""
+
+
+def converted(counts: NDArray[np.float64]) -> NDArray[np.int_]:
+    """Codes for voltages in ideal counts."""
+    widths = np.full(4096, (4096 - 4 * WIDE_COUNTS) / 4092)
+    widths[[512, 1536, 2560, 3584]] = WIDE_COUNTS
+    return np.clip(np.searchsorted(np.cumsum(widths), counts, side="right"), 0, 4095)
+
+
+@pytest.mark.parametrize("skin", ["breadboard", "wired_skin", "wired_64", "thousand_skin"])
+def test_the_weakest_bit_keeps_its_level(skin: str) -> None:
+    """Behind the RP2040's converter, whose codes 512, 1536, 2560 and 3584 are wide."""
+    spec = SkinConfig.of(read_file(ROOT / "config" / f"{skin}.yaml")).spec
+    assert spec.amplitude_v is not None
+    rng, amplitude = np.random.default_rng(1), spec.amplitude_v / 3.3 * 4096
+    for _ in range(5):
+        codes = rng.integers(0, 1024, spec.nodes)
+        line = line_chips(spec, codes, np.ones(spec.nodes, bool), amplitude_v=1.0)
+        read = converted(2048 + amplitude * line + rng.standard_normal(line.shape)) / amplitude
+        levels = (read - read.mean()) @ spec.node_rows.T.astype(np.float32) / spec.order
+        assert np.abs(levels).min() > 0.94

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO
@@ -28,7 +28,7 @@ from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.driver.objects import sim_objects
 from tactile_cdma.sim import Box, Sphere
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
-from test.support.programs import run_python
+from test.support.programs import run_python, started
 from test.support.scripts import body_commands
 from test.support.skin_client import Client, running, wait_sending
 from test.support.spinning import living
@@ -45,14 +45,12 @@ TOLERANCE_NS = 20_000_000
 def example(name: str, *arguments: str) -> Iterator[IO[str]]:
     """An example in a process of its own; yields what it prints, readable at any time."""
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), *arguments]
-    with TemporaryFile("w+") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
-        try:
-            yield output
-            assert process.poll() is None, text_of(output)
-        finally:
-            process.kill()
-            process.wait()
+    with (
+        TemporaryFile("w+") as output,
+        started(command, stdout=output, stderr=subprocess.STDOUT) as process,
+    ):
+        yield output
+        assert process.poll() is None, text_of(output)
 
 
 def text_of(output: IO[str]) -> str:
@@ -334,7 +332,9 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
         f"  one: {{parameters: {{port: {port}, mount_xyz_m: [0, 0, 0]}}}}\n"
         f"  two: {{parameters: {{port: {port}, mount_xyz_m: [1, 0, 0]}}}}\n"
     )
-    with processes(body_commands(path)) as drivers, living(rclpy.create_node("client")) as client:
+    with ExitStack() as ends:
+        drivers = [ends.enter_context(started(command)) for command in body_commands(path)]
+        client = ends.enter_context(living(rclpy.create_node("client")))
         pressed = []
         for name, width_m in (("one", 14e-3), ("two", 7e-3)):
             press = client.create_publisher(SimObjects, f"/{name}/skin/sim/objects", LATCHED)
@@ -353,14 +353,3 @@ def test_two_patches_adds_their_forces_and_knows_nothing_of_an_absent_one(tmp_pa
             drivers[1].kill()
             blind = "/one/skin 0.0 0.0 -0.98  /two/skin nan nan nan  sum nan nan nan"
             wait_for(lambda: blind in text_of(output))
-
-
-@contextmanager
-def processes(commands: list[list[str]]) -> Iterator[list[subprocess.Popen[bytes]]]:
-    started = [subprocess.Popen(command) for command in commands]
-    try:
-        yield started
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()

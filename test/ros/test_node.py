@@ -2,8 +2,10 @@
 
 """The driver node over real DDS: topics, parameters, lifecycle, faults."""
 
+import re
 import time
 from itertools import islice, pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,9 +185,29 @@ def test_a_wrong_parameter_at_start_leaves_the_node_alive_until_it_is_corrected(
         wait_for(lambda: client.arrays)
 
 
-def test_an_unknown_parameter_is_named_and_nothing_is_published() -> None:
-    with running(chip_uss=40.0) as (_, client):
-        wait_for(lambda: client.says("did you mean 'chip_us'"))
+QOS = "qos_overrides./skin/tactile.publisher."
+NO_HOME = "~nobody-of-that-name/skin.yaml"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("chip_uss", 40.0, "did you mean 'chip_us'"),
+        ("parent_frame", "skin", "they must be two frames"),
+        ("parent_frame", "/palm", "without a leading slash"),
+        ("state_folder", NO_HOME, f"{NO_HOME}.*no such user's home"),
+        ("calibration_file", NO_HOME, f"{NO_HOME}.*no such user's home"),
+        ("layout_file", NO_HOME, f"{NO_HOME}.*no such user's home"),
+        (f"{QOS}reliability", "best", f"{QOS}.* must be one of .*reliable, best_effort"),
+        (f"{QOS}reliability", 3, f"{QOS}.* must be a text, got 3"),
+        (f"{QOS}depth", 0, f"{QOS}depth is 0; it must lie within 1…"),
+        (f"{QOS}durability", "latched", "one of .*transient_local"),
+        (f"{QOS}history", "keep_all", "one of .*keep_last"),  # it would wait for subscribers
+    ],
+)
+def test_a_driver_that_cannot_be_configured_says_why(name: str, value: Any, said: str) -> None:
+    with running(**{name: value}) as (_, client):
+        wait_for(lambda: any(re.search(said, status.message) for status in client.diagnostics))
         assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
         assert client.arrays == []
 

@@ -2,40 +2,23 @@
 
 """The driver and the viewer as a user starts them, in separate processes."""
 
-import os
-import pty
 import re
 import runpy
-import select
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from test.support.programs import run_program
+from test.support.programs import on_a_terminal, run_program, started
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = [sys.executable, str(ROOT / "tools" / "run.py")]
 DRIVER = [sys.executable, "-m", "tactile_cdma.ros.driver.node", "--ros-args"]
-
-
-@contextmanager
-def ended(process: subprocess.Popen[str]) -> Iterator[None]:
-    """Whatever happens, the process does not outlive the test."""
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-        if process.stderr is not None:
-            process.stderr.close()
 
 
 def read_until(process: subprocess.Popen[str], text: str) -> None:
@@ -64,28 +47,10 @@ def test_make_run_counts_and_times_frames_and_loses_none() -> None:
 
 
 def test_a_terminal_shows_a_coloured_heatmap_until_ctrl_c() -> None:
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.execvpe(RUN[0], RUN, {**os.environ, "TERM": "xterm-256color"})
-    shown, deadline = b"", time.monotonic() + PATIENCE_S
-    while b"kPa" not in shown or shown.count(b"frames/s") < 5:
-        assert time.monotonic() < deadline, shown[-2000:]
-        if select.select([terminal], [], [], 0.1)[0]:
-            shown += os.read(terminal, 65_536)
-    os.write(terminal, b"nn")  # numbers of taxels, then of nodes
-    while b"nodes   speaking" not in shown:
-        assert time.monotonic() < deadline, shown[-2000:]
-        if select.select([terminal], [], [], 0.1)[0]:
-            shown += os.read(terminal, 65_536)
-    os.kill(pid, signal.SIGINT)
-    while True:
-        try:
-            shown += os.read(terminal, 65_536)
-        except OSError:
-            break
-    _, status = os.waitpid(pid, 0)
-    assert os.waitstatus_to_exitcode(status) in (0, 130)
-    text = shown.decode(errors="replace")
+    many = r"(?s)kPa.*(frames/s.*){5}"
+    numbers = b"nn"  # of taxels, then of nodes
+    steps = (many, numbers), ("nodes   speaking", b"\x03")
+    text = on_a_terminal(RUN, *steps, TERM="xterm-256color")
     assert re.search(r"\x1b\[\d+;48;2;\d+;\d+;\d+m +\d+\.\d", text)
     assert "\x1b[?1049l" in text  # the screen is given back
     assert "received=" in text
@@ -119,17 +84,24 @@ def test_what_make_run_does_not_know_is_refused(arguments: list[str], said: str)
     assert f"make run: error: {said}" in done.stderr
 
 
-def test_a_missing_parameter_file_is_one_clear_error() -> None:
-    done = run_program(*DRIVER, "--params-file", "/nowhere.yaml")
-    assert done.returncode == 1
-    assert done.stderr == "skin_driver: no parameter file /nowhere.yaml\n"
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--params-file", "/nowhere.yaml"], "no parameter file /nowhere.yaml"),
+        (["-x"], "unknown arguments: ['-x']"),
+    ],
+)
+def test_what_the_driver_cannot_start_with_is_one_clear_error(
+    arguments: list[str], said: str
+) -> None:
+    done = run_program(*DRIVER, *arguments)
+    assert (done.returncode, done.stderr) == (1, f"skin_driver: {said}\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
     command = [*DRIVER, "-p", "port:=sim://"]
-    node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    with ended(node):
+    with started(command, stderr=subprocess.PIPE) as node:
         read_until(node, "receiving frames")
         time.sleep(0.3)
         node.send_signal(number)
@@ -145,8 +117,7 @@ def test_signals_end_the_driver_in_order(number: signal.Signals) -> None:
 )
 def test_ctrl_c_while_a_program_starts_ends_it_without_a_traceback(program: Path) -> None:
     command = [sys.executable, "-X", "importtime", str(program)]
-    node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    with ended(node):
+    with started(command, stderr=subprocess.PIPE) as node:
         read_until(node, " numpy.version")
         node.send_signal(signal.SIGINT)
         assert node.wait(PATIENCE_S) == -signal.SIGINT
@@ -180,11 +151,6 @@ def test_a_parameter_file_that_is_none_is_one_error(tmp_path: Path, text: str, s
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert str(path) in done.stderr and said in done.stderr
-
-
-def test_an_argument_that_ros_does_not_know_is_one_error() -> None:
-    done = run_program(*DRIVER, "-x")
-    assert (done.returncode, done.stderr) == (1, "skin_driver: unknown arguments: ['-x']\n")
 
 
 def test_the_viewer_counts_over_restarts_of_the_driver() -> None:

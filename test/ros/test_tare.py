@@ -142,14 +142,6 @@ def test_services_answer_in_every_state(tmp_path: Path) -> None:
         assert "not active" in tare(client).message
 
 
-@pytest.mark.parametrize("parameter", ["state_folder", "calibration_file", "layout_file"])
-def test_a_home_that_nobody_has_is_a_reason_not_to_start(parameter: str) -> None:
-    with running(port=IDLE, **{parameter: "~nobody-of-that-name/skin"}) as (_, client):
-        wait_for(lambda: client.diagnostics)
-    assert "~nobody-of-that-name/skin" in client.diagnostics[-1].message
-    assert "no such user's home" in client.diagnostics[-1].message
-
-
 def test_what_is_off_its_rest_the_tare_and_drift_are_told_of_while_frames_come(
     preload: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,13 +2,11 @@
 
 """The QoS of a node's topics, and the transform that it publishes."""
 
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -66,25 +64,6 @@ def test_qos_of_every_topic_can_be_overridden() -> None:
         taken, why = client.set(**{name: "best_effort"})
         assert not taken
         assert "only when the node starts" in why
-
-
-@pytest.mark.parametrize(
-    ("policy", "value", "reason"),
-    [
-        ("reliability", "best", "it must be one of .*reliable, best_effort"),
-        ("reliability", 3, "must be a text, got 3"),
-        ("depth", 0, "is 0; it must lie within 1…"),
-        ("durability", "latched", "one of .*transient_local"),
-        ("history", "keep_all", "one of .*keep_last"),  # publishing would wait for subscribers
-    ],
-)
-def test_a_wrong_qos_is_one_clear_fault(policy: str, value: Any, reason: str) -> None:
-    name = OVERRIDE.format("/skin/tactile", policy)
-    with running(**{name: value}) as (node, client):
-        assert list(node._declared.faults) == [name]
-        assert re.search(reason, node._declared.faults[name])
-        wait_for(lambda: client.says(name))
-        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
 
 
 @pytest.mark.parametrize(("topic", "policy"), [("/skin/tactil", "depth"), ("/skin/info", "dept")])
@@ -172,16 +151,6 @@ def test_a_skin_that_is_not_mounted_is_known_to_tf_by_its_middle() -> None:
     pose = Pose.of_quaternion((0, 0, 0), (turn.x, turn.y, turn.z, turn.w))
     np.testing.assert_allclose(pose.rotation[:, 2], layout.normals[here.argmin()], atol=1e-6)
     assert np.linalg.det(pose.rotation) == pytest.approx(1)
-
-
-@pytest.mark.parametrize(
-    ("parent", "reason"),
-    [("skin", "they must be two frames"), ("/palm", "without a leading slash")],
-)
-def test_frames_that_tf_does_not_take_are_refused(parent: str, reason: str) -> None:
-    with running(parent_frame=parent) as (_, client):
-        wait_for(lambda: client.says(reason))
-        assert client.state() == State.PRIMARY_STATE_UNCONFIGURED
 
 
 def test_several_parameters_are_set_together_or_not_at_all() -> None:

@@ -2,18 +2,12 @@
 
 """Viewers: names of patches, error messages of the driver, a terminal without colours."""
 
-import fcntl
 import math
 import os
-import pty
 import re
-import select
 import subprocess
 import sys
-import termios
 import time
-from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -28,10 +22,10 @@ from tactile_cdma.ros.viewers.body_view import line as body_line
 from tactile_cdma.ros.viewers.complaints import MOST_ENTRIES, Complaints
 from tactile_cdma.ros.viewers.patches import full_name
 from tactile_cdma.ros.viewers.view import RIVALS_S, Viewer, draw, look_for
-from test.support.programs import run_python
+from test.support.programs import on_a_terminal, run_python, started
 from test.support.skin_client import running
 from test.support.spinning import living, spinning
-from test.support.waiting import PATIENCE_S, wait_for
+from test.support.waiting import wait_for
 
 
 @pytest.mark.parametrize(
@@ -96,53 +90,15 @@ def test_the_terminal_says_what_can_be_shown(monkeypatch: pytest.MonkeyPatch) ->
     assert not look_for("utf-8", 1e3).coloured
 
 
-def shown_by_the_viewer(
-    until: str,
-    keys: bytes,
-    once: tuple[str, Callable[[], object]] | None = None,
-    **environment: str,
-) -> str:
-    """What the viewer writes to a terminal up to a text, then until keys have ended it.
-
-    once: a pattern before that, and what to do when it is shown.
-    """
-    master, terminal = pty.openpty()
-    viewer = subprocess.Popen(
-        [sys.executable, "-m", "tactile_cdma.ros.viewers.view"],
-        stdin=terminal,
-        stdout=terminal,
-        start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # so that Ctrl-C is a signal
-        env={**os.environ, **environment},
-    )
-    os.close(terminal)
-    shown, deadline = b"", time.monotonic() + PATIENCE_S
-    try:
-        while until not in shown.decode(errors="ignore"):
-            assert time.monotonic() < deadline, shown[-2000:]
-            if select.select([master], [], [], 0.1)[0]:
-                shown += os.read(master, 65_536)
-            if once and re.search(once[0], shown.decode(errors="ignore")):
-                once[1]()
-                once = None
-        os.write(master, keys)
-        with suppress(OSError):  # the terminal's end of file
-            while select.select([master], [], [], PATIENCE_S)[0]:
-                shown += os.read(master, 65_536)
-        assert viewer.wait(PATIENCE_S) == 0
-        return shown.decode()
-    finally:
-        viewer.kill()
-        viewer.wait()
-        os.close(master)
+VIEWER = [sys.executable, "-u", "-m", "tactile_cdma.ros.viewers.view"]
 
 
 def test_terminals_without_colours_or_without_a_cursor_are_served_too() -> None:
     with running(port="sim://?scene=press"):
-        shown = shown_by_the_viewer("frames/s", b"q", TERM="xterm", NO_COLOR="1")
+        shown = on_a_terminal(VIEWER, ("frames/s", b"q"), TERM="xterm", NO_COLOR="1")
         assert "\x1b[?1049l" in shown and "received=" in shown.splitlines()[-1]
         assert not re.search(r"\x1b\[[0-9;]*m", shown), "no colours"
-        shown = shown_by_the_viewer("taxels valid", b"\x03", TERM="dumb")
+        shown = on_a_terminal(VIEWER, ("taxels valid", b"\x03"), TERM="dumb")
         assert "\x1b" not in shown and "received=" in shown.splitlines()[-1]
 
 
@@ -152,12 +108,10 @@ DEAD = ",".join(str(node) for node in range(1, 17))
 @pytest.mark.parametrize("frames_stop", [False, True])
 def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop: bool) -> None:
     """At first all is read; then all nodes die, or frames stop."""
-    command = [sys.executable, "-u", "-m", "tactile_cdma.ros.viewers.view"]
     port = f"sim://?scene=press&dead={DEAD}&dead_after={3600 if frames_stop else 4}"
     last = (not frames_stop, "--", 0)
     told: list[tuple[bool, str, int]] = []
-    viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
-    try:
+    with started(VIEWER, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as viewer:
         with living(rclpy.create_node("observer")) as observer:
             wait_for(lambda: observer.count_subscribers("/skin/tactile"))
         with running(port=port, stale_after_s=1.5) as (_, client):
@@ -171,9 +125,6 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
                     assert client.change("deactivate")
                 if was_read and told[-1] == last:
                     break
-    finally:
-        viewer.kill()
-        viewer.wait()
     assert told[-1] == last
     assert all(peak == "--" for _, peak, valid in told if not valid)
 
@@ -181,9 +132,8 @@ def test_lines_of_a_skin_that_stops_or_dies_count_no_taxel_as_valid(frames_stop:
 def test_the_picture_of_a_skin_that_stops_turns_to_no_reading() -> None:
     with running(port="sim://?scene=all&threshold=0") as (_, client):
         stop = partial(client.change, "deactivate")
-        shown = shown_by_the_viewer(
-            "no frame for", b"q", (r"force \d+\.\d\d N", stop), TERM="xterm", NO_COLOR="1"
-        )
+        steps = (r"force \d+\.\d\d N", stop), ("no frame for", b"q")
+        shown = on_a_terminal(VIEWER, *steps, TERM="xterm", NO_COLOR="1")
     pictures = shown.split("\x1b[H")
     drawn = [picture for picture in pictures if "frames/s" in picture]
     before = [picture for picture in drawn if "no frame for" not in picture]

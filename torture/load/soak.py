@@ -12,7 +12,6 @@ Meanwhile a subscriber of pictures and a viewer come and go.
 from __future__ import annotations
 
 import argparse
-import math
 import signal
 import subprocess
 import sys
@@ -150,7 +149,7 @@ def outcome_of(
         said=f"{tally.frames:,} frames heard, {tally.lost} lost and told; {watch.rss_mb:.0f} MB "
         f"{slope}, {held}; stamps late by {np.median(late_ms):.2f} ms, "
         f"p99 {np.percentile(late_ms, 99):.2f}, drift {moved_s * 1e3:+.2f}; {reports}",
-        rss_slope_kb_per_h=slope.kb_per_h if long else math.nan,
+        rss_slope_kb_per_h=slope.kb_per_h if long else None,
     )
 
 

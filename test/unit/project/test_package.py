@@ -3,9 +3,11 @@
 """What is declared in several places agrees, and the core stays free of ROS and of hardware."""
 
 import ast
+import os
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -156,3 +158,27 @@ def test_package_xml_is_valid(folder: str) -> None:
     warnings: list[str] = []
     package.parse_package(ROOT / folder, warnings=warnings).validate(warnings=warnings)
     assert warnings == []
+
+
+COMMENTS = {".py": "#", ".c": "//", ".h": "//", ".cmake": "#"}
+NOT_OURS = {"build", "dist", "install", "log", "node_modules"}
+NOTICE = "SPDX-License-Identifier: Apache-2.0"
+
+
+def sources() -> Iterator[Path]:
+    """Source files of this repository."""
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = [name for name in folders if name[0] not in "._" and name not in NOT_OURS]
+        yield from (Path(folder, name) for name in names if Path(name).suffix in COMMENTS)
+
+
+def test_every_source_file_names_the_licence() -> None:
+    missing = []
+    for source in sources():
+        text = source.read_text(encoding="utf-8")
+        first = text.splitlines()[text.startswith("#!") :][:1]
+        if text and first != [f"{COMMENTS[source.suffix]} {NOTICE}"]:
+            missing.append(source.relative_to(ROOT).as_posix())
+    assert missing == []
+    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert "Apache License" in licence and "Version 2.0" in licence

@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests stand alone: what several need is in test/support, which nothing that is installed uses."""
+"""Tests stand alone: what several need is in test/support, which nothing that is installed uses.
+
+And test runs beside each other do not hear each other.
+"""
 
 import ast
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from test.support.domains import own_domain
+from test.support.programs import run_python
 
 ROOT = Path(__file__).resolve().parents[3]
 TEST = ROOT / "test"
@@ -36,3 +43,12 @@ def test_the_package_needs_no_test() -> None:
     for path in (ROOT / "tactile_cdma").rglob("*.py"):
         outside = [name for name in imported(path) if name.split(".")[0] in ("test", "torture")]
         assert not outside, f"{path} imports {outside}"
+
+
+def test_no_domain_is_given_twice() -> None:
+    another = "from test.support.domains import own_domain; print(own_domain())"
+    mine = {own_domain(str(key)) for key in range(5)}
+    assert len(mine) == 5 and own_domain() == int(os.environ["ROS_DOMAIN_ID"]) not in mine
+    for _ in range(3):
+        found = run_python("-c", another, check=True).stdout
+        assert int(found) not in mine | {own_domain()}

@@ -13,15 +13,10 @@ from test.support.waiting import PATIENCE_S
 from torture.fuzz.both_languages import same_answers, same_samples
 from torture.fuzz.harnesses import BUILD, FIRMWARE, SIMAVR, build
 from torture.fuzz.sync_storms import NODE, SPEC, node_for, storms_at
-from torture.outcome import COUNTS, Outcome, Plan
+from torture.outcome import COUNTS, Plan, bad
 
 PLAN = Plan(quick=True, seed=1)
 CORE = ("digitizer", "setup", "stream", "pulses", "packet", "cobs", "crc32")
-
-
-def bad(found: Outcome) -> list[str]:
-    """Names of the counts that are not 0."""
-    return [name for name in COUNTS if getattr(found, name)]
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ from torture.line.judge import counted
 from torture.line.ledger import Ledger
 from torture.line.man_in_the_middle import Counted, ManInTheMiddle, Schedule
 from torture.line.rig import Rig, Stream
-from torture.outcome import COUNTS, Plan, Tally
+from torture.outcome import Plan, Tally, bad
 
 CHIPS = Stream("chips", {"samples_per_chip": 1}, {"threshold": 0})
 SILENCE = Stream("silence", {}, {"scene": "press"})
@@ -124,10 +124,6 @@ def tortured(kind: Kind = LOST, patience_s: float = 5.0) -> Tally:
     """What is found while faults of a kind are put on a line."""
     with Rig(CHIPS, 1, patience_s) as rig:
         return rig.run(Schedule(kind, 4, np.random.default_rng(1)))
-
-
-def bad(found: Tally) -> list[str]:
-    return [name for name in COUNTS if getattr(found, name)]
 
 
 def test_a_sound_driver_bears_it() -> None:
