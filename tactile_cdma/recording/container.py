@@ -85,10 +85,12 @@ class Chunk:
 class EndRecord:
     """What the last record says.
 
-    time_ns: length of the recording, ns. position: where the record begins in the file.
-    sha256: of the file up to there. index: (time ns, position of a chunk's record) in rising order.
+    description: that of the recording, again. time_ns: length of the recording, ns. position: where
+    the record begins in the file. sha256: of the file up to there. index: (time ns, position of a
+    chunk's record) in rising order.
     """
 
+    description: Description
     time_ns: int
     position: int
     sha256: str
@@ -283,10 +285,9 @@ class RecordingParser:
             (position,) = POSITION.unpack(content[-POSITION.size :])
             said = json.loads(content[: -POSITION.size])
             index = tuple((_count(time), _count(place)) for time, place in said["index"])
-            end = EndRecord(time_ns, position, str(said["sha256"]), index)
-            if self.description is None:
-                self.description = _description(said["description"])
-            self.end = end
+            description = _description(said["description"])
+            self.end = EndRecord(description, time_ns, position, str(said["sha256"]), index)
+            self.description = self.description or description
         except (ValueError, LookupError, TypeError, RecursionError, struct.error):
             return False
         return True

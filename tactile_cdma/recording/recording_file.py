@@ -119,14 +119,11 @@ def describe(path: Path) -> Description:
     parser = RecordingParser()
     for _ in read_chunks(path, parser):
         break
-    if parser.description is None:  # damaged: the end has it, too
-        parser = RecordingParser(resumed=True)
-        if (end := read_end(path)) is not None:
-            for _ in read_chunks(path, parser, end.position):
-                pass
-    if parser.description is None:
+    if parser.description is not None:
+        return parser.description
+    if (end := read_end(path)) is None:
         raise CaptureError(f"{path}: not a recording of tactile-cdma, or its beginning is damaged")
-    return parser.description
+    return end.description
 
 
 def read_pieces(path: Path) -> Iterator[bytes]:

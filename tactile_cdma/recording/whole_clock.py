@@ -87,10 +87,7 @@ class _ObservedClock(DeviceClock):
         y = y[first]
         halts = _halts(x, y)
         parts = zip(np.split(x, halts), np.split(y, halts), strict=True)
-        knots = [_knots_of(*part) for part in parts]
-        x_s, y_s = (
-            [value for values in lists for value in values] for lists in zip(*knots, strict=True)
-        )
+        x_s, y_s = np.hstack([_knots_of(*part) for part in parts]).tolist()
         return x_s, y_s, x[halts - 1].tolist()
 
 
@@ -134,10 +131,10 @@ def _halts(x: Floats, y: Floats) -> Indices:
     return halts[(halts >= RECENT) & (halts <= len(x) - RECENT)]
 
 
-def _knots_of(x: Floats, y: Floats) -> tuple[list[float], list[float]]:
+def _knots_of(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """See _ObservedClock.knots, of a clock that does not stand still; x, y: (m,) s, arrivals."""
     if not _keeps_real_time(x, y):
-        return x.tolist(), np.maximum.accumulate(y).tolist()
+        return x, np.maximum.accumulate(y)
     last = len(x) - 1
     places = np.linspace(0, last, 1 + -(-last // REACH)).round().astype(int)
     hosts = []
@@ -146,7 +143,7 @@ def _knots_of(x: Floats, y: Floats) -> tuple[list[float], list[float]]:
         # Differences to the knot keep the precision over weeks of device time.
         _, offset_s = line_below(x[near] - x[place], y[near] - y[place], SURE_INTERVALS)
         hosts.append(float(y[place]) + offset_s)
-    return x[places].tolist(), hosts
+    return x[places], np.array(hosts)
 
 
 def _keeps_real_time(x: Floats, y: Floats) -> bool:

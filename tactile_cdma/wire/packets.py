@@ -74,16 +74,11 @@ class PacketParser:
     At most one packet's bytes are held back. Bytes before the first delimiter may be the rest of a
     packet or line noise, and may count as one framing or CRC error.
 
-    Losses follow from the sequence: a gap of up to MAX_GAP packets is a loss of that many. Any
-    other step, backwards (0xFFFF → 0 is forwards) or further ahead, is what a restarted sender
-    looks like: it counts as one jump and no loss, and the sequence is followed from there.
-
-    Samples that were received before (same sequence, same CRC), or that come after their
-    successors (and were counted as lost), are dropped and counted as repeated. Other packets of
-    the digitizer are counted, but passed on: after a reset it sends the same ones as before. A
-    restart is hardly ever taken for repetition, since other samples at other times have other
-    CRCs; if they are the same, most_repeated packets in a row are dropped and no more. Commands
-    never count as repeated: every host numbers from 0, and many commands have no payload.
+    Losses, repetitions and restarts follow from the sequence by the rules of docs/protocol.md, what
+    a receiver does. Repeated samples are dropped; other packets of the digitizer are passed on:
+    after a reset it sends the same ones as before. A restart is hardly ever taken for repetition,
+    since other samples at other times have other CRCs. Commands never count as repeated: every host
+    numbers from 0, and many commands have no payload.
     """
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:

@@ -72,9 +72,8 @@ def mask_content(shape: tuple[int, ...], count: int) -> dict[str, Any]:
 
     The true ones of a mask that is 1 throughout would make the first 0 that a robot sees −10⁸.
     """
-    values = {"min": 0.0, "max": 1.0, "mean": 0.0, "std": 1.0}
-    content = {name: np.full(shape, value).tolist() for name, value in values.items()}
-    return content | {"count": [count]}
+    zeros, ones = np.zeros(shape).tolist(), np.ones(shape).tolist()
+    return {"min": zeros, "max": ones, "mean": zeros, "std": ones, "count": [count]}
 
 
 class ImageStatistics:

@@ -2,7 +2,7 @@
 
 """A bag as a file: its channels, and their messages as far as they can be read."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self, cast
@@ -20,9 +20,13 @@ from rosbags.typesys.store import Typestore
 from ...base.errors import CaptureError
 from ...messages.types import message_types
 from ..lerobot import INFO
+from ..samples import NANO
 
 CDR = "cdr"
 """The encoding of ROS 2's messages."""
+FAR_NS = 86_400 * NANO
+"""Messages farther than this, ns, from most others were not recorded when they say. Chosen: a day,
+since hardly a recorder is paused for so long, and damage or a clock that is set makes years."""
 _IDL_RULE = "=" * 80 + "\nIDL: "
 """Before each file of a definition in IDL."""
 
@@ -71,8 +75,15 @@ class BagFile:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """When the first and the last message were recorded, by the bag's own word, ns."""
-        return self._reader.start_time, self._reader.end_time
+        """When the first and the last message were recorded, ns, by what most of them say.
+
+        Damaged times may be centuries off.
+        """
+        begin_ns, end_ns = self._reader.start_time, self._reader.end_time
+        if 0 <= end_ns - begin_ns <= FAR_NS:
+            return begin_ns, end_ns
+        with self._intact():  # reads all of the bag, as seldom as that is needed
+            return believed_span(seen_ns for _, seen_ns, _ in self._reader.messages())
 
     def of(self, topic: str) -> list[Connection]:
         """The channels of a topic. Raises CaptureError for one that is not there."""
@@ -85,12 +96,6 @@ class BagFile:
         """Why the messages of a channel cannot be read; None if they can."""
         found = self._types_of(channel)
         return found if isinstance(found, str) else None
-
-    def times_ns(self) -> Iterator[int]:
-        """When each message was recorded, ns; reads all of the bag."""
-        with self._intact():
-            for _, seen_ns, _ in self._reader.messages():
-                yield seen_ns
 
     def messages(
         self,
@@ -147,6 +152,25 @@ class BagFile:
             raise CaptureError(
                 f"{self.path}: no bag, or damaged or cut short: {reason}{remedy}"
             ) from None
+
+
+def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
+    """First and last of the times, at least one, that most of them are within FAR_NS of.
+
+    Memory grows with the days that they lie in, not with their number.
+    """
+    days: dict[int, tuple[int, int, int]] = {}  # first, last, number
+    for time_ns in times_ns:
+        first, last, number = days.get(time_ns // FAR_NS, (time_ns, time_ns, 0))
+        days[time_ns // FAR_NS] = min(first, time_ns), max(last, time_ns), number + 1
+    runs: list[tuple[int, int, int]] = []
+    for first, last, number in sorted(days.values()):
+        if runs and first - runs[-1][1] <= FAR_NS:
+            before = runs.pop()
+            first, number = before[0], before[2] + number
+        runs.append((first, last, number))
+    first, last, _ = max(runs, key=lambda run: run[2])
+    return first, last
 
 
 def encoding(channel: Connection) -> str:

@@ -27,8 +27,7 @@ from ..samples import (
 )
 from . import bag_messages as fields
 from . import images
-from .bag_file import CDR, BagFile, encoding
-from .bag_times import FAR_NS, believed_span
+from .bag_file import CDR, FAR_NS, BagFile, encoding
 from .opening import Wanted
 
 GENERIC = (
@@ -71,7 +70,7 @@ class BagSource:
             self.counts = {one.topic: (one.msgtype, one.msgcount) for one in bag.channels}
             if not sum(number for _, number in self.counts.values()):
                 raise CaptureError(f"{path}: the bag is empty")
-            self.begin_ns, self.end_ns = self._span(bag)
+            self.begin_ns, self.end_ns = bag.span_ns
             with self._whole():
                 self.streams: Mapping[str, SampleStream] = {
                     stream.key: stream for stream in self._find(bag, wanted)
@@ -125,13 +124,6 @@ class BagSource:
                 f"{self.path}: {kind} has no field {error.name}: by the bag's own definition, of "
                 "another version"
             ) from None
-
-    def _span(self, bag: BagFile) -> tuple[int, int]:
-        """When the first and the last message were recorded, by what most of them say."""
-        begin_ns, end_ns = bag.span_ns
-        if 0 <= end_ns - begin_ns <= FAR_NS:
-            return begin_ns, end_ns
-        return believed_span(bag.times_ns())  # reads all of the bag, as seldom as that is needed
 
     def _find(self, bag: BagFile, wanted: Wanted) -> Iterator[SampleStream]:
         """The streams of skins, cameras and vectors."""

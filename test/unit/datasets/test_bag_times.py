@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile_cdma.datasets.sources.bag_file import FAR_NS, believed_span
 from tactile_cdma.datasets.sources.bag_source import BagSource
-from tactile_cdma.datasets.sources.bag_times import FAR_NS, believed_span
 from tactile_cdma.datasets.sources.opening import Wanted
 from test.support.bags import BEGIN_NS, BagMaker
 from test.support.command_line import Printed

@@ -207,17 +207,14 @@ def test_a_weak_node_is_named() -> None:
     assert "weaker on the line than they should be: node 5;" in weak.text
 
 
-@pytest.mark.parametrize("share", [0.9, 1.0])
-def test_two_nodes_of_one_number_are_named(share: float) -> None:
-    _, doubled = checks(with_node(talk(SOUND), talk(ONLY_5), share))["nodes"]
-    assert doubled.verdict is Grade.PROBLEM
-    assert "two nodes speak on one code row: node 5;" in doubled.text
-
-
-def test_two_nodes_of_one_number_are_named_though_they_seldom_speak() -> None:
-    at_rest, others = "sim://?scene=idle&heartbeat=20", set(range(1, 17)) - {5}
-    alone = packets_of(f"{at_rest}&seed=2&dead={','.join(map(str, others))}")
-    _, doubled = checks(with_node(packets_of(f"{at_rest}&seed=1"), alone, 1.0))["nodes"]
+@pytest.mark.parametrize(
+    ("url", "share"), [(ALL_TALK, 0.9), (ALL_TALK, 1.0), ("sim://?scene=idle&heartbeat=20", 1.0)]
+)
+def test_two_nodes_of_one_number_are_named_however_seldom_they_speak(
+    url: str, share: float
+) -> None:
+    sound, node_5 = packets_of(f"{url}&{SOUND}"), packets_of(f"{url}&{ONLY_5}")
+    _, doubled = checks(with_node(sound, node_5, share))["nodes"]
     assert doubled.verdict is Grade.PROBLEM
     assert "two nodes speak on one code row: node 5;" in doubled.text
 

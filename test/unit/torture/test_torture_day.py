@@ -110,10 +110,7 @@ def test_a_false_frame_is_found(
 
 
 def test_a_lost_frame_is_found(decoded: Decoded) -> None:
-    def lose(frames: list[TactileFrame]) -> None:
-        del frames[60]
-
-    assert judged(decoded, lose).uncounted == 39
+    assert judged(decoded, lambda frames: frames.pop(60)).uncounted == 39
 
 
 def test_a_false_stamp_is_found(decoded: Decoded) -> None:
