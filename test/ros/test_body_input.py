@@ -43,7 +43,7 @@ from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.views.cloud import BODY_POINT
 from test.support.waiting import PATIENCE_S, wait_for
-from torture.hosts.clock import WrongClock
+from torture.hosts.rig import WrongClock
 
 pytestmark = pytest.mark.xdist_group("body input")  # its world is made once
 ROOT = Path(__file__).resolve().parents[2]
