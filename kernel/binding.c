@@ -147,6 +147,21 @@ static bool get(struct call *call, const struct argument *takes, PyObject *objec
     }
 }
 
+/* Lets a new object have the arrays and objects of the call that made it; false with an exception. */
+static bool keep_all(struct call *call, size_t count, struct holder *holder)
+{
+    holder->kept = PyMem_Calloc(count, sizeof *holder->kept);
+    if (!holder->kept)
+        return PyErr_NoMemory(), false;
+    holder->kept_count = count;
+    for (size_t i = 0; i < count; i++) {
+        holder->kept[i] = keep(call, i);
+        if (call->takes[i].kind == OBJECT_KIND)
+            holder->kept[i].obj = Py_NewRef(call->given[i]);
+    }
+    return true;
+}
+
 PyObject *run(const char *name, const struct argument *takes, size_t count, body *body, PyObject *self,
               PyObject *const *given, Py_ssize_t number)
 {
@@ -165,6 +180,8 @@ PyObject *run(const char *name, const struct argument *takes, size_t count, body
         got++;
     if (got == count)
         result = body(&call);
+    if (result && PyType_Check(self) && !keep_all(&call, count, (struct holder *)result))
+        Py_CLEAR(result);
     while (got-- > 0)
         if (call.buffers[got].obj)
             PyBuffer_Release(&call.buffers[got]);
@@ -216,23 +233,21 @@ static PyObject *fields_tuple(const struct layout *layout)
     return fields;
 }
 
-bool add_layouts(PyObject *dict, const struct layout *layouts, size_t count)
+bool add_layout(PyObject *dict, const struct layout *layout)
 {
-    bool added = dict;
+    PyObject *fields = fields_tuple(layout);
+    PyObject *entry = fields ? Py_BuildValue("(nN)", (Py_ssize_t)layout->size, fields) : NULL;
+    bool added = entry && !PyDict_SetItemString(dict, layout->name, entry);
 
-    for (size_t i = 0; added && i < count; i++) {
-        PyObject *fields = fields_tuple(&layouts[i]);
-        PyObject *layout = fields ? Py_BuildValue("(nN)", (Py_ssize_t)layouts[i].size, fields) : NULL;
-        added = layout && !PyDict_SetItemString(dict, layouts[i].name, layout);
-        Py_XDECREF(layout);
-    }
+    Py_XDECREF(entry);
     return added;
 }
 
 /* ---- objects ----------------------------------------------------------------------------------- */
 
-PyObject *hold(PyTypeObject *type, void *held, void (*drop)(void *held))
+PyObject *hold(const struct call *call, void *held, void (*drop)(void *held))
 {
+    PyTypeObject *type = (PyTypeObject *)call->self;
     allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
     PyObject *self = held ? allocate(type, 0) : PyErr_NoMemory();
 
@@ -256,6 +271,10 @@ void drop_holder(PyObject *self)
 
     if (holder->held)
         holder->drop(holder->held);
+    for (size_t i = 0; i < holder->kept_count; i++)
+        if (holder->kept[i].obj)
+            PyBuffer_Release(&holder->kept[i]);
+    PyMem_Free(holder->kept);
     ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
 }

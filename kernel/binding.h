@@ -14,9 +14,10 @@
  *
  * Every letter of a shape stands for one length throughout the call, so that arrays are checked against
  * each other. The same macro makes methods (call->self is then the object) and, as CONSTRUCTOR, what
- * makes an object. An object that uses an array for as long as it lives takes it over by keep().
+ * makes an object, which keeps the arrays and objects that it is made of. One that uses an array of a later
+ * call takes it over by keep().
  *
- * Settings are C structs. FIELDS describes one by the names of its members, `structs` in module.c offers
+ * Settings are C structs. FIELDS describes one by the names of its members, `layouts` in module.c offers
  * them to Python, and tactile_cdma/base/kernel.py makes numpy's dtype of that and fills it by name: what a
  * setting is called, where it lies and of which type it is, is written once, in the struct.
  *
@@ -139,25 +140,53 @@ struct layout {
     _Generic((member), bool: '?', uint8_t: 'B', int: 'i', unsigned: 'I', unsigned long: 'L',        \
              unsigned long long: 'Q', float: 'f', double: 'd')
 #define FIELD(type, member)                                                                         \
-    {#member, offsetof(struct type, member), FIELD_KIND(((struct type *)NULL)->member)}
-#define LAYOUT(type, fields) {#type, sizeof(struct type), sizeof fields / sizeof *fields, fields}
+    {#member, offsetof(struct type, member), FIELD_KIND(((struct type *)NULL)->member)},
 
-/* Adds name: (bytes, ((field, offset, kind), …)) of `count` structs; false with an exception. */
-bool add_layouts(PyObject *dict, const struct layout *layouts, size_t count);
+/* FIELD of each of the members; a preprocessor repeats nothing but by reading its own output again. */
+#define AGAIN(...) AGAIN_64(AGAIN_64(__VA_ARGS__)) /* more than 100 times */
+#define AGAIN_64(...) AGAIN_16(AGAIN_16(AGAIN_16(AGAIN_16(__VA_ARGS__))))
+#define AGAIN_16(...) AGAIN_4(AGAIN_4(AGAIN_4(AGAIN_4(__VA_ARGS__))))
+#define AGAIN_4(...) ONCE(ONCE(ONCE(ONCE(__VA_ARGS__))))
+#define ONCE(...) __VA_ARGS__
+#define EACH_FIELD(type, member, ...) FIELD(type, member) __VA_OPT__(EACH_NEXT PARENTHESES(type, __VA_ARGS__))
+#define EACH_NEXT() EACH_FIELD
+#define PARENTHESES ()
+
+/* Defines `type`_layout of a struct, by its members. */
+#define FIELDS(type, ...)                                                                           \
+    static const struct field type##_fields[] = {AGAIN(EACH_FIELD(type, __VA_ARGS__))};             \
+    const struct layout type##_layout = {#type, sizeof(struct type),                                \
+                                         sizeof type##_fields / sizeof *type##_fields, type##_fields}
+
+/* Adds name: (bytes, ((field, offset, kind), …)); whether that succeeds: else with an exception. */
+bool add_layout(PyObject *dict, const struct layout *layout);
 
 /* ---- objects ----------------------------------------------------------------------------------- */
 
-/* An object of one of this module's classes, which holds one of the kernel's; `drop` frees that. */
+/* An object of one of this module's classes, which holds one of the kernel's; `drop` frees that. kept: of the
+ * arguments that it was made of, arrays and objects. */
 struct holder {
     PyObject_HEAD
     void *held;
     void (*drop)(void *held);
+    size_t kept_count;
+    Py_buffer *kept;
 };
 
-/* A new one; NULL, and nothing is held, with an exception: out of memory, or `held` is NULL. */
-PyObject *hold(PyTypeObject *type, void *held, void (*drop)(void *held));
+/* What a constructor returns. NULL, and nothing is held, with an exception: out of memory, or `held` is NULL. */
+PyObject *hold(const struct call *call, void *held, void (*drop)(void *held));
 void *held_by(PyObject *self);
 void drop_holder(PyObject *self);
+
+/* Defines a class of the module by its constructor's name and its methods. */
+#define CLASS(spec, class, ...)                                                                     \
+    static PyMethodDef class##_methods[] = {__VA_ARGS__, {0}};                                      \
+    static PyType_Slot class##_slots[] = {                                                          \
+        {Py_tp_new, class}, {Py_tp_dealloc, drop_holder}, {Py_tp_methods, class##_methods}, {0}};   \
+    PyType_Spec spec = {.name = "tactile_cdma._kernel." #class,                                     \
+                        .basicsize = sizeof(struct holder),                                         \
+                        .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,                     \
+                        .slots = class##_slots}
 
 /* ---- packets and files ------------------------------------------------------------------------- */
 
@@ -178,12 +207,8 @@ PyObject *file_error(int failure);
 /* Whether correlations (k, N) are those of such frames; if not, with an exception. */
 bool are_of(const struct call *call, const struct words_frame *frame);
 
-/* What an object of the class Sparse holds. */
-struct sparse *sparse_of(void *held);
-
-/* The types of the module, each in a file of its own or in module.c. */
+/* The classes and settings of the module, in whichever file. */
 extern PyType_Spec stream_spec, readout_spec, code_spec, sparse_spec;
-#define STREAM_LAYOUTS 2
-extern const struct layout stream_layouts[STREAM_LAYOUTS], sparse_layout;
+extern const struct layout stream_rules_layout, stream_timing_layout, sparse_rules_layout;
 
 #endif

@@ -21,79 +21,28 @@
 
 /* ---- settings ---------------------------------------------------------------------------------- */
 
-static const struct field frame_fields[] = {
-    FIELD(words_frame, bits),          FIELD(words_frame, order),
-    FIELD(words_frame, first),         FIELD(words_frame, nodes),
-    FIELD(words_frame, unipolar),      FIELD(words_frame, swing),
-    FIELD(words_frame, loudest_share), FIELD(words_frame, active_share),
-    FIELD(words_frame, spoken_over),
-};
+FIELDS(words_frame, bits, order, first, nodes, unipolar, swing, loudest_share, active_share, spoken_over);
 
-#define OF_READOUT(member) FIELD(readout_settings, member)
+FIELDS(readout_settings, frame.bits, frame.order, frame.first, frame.nodes, frame.unipolar, frame.swing,
+       frame.loudest_share, frame.active_share, frame.spoken_over, reading.threshold, reading.faint_share,
+       reading.sound_share, reading.most_square, reading.a_chip, reading.few_share, reading.tone_share,
+       reading.moved_share, reading.least_squares, reading.loud_squares, reading.hiding_rho, reading.few,
+       reading.parity, reading.limits.low_rho, reading.limits.low_margin, reading.limits.shared,
+       reading.limits.two, reading.limits.clear_rho, reading.limits.lower, lateness.late_share,
+       lateness.by_chance, lateness.of_two, bits.silent, bits.low_snr, bits.stale, bits.saturated,
+       bits.uncalibrated, bits.masked, bits.faulty, scrambled, spare, spare_count, codes, pieces, taxels);
 
-static const struct field readout_fields[] = {
-    OF_READOUT(frame.bits),                   OF_READOUT(frame.order),
-    OF_READOUT(frame.first),                  OF_READOUT(frame.nodes),
-    OF_READOUT(frame.unipolar),               OF_READOUT(frame.swing),
-    OF_READOUT(frame.loudest_share),          OF_READOUT(frame.active_share),
-    OF_READOUT(frame.spoken_over),            OF_READOUT(reading.threshold),
-    OF_READOUT(reading.faint_share),          OF_READOUT(reading.sound_share),
-    OF_READOUT(reading.most_square),          OF_READOUT(reading.a_chip),
-    OF_READOUT(reading.few_share),            OF_READOUT(reading.tone_share),
-    OF_READOUT(reading.moved_share),          OF_READOUT(reading.least_squares),
-    OF_READOUT(reading.loud_squares),         OF_READOUT(reading.hiding_rho),
-    OF_READOUT(reading.few),                  OF_READOUT(reading.parity),
-    OF_READOUT(reading.limits.low_rho),       OF_READOUT(reading.limits.low_margin),
-    OF_READOUT(reading.limits.shared),        OF_READOUT(reading.limits.two),
-    OF_READOUT(reading.limits.clear_rho),     OF_READOUT(reading.limits.lower),
-    OF_READOUT(lateness.late_share),          OF_READOUT(lateness.by_chance),
-    OF_READOUT(lateness.of_two),              OF_READOUT(bits.silent),
-    OF_READOUT(bits.low_snr),                 OF_READOUT(bits.stale),
-    OF_READOUT(bits.saturated),               OF_READOUT(bits.uncalibrated),
-    OF_READOUT(bits.masked),                  OF_READOUT(bits.faulty),
-    OF_READOUT(scrambled),                    OF_READOUT(spare),
-    OF_READOUT(spare_count),                  OF_READOUT(codes),
-    OF_READOUT(pieces),                       OF_READOUT(taxels),
-};
+FIELDS(burst_search, half, window, group, low, high, bit, width, gap_size, side, nodes, chip, snr_floor, loud,
+       no_power, bias, newest, calmer, drifting, median, beside_level, beside);
 
-static const struct field burst_fields[] = {
-    FIELD(burst_search, half),      FIELD(burst_search, window),       FIELD(burst_search, group),
-    FIELD(burst_search, low),       FIELD(burst_search, high),         FIELD(burst_search, bit),
-    FIELD(burst_search, width),     FIELD(burst_search, gap_size),     FIELD(burst_search, side),
-    FIELD(burst_search, nodes),     FIELD(burst_search, chip),         FIELD(burst_search, snr_floor),
-    FIELD(burst_search, loud),      FIELD(burst_search, no_power),     FIELD(burst_search, bias),
-    FIELD(burst_search, newest),    FIELD(burst_search, calmer),       FIELD(burst_search, drifting),
-    FIELD(burst_search, median),    FIELD(burst_search, beside_level), FIELD(burst_search, beside),
-};
+FIELDS(gap_rules, judge.distortion, judge.most, judge.most_deviations, judge.vote, blur, settled_chips, shortest,
+       longest, bit, period, beyond, carried_noise, carried_misfit, doubt, disturbed, wide, ruled_out, rail_low,
+       rail_high, deafened, still_misfit, least_chip, uneven, spread, left, misfit, faint, near, far, beside,
+       perhaps, inner, turned, scatter, stray_left, clear, most_turned, spare, spare_count, twins);
 
-static const struct field rules_fields[] = {
-    FIELD(gap_rules, judge.distortion),     FIELD(gap_rules, judge.most),
-    FIELD(gap_rules, judge.most_deviations), FIELD(gap_rules, judge.vote),
-    FIELD(gap_rules, blur),                 FIELD(gap_rules, settled_chips),
-    FIELD(gap_rules, shortest),             FIELD(gap_rules, longest),
-    FIELD(gap_rules, bit),                  FIELD(gap_rules, period),
-    FIELD(gap_rules, beyond),               FIELD(gap_rules, carried_noise),
-    FIELD(gap_rules, carried_misfit),       FIELD(gap_rules, doubt),
-    FIELD(gap_rules, disturbed),            FIELD(gap_rules, wide),
-    FIELD(gap_rules, ruled_out),            FIELD(gap_rules, rail_low),
-    FIELD(gap_rules, rail_high),            FIELD(gap_rules, deafened),
-    FIELD(gap_rules, still_misfit),         FIELD(gap_rules, least_chip),
-    FIELD(gap_rules, uneven),               FIELD(gap_rules, spread),
-    FIELD(gap_rules, left),                 FIELD(gap_rules, misfit),
-    FIELD(gap_rules, faint),                FIELD(gap_rules, near),
-    FIELD(gap_rules, far),                  FIELD(gap_rules, beside),
-    FIELD(gap_rules, perhaps),              FIELD(gap_rules, inner),
-    FIELD(gap_rules, turned),               FIELD(gap_rules, scatter),
-    FIELD(gap_rules, stray_left),           FIELD(gap_rules, clear),
-    FIELD(gap_rules, most_turned),          FIELD(gap_rules, spare),
-    FIELD(gap_rules, spare_count),          FIELD(gap_rules, twins),
-};
-
-static const struct layout layouts[] = {
-    LAYOUT(words_frame, frame_fields),
-    LAYOUT(readout_settings, readout_fields),
-    LAYOUT(burst_search, burst_fields),
-    LAYOUT(gap_rules, rules_fields),
+static const struct layout *const layouts[] = {
+    &words_frame_layout,  &readout_settings_layout, &burst_search_layout,  &gap_rules_layout,
+    &stream_rules_layout, &stream_timing_layout,    &sparse_rules_layout,
 };
 
 /* ---- Transform --------------------------------------------------------------------------------- */
@@ -129,7 +78,7 @@ CONSTRUCTOR(Transform, SIZE("twos"), ARRAY("orders", 'I', "f"), ARRAY("signs", '
                       "%zu factors of 2 and %zu others with %zu lanes: no memory, or beyond what the "
                       "kernel is built for",
                       twos, count, lanes);
-    return hold((PyTypeObject *)call->self, transform, drop_transform);
+    return hold(call, transform, drop_transform);
 }
 
 FUNCTION(multiply, ARRAY("source", 'f', "*"), OUT("out", 'f', "*"))
@@ -154,21 +103,7 @@ FUNCTION(multiply, ARRAY("source", 'f', "*"), OUT("out", 'f', "*"))
     Py_RETURN_NONE;
 }
 
-static PyMethodDef transform_methods[] = {ENTRY(multiply), {0}};
-
-static PyType_Slot transform_slots[] = {
-    {Py_tp_new, Transform},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, transform_methods},
-    {0},
-};
-
-static PyType_Spec transform_spec = {
-    .name = "tactile_cdma._kernel.Transform",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = transform_slots,
-};
+CLASS(transform_spec, Transform, ENTRY(multiply));
 
 /* ---- Scanner ----------------------------------------------------------------------------------- */
 
@@ -179,7 +114,7 @@ static void drop_scanner(void *held)
 
 CONSTRUCTOR(Scanner, SIZE("most_repeated"))
 {
-    return hold((PyTypeObject *)call->self, scanner_new(call->value[0].size), drop_scanner);
+    return hold(call, scanner_new(call->value[0].size), drop_scanner);
 }
 
 FUNCTION(feed, ARRAY("data", 'B', "*"))
@@ -205,47 +140,26 @@ FUNCTION(feed, ARRAY("data", 'B', "*"))
     return packets;
 }
 
-static PyObject *skip(PyObject *self, PyObject *unused)
+FUNCTION(skip)
 {
-    (void)unused;
-    scanner_skip(held_by(self));
-    scanner_tell(held_by(self));
+    struct scanner *scanner = held_by(call->self);
+
+    scanner_skip(scanner);
+    scanner_tell(scanner);
     Py_RETURN_NONE;
 }
 
-static PyObject *held(PyObject *self, PyObject *unused)
+FUNCTION(held)
 {
-    (void)unused;
-    return PyLong_FromSize_t(scanner_held(held_by(self)));
+    return PyLong_FromSize_t(scanner_held(held_by(call->self)));
 }
 
-static PyObject *counts(PyObject *self, PyObject *unused)
+FUNCTION(counts)
 {
-    (void)unused;
-    return counts_dict(scanner_told(held_by(self)));
+    return counts_dict(scanner_told(held_by(call->self)));
 }
 
-static PyMethodDef scanner_methods[] = {
-    ENTRY(feed),
-    {"skip", skip, METH_NOARGS, NULL},
-    {"held", held, METH_NOARGS, NULL},
-    {"counts", counts, METH_NOARGS, NULL},
-    {0},
-};
-
-static PyType_Slot scanner_slots[] = {
-    {Py_tp_new, Scanner},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, scanner_methods},
-    {0},
-};
-
-static PyType_Spec scanner_spec = {
-    .name = "tactile_cdma._kernel.Scanner",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = scanner_slots,
-};
+CLASS(scanner_spec, Scanner, ENTRY(feed), ENTRY(skip), ENTRY(held), ENTRY(counts));
 
 /* ---- reader ------------------------------------------------------------------------------------ */
 
@@ -358,15 +272,17 @@ static int add_type(PyObject *module, PyType_Spec *spec)
 
 static int fill(PyObject *module)
 {
-    if (add_type(module, &transform_spec) || add_type(module, &scanner_spec) ||
-        add_type(module, &readout_spec) || add_type(module, &stream_spec) ||
-        add_type(module, &code_spec) || add_type(module, &sparse_spec))
-        return -1;
+    PyType_Spec *classes[] = {&transform_spec, &scanner_spec, &readout_spec,
+                              &stream_spec,    &code_spec,    &sparse_spec};
+
+    for (size_t i = 0; i < sizeof classes / sizeof *classes; i++)
+        if (add_type(module, classes[i]))
+            return -1;
     PyObject *structs = PyDict_New();
-    int failed = !add_layouts(structs, layouts, sizeof layouts / sizeof *layouts) ||
-                 !add_layouts(structs, stream_layouts, STREAM_LAYOUTS) ||
-                 !add_layouts(structs, &sparse_layout, 1) ||
-                 PyModule_AddObjectRef(module, "STRUCTS", structs);
+    bool added = structs;
+    for (size_t i = 0; added && i < sizeof layouts / sizeof *layouts; i++)
+        added = add_layout(structs, layouts[i]);
+    bool failed = !added || PyModule_AddObjectRef(module, "STRUCTS", structs);
     Py_XDECREF(structs);
     if (failed || PyModule_AddIntConstant(module, "VERSION", VERSION))
         return -1;

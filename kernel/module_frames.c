@@ -7,25 +7,6 @@
 
 #include "gap.h"
 
-/* ---- Code -------------------------------------------------------------------------------------- */
-
-struct code {
-    struct fit_code code;
-    PyObject *correlate, *spread;
-    Py_buffer flips, places;
-};
-
-static void drop_code(void *held)
-{
-    struct code *code = held;
-
-    PyBuffer_Release(&code->flips);
-    PyBuffer_Release(&code->places);
-    Py_XDECREF(code->correlate);
-    Py_XDECREF(code->spread);
-    PyMem_Free(code);
-}
-
 /* flips: none, or one per chip. */
 CONSTRUCTOR(Code, SETTINGS(words_frame), OBJECT("correlate", "Transform"), OBJECT("spread", "Transform"),
             ARRAY("flips", 'f', "f"), ARRAY("places", 'i', "c"), SIZE("span"))
@@ -45,56 +26,28 @@ CONSTRUCTOR(Code, SETTINGS(words_frame), OBJECT("correlate", "Transform"), OBJEC
     for (size_t i = 0; i < chips; i++)
         if (places[i] < 0 || (size_t)places[i] >= span || (i && places[i] <= places[i - 1]))
             return refuse(call, "places: not rising, or beyond the span");
-    struct code *code = PyMem_Calloc(1, sizeof *code);
-    if (!code)
-        return PyErr_NoMemory();
-    code->code = (struct fit_code){*frame, span, call->value[1].data, call->value[2].data,
-                                   flips ? call->value[3].data : NULL, places};
-    code->correlate = Py_NewRef(call->given[1]);
-    code->spread = Py_NewRef(call->given[2]);
-    code->flips = keep(call, 3);
-    code->places = keep(call, 4);
-    return hold((PyTypeObject *)call->self, code, drop_code);
-}
-
-/* The line of the arguments `volts` (m) and `sums`; refused unless there is one more of these. */
-static bool is_line(struct call *call, size_t volts, struct fit_line *line)
-{
-    *line = (struct fit_line){length(call, volts), call->value[volts].data, call->value[volts + 1].data,
-                              0};
-    if (line->size && length(call, volts + 1) == line->size + 1)
-        return true;
-    refuse(call, "volts: some, and one more of sums, expected");
-    return false;
-}
-
-/* Whether rows (…, k, N) and amplitudes (…, n) are those of such frames; if not, with an exception. */
-static bool is_frame(const struct call *call, const struct fit_code *code)
-{
-    const struct words_frame *frame = &code->frame;
-
-    if (axis(call, 'k') == frame->bits && axis(call, 'N') == frame->order &&
-        axis(call, 'n') == frame->nodes)
-        return true;
-    refuse(call, "rows: (%zu, %zu) with %zu nodes expected", frame->bits, frame->order, frame->nodes);
-    return false;
+    struct fit_code *code = PyMem_Malloc(sizeof *code);
+    if (code)
+        *code = (struct fit_code){*frame, span, call->value[1].data, call->value[2].data,
+                                  flips ? call->value[3].data : NULL, places};
+    return hold(call, code, PyMem_Free);
 }
 
 FUNCTION(refine, ARRAY("volts", 'd', "m"), ARRAY("sums", 'd', "s"), NUMBER("blur"),
          NUMBER("settled_chips"), ARRAY("reaches", 'd', "r"), NUMBER("start"), NUMBER("chip"),
          NUMBER("earliest"), NUMBER("latest"), OUT("scratch", 'f', "f"))
 {
-    const struct code *code = held_by(call->self);
-    struct fit_line line;
+    const struct fit_code *code = held_by(call->self);
+    const struct fit_line line = {axis(call, 'm'), call->value[0].data, call->value[1].data, 0};
     struct fit fit = {call->value[5].number, call->value[6].number};
     struct fit_refining refining = {call->value[2].number, call->value[3].number, axis(call, 'r'),
                                     call->value[4].data};
 
-    if (!is_line(call, 0, &line))
-        return NULL;
-    if (axis(call, 'f') < fit_scratch(&code->code))
-        return refuse(call, "scratch: %zu values expected", fit_scratch(&code->code));
-    fit = fit_refine(&code->code, &line, &refining, fit, call->value[7].number, call->value[8].number,
+    if (!(line.size && axis(call, 's') == line.size + 1))
+        return refuse(call, "volts: some, and one more of sums, expected");
+    if (axis(call, 'f') < fit_scratch(code))
+        return refuse(call, "scratch: %zu values expected", fit_scratch(code));
+    fit = fit_refine(code, &line, &refining, fit, call->value[7].number, call->value[8].number,
                      call->value[9].data);
     return Py_BuildValue("(dd)", fit.start, fit.chip);
 }
@@ -113,7 +66,8 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd'
          OUT("uneven", 'f', "1n"), OUT("pedestal", 'f', "1"), OUT("power", 'f', "1"), OUT("spread", 'f', "1"),
          OUT("misfit", 'f', "1"), OUT("values", 'd', "v"), OUT("scratch", 'f', "f"))
 {
-    const struct fit_code *code = &((struct code *)held_by(call->self))->code;
+    const struct fit_code *code = held_by(call->self);
+    const struct words_frame *frame = &code->frame;
     const union value *value = call->value;
     const struct burst_search *search = value[0].data;
     const struct gap_rules *rules = value[1].data;
@@ -125,8 +79,8 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd'
     size_t samples = axis(call, 'm');
     enum gap_look look;
 
-    if (!is_frame(call, code))
-        return NULL;
+    if (!(axis(call, 'k') == frame->bits && axis(call, 'N') == frame->order && axis(call, 'n') == frame->nodes))
+        return refuse(call, "rows: (%zu, %zu) with %zu nodes expected", frame->bits, frame->order, frame->nodes);
     if (!is_search(search))
         return refuse(call, "burst_search: a length is 0 or too large");
     if (rules->spare > code->frame.order || rules->spare_count > code->frame.order - rules->spare)
@@ -145,18 +99,4 @@ FUNCTION(look, SETTINGS(burst_search), SETTINGS(gap_rules), ARRAY("reaches", 'd'
                          seen.clipped, seen.noise);
 }
 
-static PyMethodDef code_methods[] = {ENTRY(refine), ENTRY(look), {0}};
-
-static PyType_Slot code_slots[] = {
-    {Py_tp_new, Code},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, code_methods},
-    {0},
-};
-
-PyType_Spec code_spec = {
-    .name = "tactile_cdma._kernel.Code",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = code_slots,
-};
+CLASS(code_spec, Code, ENTRY(refine), ENTRY(look));

@@ -5,43 +5,13 @@
 
 #include "sparse.h"
 
-#define OF_RULES(member) FIELD(sparse_rules, member)
+FIELDS(sparse_rules, detect.swing, detect.least, detect.soft_noise, detect.slope, detect.log_odds, detect.hard_share,
+       detect.settled, detect.near, detect.negligible, detect.stalled, detect.turns, capacity, most_noise, more,
+       tolerance, faintest, chance, chance_of_bit, hiding, weight, silent_square, silent_power, alike);
 
-#define OF_DETECTION(member) FIELD(sparse_rules, detect.member)
-
-static const struct field sparse_fields[] = {
-    OF_DETECTION(swing),     OF_DETECTION(least),      OF_DETECTION(soft_noise), OF_DETECTION(slope),
-    OF_DETECTION(log_odds),  OF_DETECTION(hard_share), OF_DETECTION(settled),    OF_DETECTION(near),
-    OF_DETECTION(negligible), OF_DETECTION(stalled),   OF_DETECTION(turns),      OF_RULES(capacity),
-    OF_RULES(most_noise),    OF_RULES(more),           OF_RULES(tolerance),      OF_RULES(faintest),
-    OF_RULES(chance),        OF_RULES(chance_of_bit),  OF_RULES(hiding),         OF_RULES(weight),
-    OF_RULES(silent_square), OF_RULES(silent_power),   OF_RULES(alike),
-};
-
-const struct layout sparse_layout = LAYOUT(sparse_rules, sparse_fields);
-
-struct owned {
-    struct sparse *sparse;
-    size_t bits, order, rows, nodes;
-    PyObject *walsh;
-    Py_buffer flips, places, codes;
-};
-
-static void drop_owned(void *held)
+static void drop_sparse(void *held)
 {
-    struct owned *owned = held;
-
-    sparse_free(owned->sparse);
-    PyBuffer_Release(&owned->flips);
-    PyBuffer_Release(&owned->places);
-    PyBuffer_Release(&owned->codes);
-    Py_XDECREF(owned->walsh);
-    PyMem_Free(owned);
-}
-
-struct sparse *sparse_of(void *held)
-{
-    return ((struct owned *)held)->sparse;
+    sparse_free(held);
 }
 
 CONSTRUCTOR(Sparse, SETTINGS(sparse_rules), OBJECT("walsh", "Transform"), ARRAY("flips", 'f', "kN"),
@@ -63,69 +33,45 @@ CONSTRUCTOR(Sparse, SETTINGS(sparse_rules), OBJECT("walsh", "Transform"), ARRAY(
     const struct sparse_rules *rules = call->value[0].data;
     if (rules->capacity > book.nodes)
         return refuse(call, "capacity: more than nodes");
-    struct owned *owned = PyMem_Calloc(1, sizeof *owned);
-    if (!owned)
-        return PyErr_NoMemory();
-    *owned = (struct owned){sparse_new(&book, call->value[0].data), book.bits, book.order, book.rows,
-                            book.nodes, Py_NewRef(call->given[1]), keep(call, 2), keep(call, 3),
-                            keep(call, 4)};
-    if (!owned->sparse) {
-        drop_owned(owned);
-        return PyErr_NoMemory();
-    }
-    return hold((PyTypeObject *)call->self, owned, drop_owned);
+    return hold(call, sparse_new(&book, rules), drop_sparse);
 }
 
 FUNCTION(detect, ARRAY("chips", 'f', "kN"), NUMBER("damping"), OUT("rows", 'f', "kM"),
          OUT("heard", '?', "n"), OUT("left", 'f', "kN"), OUT("power", 'd', "k"))
 {
-    struct owned *owned = held_by(call->self);
+    struct sparse *sparse = held_by(call->self);
+    const struct sparse_book *book = sparse_book(sparse);
     struct detected found = {.rows = call->value[2].data,
-                                 .left = call->value[4].data,
-                                 .heard = call->value[3].data,
-                                 .power = call->value[5].data};
+                             .left = call->value[4].data,
+                             .heard = call->value[3].data,
+                             .power = call->value[5].data};
 
-    if (!(axis(call, 'k') == owned->bits && axis(call, 'N') == owned->order &&
-          axis(call, 'M') == owned->rows && axis(call, 'n') == owned->nodes))
+    if (!(axis(call, 'k') == book->bits && axis(call, 'N') == book->order && axis(call, 'M') == book->rows &&
+          axis(call, 'n') == book->nodes))
         return refuse(call, "chips: not of this book");
     Py_BEGIN_ALLOW_THREADS
-    detector_detect(sparse_detector(owned->sparse), call->value[0].data, call->value[1].number, &found);
+    detector_detect(sparse_detector(sparse), call->value[0].data, call->value[1].number, &found);
     Py_END_ALLOW_THREADS
     return Py_BuildValue("dO", found.level, found.settled ? Py_True : Py_False);
 }
 
 FUNCTION(loudness, ARRAY("chips", 'f', "kN"), SIZE("lateness"), FLAG("late"), OUT("loudness", 'f', "n"))
 {
-    struct owned *owned = held_by(call->self);
+    struct sparse *sparse = held_by(call->self);
+    const struct sparse_book *book = sparse_book(sparse);
     ptrdiff_t lateness = (ptrdiff_t)call->value[1].size;
 
-    if (!(axis(call, 'k') == owned->bits && axis(call, 'N') == owned->order &&
-          axis(call, 'n') == owned->nodes && call->value[1].size < owned->order))
+    if (!(axis(call, 'k') == book->bits && axis(call, 'N') == book->order && axis(call, 'n') == book->nodes &&
+          call->value[1].size < book->order))
         return refuse(call, "chips: not of this book, or all of a bit late");
-    detector_loudness(sparse_detector(owned->sparse), call->value[0].data, call->value[2].size ? lateness : -lateness,
+    detector_loudness(sparse_detector(sparse), call->value[0].data, call->value[2].size ? lateness : -lateness,
                       call->value[3].data);
     Py_RETURN_NONE;
 }
 
 FUNCTION(learn, NUMBER("noise"), NUMBER("found"))
 {
-    struct owned *owned = held_by(call->self);
-
-    return PyFloat_FromDouble(sparse_learn(owned->sparse, call->value[0].number, call->value[1].number));
+    return PyFloat_FromDouble(sparse_learn(held_by(call->self), call->value[0].number, call->value[1].number));
 }
 
-static PyMethodDef sparse_methods[] = {ENTRY(detect), ENTRY(loudness), ENTRY(learn), {0}};
-
-static PyType_Slot sparse_slots[] = {
-    {Py_tp_new, Sparse},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, sparse_methods},
-    {0},
-};
-
-PyType_Spec sparse_spec = {
-    .name = "tactile_cdma._kernel.Sparse",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = sparse_slots,
-};
+CLASS(sparse_spec, Sparse, ENTRY(detect), ENTRY(loudness), ENTRY(learn));

@@ -73,7 +73,7 @@ enum edge_array { WHOLE, SHARE, NUMBER_OF, PLACES, EDGE_ARRAYS };
 struct owner {
     struct stream *stream;
     struct scanner *scanner;
-    PyObject *scanner_object, *transform, *sparse;
+    PyObject *transform, *sparse;
     Py_buffer given; /* the bytes that are used up next */
     Py_buffer rows, flips, spoke, edges[EDGE_ARRAYS];
     size_t chips; /* of a frame */
@@ -83,55 +83,20 @@ struct owner {
     uint8_t bytes[READER_SIZE];
 };
 
-static const struct field rules_fields[] = {
-    FIELD(stream_rules, frame.frame.bits),          FIELD(stream_rules, frame.frame.order),
-    FIELD(stream_rules, frame.frame.first),         FIELD(stream_rules, frame.frame.nodes),
-    FIELD(stream_rules, frame.frame.unipolar),      FIELD(stream_rules, frame.frame.swing),
-    FIELD(stream_rules, frame.frame.loudest_share), FIELD(stream_rules, frame.frame.active_share),
-    FIELD(stream_rules, frame.frame.spoken_over),   FIELD(stream_rules, frame.spare),
-    FIELD(stream_rules, frame.spare_count),         FIELD(stream_rules, frame.size),
-    FIELD(stream_rules, frame.whole_size),          FIELD(stream_rules, frame.chip),
-    FIELD(stream_rules, frame.least_power),         FIELD(stream_rules, frame.silent_power),
-    FIELD(stream_rules, frame.most_noise),
-    FIELD(stream_rules, frame.rail_low),            FIELD(stream_rules, frame.rail_high),
-    FIELD(stream_rules, frame.deafened),            FIELD(stream_rules, frame.carried_noise),
-    FIELD(stream_rules, frame.carried_misfit),      FIELD(stream_rules, frame.loud),
-    FIELD(stream_rules, frame.spread),              FIELD(stream_rules, frame.misfit),
-    FIELD(stream_rules, frame.left),                FIELD(stream_rules, frame.clear_spread),
-    FIELD(stream_rules, frame.chips),               FIELD(stream_rules, frame.few),
-    FIELD(stream_rules, frame.whole),               FIELD(stream_rules, frame.hiding),
-    FIELD(stream_rules, frame.kept),                FIELD(stream_rules, frame.rest),
-    FIELD(stream_rules, frame.at_rest),             FIELD(stream_rules, frame.tail_noise),
-    FIELD(stream_rules, frame.tail_scatter),        FIELD(stream_rules, frame.tail_level),
-    FIELD(stream_rules, frame.least_tail),          FIELD(stream_rules, frame.integrated),
-    FIELD(stream_rules, frame.mean_is_offset),      FIELD(stream_rules, frame.scrambled),
-    FIELD(stream_rules, frame.noise_share),         FIELD(stream_rules, frame.most_silent_noise),
-    FIELD(stream_rules, frame.silent_rise),         FIELD(stream_rules, frame.silent_more),
-    FIELD(stream_rules, marked),                    FIELD(stream_rules, in_blocks),
-    FIELD(stream_rules, heeds_calls),               FIELD(stream_rules, zero_count),
-    FIELD(stream_rules, volts_per_count),           FIELD(stream_rules, most_volts),
-    FIELD(stream_rules, gap_size),                  FIELD(stream_rules, least_rest),
-    FIELD(stream_rules, gap_weight),                FIELD(stream_rules, rise),
-    FIELD(stream_rules, rise_v2),                   FIELD(stream_rules, silent_over),
-    FIELD(stream_rules, rate_hz),                   FIELD(stream_rules, slack_s),
-    FIELD(stream_rules, slack),                     FIELD(stream_rules, gap_s),
-    FIELD(stream_rules, gaps),                      FIELD(stream_rules, least_gap_s),
-    FIELD(stream_rules, most_device_us),
-    FIELD(stream_rules, most_quiet),                FIELD(stream_rules, most_quiet_v2),
-};
+FIELDS(stream_rules, frame.frame.bits, frame.frame.order, frame.frame.first, frame.frame.nodes,
+       frame.frame.unipolar, frame.frame.swing, frame.frame.loudest_share, frame.frame.active_share,
+       frame.frame.spoken_over, frame.spare, frame.spare_count, frame.size, frame.whole_size, frame.chip,
+       frame.least_power, frame.silent_power, frame.most_noise, frame.rail_low, frame.rail_high, frame.deafened,
+       frame.carried_noise, frame.carried_misfit, frame.loud, frame.spread, frame.misfit, frame.left,
+       frame.clear_spread, frame.chips, frame.few, frame.whole, frame.hiding, frame.kept, frame.rest,
+       frame.at_rest, frame.tail_noise, frame.tail_scatter, frame.tail_level, frame.least_tail,
+       frame.integrated, frame.mean_is_offset, frame.scrambled, frame.noise_share, frame.most_silent_noise,
+       frame.silent_rise, frame.silent_more, marked, in_blocks, heeds_calls, zero_count, volts_per_count,
+       most_volts, gap_size, least_rest, gap_weight, rise, rise_v2, silent_over, rate_hz, slack_s, slack, gap_s,
+       gaps, least_gap_s, most_device_us, most_quiet, most_quiet_v2);
 
-static const struct field timing_fields[] = {
-    FIELD(stream_timing, due),         FIELD(stream_timing, over),
-    FIELD(stream_timing, uses),        FIELD(stream_timing, asks),
-    FIELD(stream_timing, has_frame),   FIELD(stream_timing, frame.chip),
-    FIELD(stream_timing, frame.until), FIELD(stream_timing, frame.heard),
-    FIELD(stream_timing, frame.tail),  FIELD(stream_timing, frame.tail_end),
-};
-
-const struct layout stream_layouts[STREAM_LAYOUTS] = {
-    LAYOUT(stream_rules, rules_fields),
-    LAYOUT(stream_timing, timing_fields),
-};
+FIELDS(stream_timing, due, over, uses, asks, has_frame, frame.chip, frame.until, frame.heard, frame.tail,
+       frame.tail_end);
 
 /* NULL with an exception while another thread is in a call. */
 static struct owner *free_one(const struct call *call)
@@ -143,6 +108,16 @@ static struct owner *free_one(const struct call *call)
     PyErr_SetString(PyExc_RuntimeError, "another thread follows this stream");
     return NULL;
 }
+
+/* A FUNCTION that nobody calls meanwhile, with its owner. */
+#define STREAM_FUNCTION(function, ...)                                                              \
+    static PyObject *function##_by(struct call *call, struct owner *owner);                         \
+    FUNCTION(function, __VA_ARGS__)                                                                 \
+    {                                                                                               \
+        struct owner *owner = free_one(call);                                                       \
+        return owner ? function##_by(call, owner) : NULL;                                           \
+    }                                                                                               \
+    static PyObject *function##_by(struct call *call, struct owner *owner)
 
 static void release(Py_buffer *buffer)
 {
@@ -166,7 +141,6 @@ static void drop_owner(void *held)
     release(&owner->rows);
     release(&owner->flips);
     release(&owner->spoke);
-    Py_XDECREF(owner->scanner_object);
     Py_XDECREF(owner->transform);
     Py_XDECREF(owner->sparse);
     release(&owner->given);
@@ -182,10 +156,9 @@ CONSTRUCTOR(Stream, OBJECT("scanner", "Scanner"))
     if (!owner)
         return PyErr_NoMemory();
     owner->scanner = call->value[0].data;
-    owner->scanner_object = Py_NewRef(call->given[0]);
     owner->stream = stream_new(owner->scanner);
     if (owner->stream)
-        return hold((PyTypeObject *)call->self, owner, drop_owner);
+        return hold(call, owner, drop_owner);
     drop_owner(owner);
     return PyErr_NoMemory();
 }
@@ -206,14 +179,10 @@ static bool is_possible(const struct stream_rules *rules, size_t bits, size_t or
 }
 
 /* flips: empty where no chips are flipped. */
-FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARRAY("flips", 'f', "*"),
+STREAM_FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARRAY("flips", 'f', "*"),
          OUT("rows", 'f', "kn"))
 {
     const struct stream_rules *rules = call->value[0].data;
-    struct owner *owner = free_one(call);
-
-    if (!owner)
-        return NULL;
     struct frame_code code = {.transform = call->value[1].data};
     size_t bits = axis(call, 'k'), order = axis(call, 'n');
     if (!(is_possible(rules, bits, order) && transform_order(code.transform) == order))
@@ -235,13 +204,9 @@ FUNCTION(describe, SETTINGS(stream_rules), OBJECT("transform", "Transform"), ARR
 }
 
 /* Frames are of sparse codes, which this takes apart. */
-FUNCTION(detect_by, OBJECT("sparse", "Sparse"), OUT("spoke", 'i', "n"))
+STREAM_FUNCTION(detect_by, OBJECT("sparse", "Sparse"), OUT("spoke", 'i', "n"))
 {
-    struct owner *owner = free_one(call);
-
-    if (!owner)
-        return NULL;
-    struct sparse *sparse = sparse_of(call->value[0].data);
+    struct sparse *sparse = call->value[0].data;
     if (!(axis(call, 'n') == sparse_book(sparse)->nodes &&
           stream_detect_by(owner->stream, sparse, call->value[1].data)))
         return refuse(call, "sparse, spoke: of no frame that was described");
@@ -252,27 +217,19 @@ FUNCTION(detect_by, OBJECT("sparse", "Sparse"), OUT("spoke", 'i', "n"))
     Py_RETURN_NONE;
 }
 
-FUNCTION(forget)
+STREAM_FUNCTION(forget)
 {
-    struct owner *owner = free_one(call);
-
-    if (!owner)
-        return NULL;
     stream_describe(owner->stream, NULL, NULL, NULL);
     Py_RETURN_NONE;
 }
 
-FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share", 'd', "e"),
+STREAM_FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share", 'd', "e"),
          ARRAY("number", 'd', "g"), ARRAY("places", 'i', "c"))
 {
     const struct stream_timing *timing = call->value[0].data;
     const struct frame_edges edges = {
         {axis(call, 'e'), call->value[1].data, call->value[2].data, call->value[3].data},
         call->value[4].data};
-    struct owner *owner = free_one(call);
-
-    if (!owner)
-        return NULL;
     if (!(timing->due && timing->due <= STREAM_MOST_SAMPLES && timing->over <= STREAM_MOST_SAMPLES))
         return refuse(call, "due, over: beyond what a frame may have");
     if (timing->has_frame &&
@@ -290,12 +247,8 @@ FUNCTION(carry, SETTINGS(stream_timing), ARRAY("whole", 'i', "e"), ARRAY("share"
 
 /* ---- bytes ------------------------------------------------------------------------------------- */
 
-FUNCTION(give, ARRAY("data", 'B', "*"), NUMBER("t_host"), FLAG("backlog"))
+STREAM_FUNCTION(give, ARRAY("data", 'B', "*"), NUMBER("t_host"), FLAG("backlog"))
 {
-    struct owner *owner = free_one(call);
-
-    if (!owner)
-        return NULL;
     if (stream_left(owner->stream)) {
         PyErr_SetString(PyExc_RuntimeError, "other bytes are not used up");
         return NULL;
@@ -309,12 +262,8 @@ FUNCTION(give, ARRAY("data", 'B', "*"), NUMBER("t_host"), FLAG("backlog"))
     Py_RETURN_NONE;
 }
 
-FUNCTION(end)
+STREAM_FUNCTION(end)
 {
-    struct owner *owner = free_one(call);
-
-    if (!owner)
-        return NULL;
     stream_conclude(owner->stream);
     Py_RETURN_NONE;
 }
@@ -380,16 +329,13 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
 
 /* The next event: from the bytes that were given and, if file is not negative, from those that are read
  * there within timeout_ms. Returns (event, subject, passed, t_host, backlog). */
-FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
+STREAM_FUNCTION(next, NUMBER("file"), SIZE("timeout_ms"))
 {
     int file = call->value[0].number >= 0 ? (int)call->value[0].number : -1;
-    struct owner *owner = free_one(call);
     enum stream_event event;
     ptrdiff_t size = 1;
     int failure = 0;
 
-    if (!owner)
-        return NULL;
     struct stream *stream = owner->stream;
     double left_ms = call->value[1].size < 3600000 ? (double)call->value[1].size : 3600000;
     scanner_tell(owner->scanner); /* others see a packet counted once what it gave was taken in */
@@ -430,13 +376,10 @@ static PyObject *answered(const struct call *call, bool is)
 }
 
 /* Returns whether a frame was cut short. */
-FUNCTION(place, SIZE("answer"), OBJECT("origin", NULL), FLAG("anew"), NUMBER("mean"), NUMBER("variance"))
+STREAM_FUNCTION(place, SIZE("answer"), OBJECT("origin", NULL), FLAG("anew"), NUMBER("mean"), NUMBER("variance"))
 {
-    struct owner *owner = free_one(call);
     bool cut_short;
 
-    if (!owner)
-        return NULL;
     unsigned long long origin = PyLong_AsUnsignedLongLong(call->given[1]);
     if (PyErr_Occurred())
         return NULL;
@@ -448,11 +391,9 @@ FUNCTION(place, SIZE("answer"), OBJECT("origin", NULL), FLAG("anew"), NUMBER("me
     return Py_NewRef(flag(cut_short));
 }
 
-FUNCTION(open, SIZE("due"))
+STREAM_FUNCTION(open, SIZE("due"))
 {
-    struct owner *owner = free_one(call);
-
-    return owner ? answered(call, stream_open(owner->stream, call->value[0].size)) : NULL;
+    return answered(call, stream_open(owner->stream, call->value[0].size));
 }
 
 /* A stream index of a call; -1 for none, or none that can be. */
@@ -463,60 +404,25 @@ static int64_t index_of(const struct call *call, size_t argument)
     return index >= 0 && index < (double)(1LL << 53) ? (int64_t)index : -1;
 }
 
-FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"), NUMBER("noise"))
+STREAM_FUNCTION(decide, NUMBER("due"), NUMBER("over"), NUMBER("level"), NUMBER("noise"))
 {
-    struct owner *owner = free_one(call);
-
-    return owner ? answered(call, stream_decide(owner->stream, index_of(call, 0), index_of(call, 1),
-                                                call->value[2].number, call->value[3].number))
-                 : NULL;
+    return answered(call, stream_decide(owner->stream, index_of(call, 0), index_of(call, 1),
+                                        call->value[2].number, call->value[3].number));
 }
 
-FUNCTION(look, NUMBER("due"))
+STREAM_FUNCTION(look, NUMBER("due"))
 {
-    struct owner *owner = free_one(call);
-
-    return owner ? answered(call, stream_look(owner->stream, index_of(call, 0))) : NULL;
+    return answered(call, stream_look(owner->stream, index_of(call, 0)));
 }
 
-static PyMethodDef methods[] = {
-    ENTRY(describe), ENTRY(detect_by), ENTRY(forget), ENTRY(carry), ENTRY(give),   ENTRY(end),
-    ENTRY(next),     ENTRY(place),     ENTRY(open),   ENTRY(look),  ENTRY(decide), {0},
-};
-
-static PyType_Slot slots[] = {
-    {Py_tp_new, Stream},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, methods},
-    {0},
-};
-
-PyType_Spec stream_spec = {
-    .name = "tactile_cdma._kernel.Stream",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = slots,
-};
+CLASS(stream_spec, Stream, ENTRY(describe), ENTRY(detect_by), ENTRY(forget), ENTRY(carry), ENTRY(give), ENTRY(end),
+      ENTRY(next), ENTRY(place), ENTRY(open), ENTRY(look), ENTRY(decide));
 
 /* ---- Readout ----------------------------------------------------------------------------------- */
 
-enum { SKIN_ARRAYS = 19 };
-
-struct reader_of_skin {
-    struct readout *readout;
-    Py_buffer arrays[SKIN_ARRAYS];
-};
-
 static void drop_readout(void *held)
 {
-    struct reader_of_skin *reader = held;
-
-    if (reader->readout)
-        readout_free(reader->readout);
-    for (size_t i = 0; i < SKIN_ARRAYS; i++)
-        if (reader->arrays[i].obj)
-            PyBuffer_Release(&reader->arrays[i]);
-    PyMem_Free(reader);
+    readout_free(held);
 }
 
 CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
@@ -553,16 +459,7 @@ CONSTRUCTOR(Readout, SETTINGS(readout_settings), ARRAY("sign_mask", 'i', "n"),
           frame->first <= frame->order && frame->nodes <= frame->order - frame->first &&
           settings->spare <= frame->order && settings->spare_count <= frame->order - settings->spare))
         return refuse(call, "the settings do not fit each other, or the arrays");
-    struct reader_of_skin *reader = PyMem_Calloc(1, sizeof *reader);
-    if (!reader)
-        return PyErr_NoMemory();
-    for (size_t i = 0; i < SKIN_ARRAYS; i++)
-        reader->arrays[i] = keep(call, i + 1);
-    reader->readout = readout_new(settings, &skin);
-    if (reader->readout)
-        return hold((PyTypeObject *)call->self, reader, drop_readout);
-    drop_readout(reader);
-    return PyErr_NoMemory();
+    return hold(call, readout_new(settings, &skin), drop_readout);
 }
 
 /* only_these: rows are those of the nodes that spoke; see words_read_some. */
@@ -572,8 +469,8 @@ FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_th
          OUT("floats", 'f', "3n"), OUT("doubts", '?', "3n"), OUT("readings", 'f', "2t"),
          OUT("status", 'B', "t"), OUT("rest", 'f', "2n"), OUT("valid", '?', "n"))
 {
-    struct reader_of_skin *reader = held_by(call->self);
-    const struct readout_settings *settings = readout_settings(reader->readout);
+    struct readout *readout = held_by(call->self);
+    const struct readout_settings *settings = readout_settings(readout);
     const union value *v = call->value;
     size_t nodes = axis(call, 'n');
     uint8_t *doubts = v[13].data;
@@ -606,24 +503,10 @@ FUNCTION(read, ARRAY("rows", 'f', "kN"), ARRAY("spoke", 'i', "m"), FLAG("only_th
         in_range = in_range && spoke[i] >= 0 && (size_t)spoke[i] < nodes;
     if (!in_range)
         return refuse(call, "spoke: beyond the nodes");
-    return PyLong_FromLong(readout_read(reader->readout, v[0].data, v[2].size ? spoke : NULL,
+    return PyLong_FromLong(readout_read(readout, v[0].data, v[2].size ? spoke : NULL,
                                         axis(call, 'm'), (float)v[3].number, (float)v[4].number,
                                         v[5].size, v[6].number, v[7].number, v[8].data, v[9].data,
                                         &frame));
 }
 
-static PyMethodDef readout_methods[] = {ENTRY(read), {0}};
-
-static PyType_Slot readout_slots[] = {
-    {Py_tp_new, Readout},
-    {Py_tp_dealloc, drop_holder},
-    {Py_tp_methods, readout_methods},
-    {0},
-};
-
-PyType_Spec readout_spec = {
-    .name = "tactile_cdma._kernel.Readout",
-    .basicsize = sizeof(struct holder),
-    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
-    .slots = readout_slots,
-};
+CLASS(readout_spec, Readout, ENTRY(read));

@@ -43,13 +43,8 @@ def test_a_node_finds_its_board_by_usb_number_on_whichever_port(
 ) -> None:
     kernel: list[tuple[str, str]] = []
     monkeypatch.setattr(list_ports, "comports", lambda: [usb_port(*port) for port in kernel])
-    with (
-        plugged(board(1)) as first,
-        running(port="usb://0A", digitizer_id=board_id(1)) as (
-            node,
-            client,
-        ),
-    ):
+    wanted = {"port": "usb://0A", "digitizer_id": board_id(1)}
+    with plugged(board(1)) as first, running(**wanted) as (node, client):
         wait_for(lambda: client.says("USB serial number"))
         kernel[:] = [(first, "0A")]
         node._start()
