@@ -17,9 +17,9 @@ from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.driver.session import Session
-from tactile_cdma.hardware.node_image import node_image
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.hardware.numbering import TALKING_FRAMES, Numbering
+from tactile_cdma.hardware.programmer import node_image
 from tactile_cdma.places.layout_file import read_layout
 from tactile_cdma.places.layout_nodes import Wiring
 from tactile_cdma.words.decode import silent

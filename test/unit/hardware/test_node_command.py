@@ -157,11 +157,6 @@ def test_nodes_too_silent_for_the_driver_are_warned_of(
         ("--node all -o d --programmer usbasp", "--node is all"),
         ("--node 1 -o a.hex --timing gap", "timing is 'gap'"),  # it would hear no pulse
         ("--node 1 -o a.hex --bits 12", "bits is 12"),
-        ("--node 1 -o a.hex --frame-period-ms 10.5", "takes 1 ms to measure"),
-        (
-            "--node 1 -o a.hex --mcu attiny85 --order 1032 --frame-period-ms 600",
-            "the attiny85 holds no longer code row",
-        ),
         ("--read no.hex", "no.hex: No such file"),
         ("--read blank.bin", "blank.bin: the memory is blank"),
         ("--read file.hex", "file.hex: line 1: 'words' is not an Intel HEX record"),
