@@ -71,7 +71,7 @@ def enumerate_nodes(
     tell(KEYS)
     port.write(session.open())
     try:
-        while numbering.asked is not None or numbering.forgets:
+        while numbering.asked is not None or numbering.request.forget:
             data, now_s = port.read()
             heard_s = min(heard_s, now_s)
             for frame in pipeline.feed(data, now_s):
