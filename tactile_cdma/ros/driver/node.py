@@ -175,7 +175,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stream."""
         assert self._rest is not None and self._watch is not None
         result = super().on_activate(state)
         config, spec = self._rest.config, self._rest.config.spec
@@ -212,7 +211,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything."""
         self.release()
         return super().on_shutdown(state)
 
