@@ -3,8 +3,8 @@
 """The digitizer's clock, and what is due by it: a report every second, and a stream's packets."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 from .packets import Block
 
@@ -31,17 +31,20 @@ class Schedule:
         self.born_s = self._host_s = clock()
         self.now_s = self.started_s = self.report_s = 0.0
         self.streaming = self.hurried = False
-        self._steps: Iterator[_Step] = iter(())
-        self._next = _Step(math.inf)
+        self._blocks: Iterator[Block] = iter(())
+        self._ready = deque[Block]()  # computed, and not sent yet
+        self._compute_s = math.inf  # when the next ones are to be computed, s since START
+        self._begins = False  # those are of a new frame, where frames are marked
 
     @property
     def due_s(self) -> float:
-        return min(self.report_s, self.started_s + self._next.due_s)
+        due_s = self._ready[0].due_s if self._ready else self._compute_s
+        return min(self.report_s, self.started_s + due_s)
 
     @property
     def frame_is_due(self) -> bool:
         """Whether what is due next is to compute a new frame; where frames are marked."""
-        return self._next.begins and self.due_s != self.report_s
+        return not self._ready and self._begins and self.due_s != self.report_s
 
     @property
     def wait_s(self) -> float:
@@ -57,13 +60,14 @@ class Schedule:
         return host_s
 
     def start(self, blocks: Iterator[Block]) -> None:
-        self._steps = _steps(blocks, _PREPARE_S if self._speed else 0.0)
-        self._next = next(self._steps)
+        self._blocks, self._compute_s, self._begins = blocks, 0.0, True
+        self._ready.clear()
         self.started_s = self.now_s
         self.streaming, self.hurried = True, self._speed == 0
 
     def stop(self) -> None:
-        self._next = _Step(math.inf)
+        self._ready.clear()
+        self._compute_s, self._begins = math.inf, False
         self.streaming = self.hurried = False
 
     def skip(self, seconds: float) -> None:
@@ -72,33 +76,17 @@ class Schedule:
         self.report_s = max(self.report_s, self.now_s)
 
     def take(self) -> Block | None:
-        """What is due next of the stream: a packet, or nothing but computing the next ones."""
-        step, self._next = self._next, next(self._steps)
-        return step.block
+        """What is due next of the stream: a packet, or nothing but computing the next ones.
 
-
-class _Step(NamedTuple):
-    """due_s: s since START. block: to be sent; None: the samples after it are to be computed.
-
-    begins: those are of a new frame, where frames are marked.
-    """
-
-    due_s: float
-    block: Block | None = None
-    begins: bool = False
-
-
-def _steps(blocks: Iterator[Block], prepare_s: float) -> Iterator[_Step]:
-    """Computes the blocks that are sent next, with the one that a waiting block waits for.
-
-    Without a pause (prepare_s) nothing waits: no frame is computed before it is asked for.
-    """
-    due_s, begins = 0.0, True
-    while True:
-        yield _Step(due_s, begins=begins)
-        ready = [next(blocks)]
-        while ready[-1].waits and prepare_s:
-            ready.append(next(blocks))
-        for block in ready:
-            yield _Step(block.due_s, block)
-        due_s, begins = ready[-1].due_s + prepare_s, ready[-1].last
+        With a block that waits comes the one that it waits for. Where packets are made as they are
+        asked for nothing waits: no frame is computed before.
+        """
+        if self._ready:
+            return self._ready.popleft()
+        self._ready.append(next(self._blocks))
+        while self._ready[-1].waits and self._speed:
+            self._ready.append(next(self._blocks))
+        last = self._ready[-1]
+        self._compute_s = last.due_s + (_PREPARE_S if self._speed else 0.0)
+        self._begins = last.last
+        return None
