@@ -115,9 +115,9 @@ class SkinBatch:
         self._sensors, self._rules = options.sensors, options.rules(spec)
         self._stale_frames = math.floor(config.stale_after_s / spec.frame_period_s + 1e-6)
         self._tables = _Tables.of(config, options, argument("tared", tared, False))
-        self._here: _Tables | None = None  # the same as arrays of the kind that begin was given
+        self._here = self._tables  # from begin on as arrays of the kind that it was given
         self._xp: Any = None
-        self._kind: type = type(None)  # of these arrays; another one may be of the same library
+        self._kind: type | None = None  # of these arrays; another one may be of the same library
 
     def begin(self, like: Array, heard: bool = True) -> BatchState:
         """The state of untouched skins, and from now on arrays of like's kind, device and type.
@@ -154,7 +154,6 @@ class SkinBatch:
         """
         self._check_state("state", state)
         xp, here, rules = self._xp, self._here, self._rules
-        assert here is not None
         self._check_array("pressure_pa", pressure_pa)
         is_known = xp.isfinite(pressure_pa)
         if deviates is not None:
@@ -200,7 +199,6 @@ class SkinBatch:
     def _measured(self, pressure_pa: Array, deviates: Array | None) -> Array:
         """What the converters read, (e, t) integers."""
         xp, here, noise_v = self._xp, self._here, self._sensors.noise_v
-        assert here is not None
         voltage_v = here.rest_v
         for low_pa, high_pa, width_pa, rise_v in here.pieces:
             within_pa = xp.minimum(xp.maximum(pressure_pa, low_pa), high_pa)
@@ -217,7 +215,6 @@ class SkinBatch:
     def _published(self, number: Array, codes: Array, active: Array, heard: Array) -> BatchFrame:
         """What Taxels makes of these words."""
         xp, here = self._xp, self._here
-        assert here is not None
         place = xp.reshape(codes * self.taxels + here.column, (-1,))
         stale = number - heard > self._stale_frames
         pressure_pa = xp.reshape(xp.take(here.pressure_pa, place), codes.shape)
@@ -232,7 +229,6 @@ class SkinBatch:
 
     def _check_array(self, name: str, array: Array) -> None:
         """Raises ParameterError unless it is one of those that begin prepared for."""
-        assert self._here is not None
         shape, kind = (self.envs, self.taxels), self._here.zero.dtype
         same = is_array(unmasked(name, array), shape) and (
             type(array) is self._kind or array_api().array_namespace(array) is self._xp
@@ -245,7 +241,7 @@ class SkinBatch:
 
     def _check_state(self, name: str, state: BatchState) -> None:
         """Raises ParameterError unless it is one of this batch's, as it was begun last."""
-        if self._here is None:
+        if self._kind is None:
             raise ParameterError("call SkinBatch.begin first: it says of which kind arrays are")
         instance(name, state, BatchState)
         self._check_array(f"{name}.lagged_pa", state.lagged_pa)
