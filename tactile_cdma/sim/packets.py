@@ -111,18 +111,14 @@ class _Cutter:
         end = len(counts)
         frame_size = min(self.frame_size, end) if marked else 0
         silent = frame_size > 0 and self._quiet(counts[:frame_size])
-        if silent:
-            yield 0, frame_size, True, False
-        else:
-            for start in range(0, frame_size, MAX_SAMPLES):
-                yield start, min(start + MAX_SAMPLES, frame_size), False, False
-        gap = counts[frame_size:]
-        if silent and gap.size and self._quiet(gap):
-            yield frame_size, end, True, True
-        else:
-            for start in range(frame_size, end, self.gap_size):
-                stop = min(start + self.gap_size, end)
-                yield start, stop, self._quiet(counts[start:stop]), False
+        waits = silent and frame_size < end and self._quiet(counts[frame_size:])
+        most = frame_size if silent else MAX_SAMPLES
+        for start in range(0, frame_size, most):
+            yield start, min(start + most, frame_size), silent, False
+        most = end if waits else self.gap_size
+        for start in range(frame_size, end, most):
+            stop = min(start + most, end)
+            yield start, stop, self._quiet(counts[start:stop]), waits
 
     def _quiet(self, counts: Counts) -> bool:
         """Whether the samples differ by so little that a Quiet stands for them."""
