@@ -40,7 +40,7 @@ from tactile_cdma.clocks.decorrelate import Decorrelator
 from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
 from tactile_cdma.clocks.roll_call import RollCallListener
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels, separate
+from tactile_cdma.code.separate import NodeLevels
 from tactile_cdma.config.parameters import GAP, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
@@ -53,6 +53,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire.messages import FrameLayout, Start
 from tactile_cdma.wire.packets import PacketWriter
+from test.support.correlations import separate
 from test.support.simulated import configuration
 
 RHO = 15.0

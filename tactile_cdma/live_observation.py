@@ -223,10 +223,7 @@ class LiveObservation:
                 self._present.add(sample)
 
     def at(self, time_ns: int) -> dict[str, NDArray[Any]]:
-        """The observation of a moment, Unix time, of what was taken; not before the last one's.
-
-        Raises ObservationError as read().
-        """
+        """The observation of a moment, Unix time, not before the last one's; raises as read()."""
         time_ns = argument("time_ns", time_ns, 0, WHOLE_NS, "ns")
         row = self._present.row(Tick(time_ns, 0, self._present.done_ns))
         streams = self._meta.streams.values()

@@ -117,10 +117,7 @@ class Frame:
 
     @property
     def wrench(self) -> Floats:
-        """(6,) resultant force on the skin, N, and torque about its frame's origin, N·m.
-
-        NaN while it is not known, as in ~/wrench.
-        """
+        """(6,) force on the skin, N, and torque about its frame's origin, N·m; NaN: unknown."""
         return self._found.wrench
 
     @property
@@ -300,10 +297,7 @@ class Skin:
             return inbox.first()
 
     def newest(self) -> Frame:
-        """The newest frame that was not returned yet, waited for; older ones are skipped.
-
-        Raises as read().
-        """
+        """The newest frame not returned yet, waited for; skips older ones. Raises as read()."""
         with self._awaited() as inbox:
             return inbox.all()[-1]
 

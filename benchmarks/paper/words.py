@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tactile_cdma.code.encode import line_chips
-from tactile_cdma.code.separate import separate
 from tactile_cdma.commands.cli import main as tactile_cdma
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.channel import Channel
+from test.support.correlations import separate
 from test.support.simulated import scope_capture
 
 from .claims import Claim, says

@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 from emulated import Amplifier, Node
 from skin import NOISE_V, SUPPLY_V, reference_nodes
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_image import node_image
 from tactile_cdma.hardware.passive import PassiveLine
+from tactile_cdma.hardware.programmer import node_image
 
 UNO_OHM, UNO_V = 1.5, 5.0
 """Of an Arduino of 5 V among those of 3.3 V: its Rin over theirs, so that it is as loud."""

@@ -22,12 +22,10 @@ from ..code.frame import FrameSpec
 MAX_DELAY = 4.0
 """Largest believable delay of a node, chips. Chosen: four times what a roll call searches."""
 MAX_CLOCK_ERROR = 0.03
-"""Largest believable relative error of a node's clock. Chosen: half above what a roll call
-searches."""
+"""Largest believable relative error of a node's clock. Chosen: half more than is searched for."""
 HARMLESS = 0.06
-"""Crosstalk of plain correlation, RMS relative to a node's amplitude, below which clocks need no
-decorrelation: it adds 13 % to the power of noise at ρ = 6, (0.06·6)², and five of its deviations
-are a third of an amplitude."""
+"""Crosstalk of plain correlation, RMS in a node's amplitudes, below which clocks need no
+decorrelation: at ρ = 6 it adds 13 % to the power of noise, (0.06·6)²; five deviations are 0.3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +36,7 @@ class NodeClocks:
     rate_error: (n,) float64, duration of a chip over nominal, minus 1.
     known: (n,) bool, False where the entries are a guess.
 
-    Raises SpecError for different shapes and for values beyond MAX_DELAY and MAX_CLOCK_ERROR.
+    Raises SpecError for values beyond MAX_DELAY and MAX_CLOCK_ERROR.
     """
 
     delay_chips: Floats
@@ -50,13 +48,6 @@ class NodeClocks:
             value = np.array(getattr(self, name), dtype=kind)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if self.delay_chips.ndim != 1 or not (
-            self.delay_chips.shape == self.rate_error.shape == self.known.shape
-        ):
-            raise SpecError(
-                f"delay_chips, rate_error and known have shapes {self.delay_chips.shape}, "
-                f"{self.rate_error.shape} and {self.known.shape}; all must be (nodes,)"
-            )
         for name, limit in (("delay_chips", MAX_DELAY), ("rate_error", MAX_CLOCK_ERROR)):
             wrong = np.flatnonzero(~(np.abs(getattr(self, name)) <= limit))
             if wrong.size:

@@ -3,8 +3,7 @@
 """Line timing for nodes with clocks of their own: roll calls, and decorrelation where needed.
 
 Until a roll call has shown otherwise, all nodes are taken to share one clock. Afterwards their
-clocks decide: where plain correlation is good enough it stays, else frames are taken apart by
-least squares.
+clocks decide between plain correlation, where that is good enough, and least squares.
 """
 
 import math

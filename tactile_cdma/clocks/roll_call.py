@@ -30,14 +30,11 @@ from .sampling import RunningSum
 LARGEST_DELAY = 1.0
 """Largest delay that is searched for, chips. Chosen: a node starts within its first chip."""
 LARGEST_RATE_ERROR = 0.02
-"""Largest relative clock error that is searched for. Chosen: about what calibrated RC oscillators
-of microcontrollers keep."""
+"""Largest relative clock error searched for. Chosen: calibrated RC oscillators keep about that."""
 HEARD = 4.0
-"""ρ from which on a node counts as heard; the best of 10⁴ candidates about noise alone reaches
-2."""
+"""ρ from which on a node counts as heard; the best of 10⁴ candidates in noise alone has 2."""
 MAX_LEFT = 0.15
-"""Power beyond noise that a lone node may leave unexplained, relative to its own. Chosen, as
-limits.misfit."""
+"""Power beyond noise that a lone node may leave over, of its own. Chosen, as limits.misfit."""
 _PIECE = 16
 """Chips that are correlated at one displacement: at LARGEST_RATE_ERROR they drift by 0.32 chip."""
 _WIDEST, _FINEST = 0.087, 0.004
@@ -90,10 +87,8 @@ class RollCallListener:
         """Measure the clock of a node, counted from 0, in its frame; a refused clock is not kept.
 
         samples: (≥ self.samples,) V, from the sync edge on, gap level removed. noise_rms_v: of one
-        sample in the gap. Raises SpecError where samples are missing.
+        sample in the gap.
         """
-        if samples.size < self.samples:
-            raise SpecError(f"{samples.size} samples of a roll-call frame; it takes {self.samples}")
         line = np.asarray(samples[: self.samples], dtype=np.float64)
         # One row at a time: those of all nodes of a large skin are gigabytes.
         (row,) = self.spec.book.rows([self.spec.rows[node]])
@@ -163,8 +158,7 @@ class RowSearch:
     def explained(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Mean magnitude of the bits' amplitudes, V, and samples per bit; begin, end: (h,) chips.
 
-        Samples are counted in fractions: otherwise a shorter frame would be favoured over a longer
-        one that looks the same.
+        Samples count in fractions: else a shorter frame would win over a longer one that is alike.
         """
         rate = 1 + (end - begin) / self.chips
         edges = begin[:, None] + rate[:, None] * np.arange(self.chips + 1)

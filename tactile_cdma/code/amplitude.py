@@ -9,11 +9,9 @@ import numpy as np
 from ..base.arrays import Bools, Floats32
 
 ACTIVE_SHARE = 0.5
-"""A node spoke where the mean of |r| over its word exceeds this share of its amplitude: halfway
-between silence and speech."""
+"""A node spoke where its word's mean |r| exceeds this share of its amplitude: midway to silence."""
 FAINT_SHARE = 0.25
-"""Share of a node's amplitude below which nothing is taken for a node: half of it may be one, a
-quarter is none. Chosen."""
+"""Share of a node's amplitude below which nothing is taken for one: half of it may be. Chosen."""
 LEAST_SHARE = 0.1
 """Share of a node's amplitude below which nothing is asked of what is on its row. Chosen: what
 sound lines leave there (edges, hum of a third of an amplitude, droop) stays below."""
@@ -81,8 +79,7 @@ def pooled_noise(noise: float, silent: Floats32, bits: int) -> float:
 def usual_amplitude(mean: Floats32) -> Floats32:
     """Amplitude of a sound node, V, from mean |r| of all nodes: (…, n) to (…, 1).
 
-    The loudest word may be that of two or three nodes on one row. So it is that of the second of at
-    least three loud words.
+    The loudest word may be that of two or three on one row: the second of three loud ones counts.
     """
     loudest: Floats32 = mean.max(axis=-1, keepdims=True)
     if mean.shape[-1] < 3:

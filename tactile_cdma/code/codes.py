@@ -31,11 +31,9 @@ MOST_FACTOR = 1024
 """Largest factor of a book. Chosen: a product with larger ones takes longer than a chip more or two
 cost, and every order up to it that has a matrix stays."""
 SMALL_FACTOR = 100
-"""Largest factor of books that are several times cheaper to correlate than others (make
-bench-speed)."""
+"""Largest factor of books that are several times cheaper to correlate (make bench-speed)."""
 MOST_EXTRA = 0.02
-"""Share by which a default order may exceed the smallest one to have small factors. Chosen: frames
-get longer by as much."""
+"""Share by which a default order, and a frame, may be longer to have small factors. Chosen."""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ been made of these levels (Onsager's term); then they are hard, with the amplitu
 Who spoke in the frame before, and how loud, is where the next one begins: it saves a turn or two,
 and decides nothing, because words that do not fit leave more than noise.
 
-The level of the line is one unknown more. The result is a claim that whoever asked has to check:
-what is left says how good it is.
+The line's level is one unknown more. The result is a claim: what is left says how good it is.
 """
 
 from collections.abc import Mapping

@@ -28,8 +28,7 @@ LEAST_SCRAMBLED = 4
 DEFAULT_AMPLITUDE_V = 0.3
 """Level of one node on the line, V, in the paper: about 300 mV."""
 MAX_STRETCH = 0.11
-"""Largest relative stretch of a frame that is searched for. The paper's hardware reaches 0.10 (8.0
-to 8.8 ms); the rest is margin."""
+"""Largest relative stretch that is searched for: the paper's 0.10 (8.0 to 8.8 ms) and a margin."""
 MEASURING_S = 1e-3
 """Least gap after a frame, s, in which nodes measure and get ready for the next sync edge."""
 _RANGES = {

@@ -40,13 +40,8 @@ class Paley:
         """Whether this is construction II."""
         return self.q % 4 == 1
 
-    @property
-    def order(self) -> int:
-        """Number of rows."""
-        return (self.q + 1) * (2 if self.doubled else 1)
-
     def rows(self, indices: Indices) -> NDArray[np.int8]:
-        """Some rows, (len(indices), order) int8 of ±1."""
+        """Some rows, (len(indices), N) int8 of ±1."""
         if not self.doubled:
             rows = self._core_rows(indices)
             rows[np.arange(len(indices)), indices] += 1
@@ -56,7 +51,7 @@ class Paley:
         rows = (self._core_rows(half)[:, :, None] * sylvester[:, None, :]).astype(np.int8)
         rows[np.arange(len(half)), half] = np.array([[1, -1], [-1, -1]], dtype=np.int8)[odd]
         rows[:, 0, 1] *= -1
-        return rows.reshape(len(indices), self.order)
+        return rows.reshape(len(indices), 2 * (self.q + 1))
 
     def _core_rows(self, indices: Indices) -> NDArray[np.int8]:
         """Rows of S, (len(indices), q + 1) int8."""

@@ -14,11 +14,9 @@ from ..base.arrays import Floats32, Int32s
 from ..base.stage import stage
 from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .frame import UNIPOLAR, FrameSpec
-from .transform import rows_of
 
 SPOKEN_OVER = 2.2
-"""Mean |r| of a word over the standard deviation of its levels, above which it was spoken. Chosen:
-noise, folded, has 1.3."""
+"""Mean |r| over the deviation of |r| of a word that was spoken. Chosen: noise, folded, has 1.3."""
 
 
 @stage
@@ -26,19 +24,16 @@ class NodeLevels:
     """The nodes' levels in one frame.
 
     values: (k, n) float32, V: correlation of every node's row in every bit; ±a where the node
-        spoke, with row signs and the amplifier's polarity still applied. A part of rows, if these
-        are given.
+        spoke, with row signs and the amplifier's polarity applied. A part of rows, if given.
     noise_v: rms noise of one value, V.
     unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
-    rows: (k, N) float32, V: correlations of all rows; None where nodes are not taken apart by
-        correlation.
+    rows: (k, N) float32, V: correlations of all rows; None where least squares give the values.
     Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
     late: nodes, counted from 0, whose words were found in chips that are read early or late.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
     spoke: (m,) int32, nodes, counted from 0, whose values are not all 0, in any order; None: any.
         Without rows, values are theirs only, (k, m); see whole. Lent, as rows are.
-    understood: though the frame is in doubt, nearly all words are those that were sent, and tell of
-        their nodes.
+    understood: nearly all words are those that were sent, even if the frame is in doubt.
     """
 
     values: Floats32
@@ -57,14 +52,6 @@ class NodeLevels:
         rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
         rows[:, spec.rows[self.spoke]] = self.values
         return replace(self, values=rows[:, spec.node_slice], rows=rows)
-
-
-def separate(chips: Floats32, spec: FrameSpec) -> NodeLevels:
-    """Take the nodes of one frame apart by correlation.
-
-    chips: (k, N) float32, V, free of DC if row 0 is assigned.
-    """
-    return node_levels(rows_of(chips, spec), spec)
 
 
 def node_levels(rows: Floats32, spec: FrameSpec, level_known: bool = True) -> NodeLevels:

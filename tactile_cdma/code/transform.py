@@ -4,9 +4,8 @@
 
 A book is a Kronecker product A ⊗ B ⊗ …, so correlating means multiplying each axis of the chips,
 seen as an array of shape (a, b, …), by its own small matrix: O(N·(a + b + …)) instead of O(N²).
-Each stage multiplies the slowest axis and leaves it as the fastest one, which costs no copy, as
-BLAS reads transposed matrices; after the last stage the axes are back in order. Small factors are
-merged to blocks that suit BLAS.
+Each stage multiplies the slowest axis and leaves it as the fastest one, without a copy, as BLAS
+reads transposed matrices; at last the axes are in order again. Small factors are merged for BLAS.
 
 The compiled kernel (kernel/transform.h) does the same with fewer operations.
 """

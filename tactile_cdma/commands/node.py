@@ -14,7 +14,6 @@ from ..config.parameters import DEFAULTS, Values
 from ..config.skin_config import SkinConfig
 from ..framing.sparse_timing import capacity, groups_for_all
 from ..hardware import programmer
-from ..hardware.node_image import node_image
 from ..hardware.node_memory import (
     CRYSTALS_MHZ,
     MCUS,
@@ -108,7 +107,8 @@ def run(arguments: argparse.Namespace) -> int:
     crystal_mhz = arguments.crystal_mhz or CRYSTALS_MHZ[0]
     for path, content in zip(paths, contents, strict=True):
         if of_flash:
-            programmer.write_image(path, node_image(mcu, content, crystal_mhz, arguments.image))
+            image = programmer.node_image(mcu, content, crystal_mhz, arguments.image)
+            programmer.write_image(path, image)
         else:
             programmer.write_memory(path, *content)
     if arguments.threshold:

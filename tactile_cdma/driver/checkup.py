@@ -226,10 +226,8 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
 
 def source(watch: SourceWatch) -> Iterator[Finding]:
     """Who measures: that it is a board, and still the same one."""
-    if unasked := watch.unasked:
-        yield Finding(unasked, event=True)
-    if exchange := watch.take_exchange():
-        yield Finding(exchange, event=True)
+    texts = watch.unasked, watch.take_exchange()
+    yield from (Finding(text, event=True) for text in texts if text)
 
 
 def host(window: Window, drivers: int) -> Iterator[Finding]:
@@ -259,10 +257,7 @@ def rivals(drivers: int) -> str:
 
 
 def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
-    """The node that stands out of the noise least, of those that are heard, and its ρ = √N·a/σ.
-
-    0 and NaN if unknown.
-    """
+    """The heard node that stands out least of the noise, and its ρ = √N·a/σ; 0, NaN if unknown."""
     amplitude_v = pipeline.health.amplitude_v
     amplitude_v[np.array(pipeline.taxels.missing, np.intp) - 1] = np.nan
     if np.isnan(amplitude_v).all() or not window.noise_rms_v > 0:

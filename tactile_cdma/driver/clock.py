@@ -102,10 +102,7 @@ class FrameTimes:
     """
 
     def __init__(self, counters: StreamCounters, clocks: Callable[[], DeviceClock]) -> None:
-        """counters: where samples and frames are counted.
-
-        clocks: makes the clock, and another one where the device's begins anew.
-        """
+        """counters: of samples and frames. clocks: makes one for each that the device has."""
         self.clock, self.origin = clocks(), 0
         self.last: AcceptedPacket | None = None
         self._clocks, self._counters = clocks, counters
@@ -208,10 +205,7 @@ class DeviceClock:
         self._scatter_s = 0.0  # of the newest observations about the line
 
     def observe(self, t_device: float, t_host: float, backlog: bool = False) -> None:
-        """Note that a packet left the device at t_device and was read at t_host, s.
-
-        backlog: it had been waiting to be read, so it may have come long before.
-        """
+        """Note when a packet left and was read, s; backlog: it may have come long before."""
         is_first = not self.from_s <= t_device < self.to_s
         if is_first:
             self.from_s = t_device // INTERVAL_S * INTERVAL_S
@@ -227,10 +221,7 @@ class DeviceClock:
         self._fitted = self._fitted and not is_first and t_host >= self.to_host(t_device)
 
     def error_s(self, t_device: float) -> float:
-        """What the map may be off by at a device time although packets come in time, s.
-
-        Infinite for a guess.
-        """
+        """What the map may be off by though packets are in time, s; infinite for a guess."""
         if self._count < SURE:
             return math.inf
         return STEP_S if self._is_slow or self._count < RECENT else self._scatter_s

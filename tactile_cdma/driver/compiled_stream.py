@@ -99,7 +99,6 @@ class CompiledStream:
         )  # fmt: skip
 
     def describe(self, description: Description, frames: bool) -> None:
-        """See Stream."""
         spec, timing = description.spec, description.timing
         self._description, self._fit = description, None
         self._rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
@@ -118,16 +117,15 @@ class CompiledStream:
             self._carry(timing)
 
     def forget(self) -> None:
-        """See Stream."""
         self._description = None
         self._kernel.forget()
 
     def give(self, data: bytes, t_host: float, backlog: bool) -> None:
-        """See Stream. Raises RuntimeError while other bytes are not used up."""
+        """Raises RuntimeError while other bytes are not used up."""
         self._kernel.give(data, t_host, backlog)
 
     def next(self, file: int = NO_FILE, timeout_ms: int = 0) -> Event:
-        """See Stream. Raises RuntimeError while another thread is here."""
+        """Raises RuntimeError while another thread is here."""
         if self._frames:
             return Event([], self._frames.popleft(), None, False, *self._read)
         kind, about, passed, t_host, backlog = self._kernel.next(file, timeout_ms)
@@ -153,7 +151,6 @@ class CompiledStream:
         return Event(passed, frame, packet, needs_bytes, *self._read)
 
     def place(self, placement: Placement) -> None:
-        """See Stream."""
         asked, description = self._asked, self._description
         sums = (asked.mean, asked.variance) if isinstance(asked, Quiet) else (0.0, 0.0)
         anew = placement.step is not Step.CONTINUES
@@ -166,7 +163,6 @@ class CompiledStream:
             description.timing.reset()
 
     def end(self) -> None:
-        """See Stream."""
         self._kernel.end()
         self._ending = True
 
@@ -200,7 +196,6 @@ class CompiledStream:
         return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped, turn=turn)
 
     def _levels(self, noise_v: float, known: bool, speakers: int) -> NodeLevels:
-        """Those of a frame that the kernel has decided."""
         rows, line = self._rows, self._line
         assert line is not None, "only marked frames are found in the kernel"
         if self._sparse is not None:

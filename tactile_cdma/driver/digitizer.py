@@ -67,7 +67,6 @@ class Source:
 
     @property
     def digitizer(self) -> str:
-        """The digitizer, for people."""
         if self.digitizer_id is None:
             return "unknown"
         return f"{self.measured_by.name.lower()}, {shown_id(self.digitizer_id)}"
@@ -148,10 +147,6 @@ class DigitizerState:
     status: Status | None = None
     streaming: bool | None = None
     refusal: Ack | None = None
-
-    def hear_status(self, status: Status) -> None:
-        """Take in a STATUS."""
-        self.status, self.streaming = status, status.streaming
 
     def hear_ack(self, ack: Ack) -> None:
         """Take in the answer to a command; a digitizer need not know how to pack samples."""

@@ -297,10 +297,7 @@ class Backlog:
         self._since_s = math.inf
 
     def observe(self, waiting_bytes: int, age_s: float, now_s: float) -> bool:
-        """Note a look at the port; returns whether to discard what waits there.
-
-        age_s: of the newest frame when it was read.
-        """
+        """Note a look at the port; whether to discard what waits. age_s: of the newest frame."""
         if not waiting_bytes or age_s <= self._late_s:
             self._since_s = math.inf
             return False

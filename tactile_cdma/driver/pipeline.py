@@ -104,10 +104,7 @@ class Pipeline:
         self.stream = self._new_stream()
 
     def feed(self, data: bytes, t_host: float, backlog: bool = False) -> list[TactileFrame]:
-        """Decode bytes that were read at t_host (monotonic, s). Any split gives the same frames.
-
-        backlog: they had been waiting to be read.
-        """
+        """Decode bytes read at t_host (monotonic, s), in any split; backlog: they had waited."""
         self.stream.give(data, t_host, backlog)
         return self.drain()
 
@@ -141,10 +138,7 @@ class Pipeline:
         return self.drain()
 
     def skipped(self, count: int) -> None:
-        """Note that this many bytes were left out here, to catch up with the digitizer.
-
-        `drain` comes first.
-        """
+        """Note that this many bytes were left out, to catch up; `drain` comes first."""
         self.counters.skipped_bytes += count
         self.parser.skip()
 
@@ -294,18 +288,15 @@ class Pipeline:
                 self._forget()
                 self.digitizer.info, self.problem = None, str(packet)
             case Status():
-                self.digitizer.hear_status(packet)
+                self.digitizer.status, self.digitizer.streaming = packet, packet.streaming
                 self.timeline.hear_status(packet)
             case Ack():
                 self.digitizer.hear_ack(packet)
-                self._give_up_roll_call(packet)
-
-    def _give_up_roll_call(self, ack: Ack) -> None:
-        """End waiting for a roll call that the digitizer refused."""
-        refused = ack.command == PacketType.ROLL_CALL and ack.result != Result.OK
-        if refused and self._description and self._description.clocks:
-            reason = ack.result.name.lower()
-            self._description.clocks.give_up(f"the digitizer refused the roll call: {reason}")
+                keeper = self._description.clocks if self._description else None
+                refused = packet.command == PacketType.ROLL_CALL and packet.result != Result.OK
+                if keeper and refused:
+                    reason = packet.result.name.lower()
+                    keeper.give_up(f"the digitizer refused the roll call: {reason}")
 
     def _describe(self, info: Info) -> None:
         """Set up decoding for the digitizer's new description of itself."""

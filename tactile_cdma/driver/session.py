@@ -148,10 +148,7 @@ class Session:
         self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """The request for a roll call, where one is wanted and the last one missed nodes.
-
-        Also once the clocks of the last one no longer hold.
-        """
+        """The request for a roll call if the last one missed nodes or no longer holds."""
         clocks, spec = pipeline.clocks, pipeline.config.spec
         if self._config is None or not self._config.roll_call or clocks is None or clocks.busy:
             return b""

@@ -43,7 +43,6 @@ class Decisions:
 
     @property
     def total(self) -> int:
-        """All that was decided."""
         return self.compiled + self.in_python.total()
 
     @property
@@ -127,20 +126,16 @@ class NumpyStream:
         self._held: Arrival | None = None
 
     def describe(self, description: Description, frames: bool) -> None:
-        """See Stream."""
         self._description, self._frames_wanted = description, frames
 
     def forget(self) -> None:
-        """See Stream."""
         self._description = None
 
     def give(self, data: bytes, t_host: float, backlog: bool) -> None:
-        """See Stream."""
         self._packets.extend(self.parser.feed(data))
         self._read = t_host, backlog
 
     def next(self, file: int = NO_FILE, timeout_ms: int = 0) -> Event:
-        """See Stream."""
         if file != NO_FILE and not self._packets and not self._frames:
             data, had_waited = read_file(file, timeout_ms)
             self.give(data, time.monotonic(), had_waited)
@@ -157,7 +152,6 @@ class NumpyStream:
         return self._event(frame=self._frames.popleft())
 
     def place(self, placement: Placement) -> None:
-        """See Stream."""
         packet = self._packets[0]
         assert isinstance(packet, (Samples, Quiet)), "a packet of samples was asked about"
         arrival, held = Arrival(packet, *self._read), self._held
@@ -177,7 +171,6 @@ class NumpyStream:
         self._take(arrival)
 
     def end(self) -> None:
-        """See Stream."""
         if self._description is not None and self._frames_wanted:
             self._add(self._description.timing.flush())
 

@@ -55,10 +55,7 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A packet and when it was read, s, by the host's monotonic clock.
-
-    backlog: it had been waiting to be read.
-    """
+    """A packet, when it was read, s, host's monotonic clock, and whether it waited (backlog)."""
 
     packet: Samples | Quiet
     t_host: float

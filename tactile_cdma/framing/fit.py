@@ -76,10 +76,6 @@ class Line:
         np.cumsum(self.volts, out=sums[1:])
         return sums
 
-    def integral(self, times: Floats) -> Floats:
-        """∫ line dt up to each instant, V·samples."""
-        return self.sum_before(*_place(times, self.volts.size))
-
     def means(self, edges: Floats) -> Floats32:
         """Mean level between consecutive edges, V: (…, e) samples to (…, e − 1) float32."""
         whole, share = _split(edges, self.volts.size)
@@ -196,12 +192,10 @@ class WordFit:
     def believable(self, spec: FrameSpec, noise: float = 0.0) -> bool:
         """Whether the words of a single candidate are even, and leave nothing over but noise.
 
-        Beyond half of the limit, spread must be explained by noise.
         noise: variance of a chip's level in the gap, V²; 0 where unknown. It makes words spread by
-        1/ρ², estimated with active·(k − 1) degrees of freedom. Where it is not known, it follows
-        from the words: noise that makes them spread by s leaves s/active in each of the N rows.
-        Beyond that (and its scatter, s is an estimate from few bits) and some distortion there is a
-        signal not understood.
+        1/ρ², estimated with active·(k − 1) degrees of freedom, and has to explain spread beyond
+        half of the limit. If unknown it follows from the words: noise that makes them spread by s
+        leaves s/active in each of the N rows. What is more, beside distortion, is not understood.
 
         A few words may be those of broken nodes, or of two on one row, while wrong timing makes
         all uneven: a frame that fails as a whole may pass without its most uneven words, but then
@@ -350,9 +344,8 @@ class Fit:
 def even_words(line: Line, fit: Fit, spec: FrameSpec, words: WordFit) -> WordFit:
     """Words of one fit, of whole chips or of their middle.
 
-    words: those of whole chips. These are the matched filter; their middle is blind to edges a
-    tenth of a chip off. It is taken where words are uneven and it makes them more even than noise
-    would by chance.
+    words: of whole chips, the matched filter. Their middle is blind to edges a tenth of a chip off;
+    it is taken where it makes uneven words more even than noise would by chance.
     """
     if words.spread[0] > UNEVEN:
         start, chip = np.array([fit.start]), np.array([fit.chip])
@@ -410,7 +403,8 @@ def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest:
         levels[1:-1] = words.chips(spec).ravel() + words.pedestal[0]
         before, after = levels[:-1], levels[1:]
         edges, reach = start + chip * steps, share * chip
-        left, right = line.integral(np.stack((edges - reach, edges + reach)))
+        around = np.stack((edges - reach, edges + reach))
+        left, right = line.sum_before(*_place(around, line.volts.size))  # ∫ line dt, V·samples
         area = right - left - reach * (before + after)
         seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
         step = (before - after) * seen

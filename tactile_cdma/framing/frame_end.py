@@ -35,8 +35,7 @@ class FrameEnds:
     """Looks at the line after each frame of a stream.
 
     silent: how many frames ended in silence, or with the chips of few late nodes among many, in a
-        row until that is proven. Of frames that go on all nodes have chips there, which cancel to
-        those of few only now and then.
+        row until that is proven. Of frames that go on, all nodes' chips seldom cancel to those.
     """
 
     def __init__(self, spec: FrameSpec) -> None:
@@ -50,9 +49,8 @@ class FrameEnds:
 
         This tells a stretched frame from a shorter fit of its words, and words of more bits than
         specified. Once frames are proven to be of this length, some nodes among many may be late.
-        SILENCE where nothing was received after the end. A level of rest that is not known yet is
-        the frame's mean where row 0 is free, else it has to be 0, and seen: row 0 would take any
-        other for a node.
+        SILENCE where nothing was received after the end. A level of rest that is unknown yet is the
+        frame's mean, or where row 0 is used, 0, and has to be seen: row 0 takes others for a node.
 
         amplitude: (n,) V, of every node's word, 0 where silent. noise: variance of a chip's level,
         V². level_known: of the line at rest.

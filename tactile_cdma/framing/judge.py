@@ -109,8 +109,7 @@ def weigh(
 def _votes_of(levels: Floats32, off: Floats32, noise: float) -> Votes:
     """Those of a line on which even the best candidate leaves so much over, V.
 
-    That is noise of this line, if not few chips have it: behind a low-pass only those next to a
-    level change do.
+    That is the line's noise if most chips have it, not only those at level changes (low-pass).
     """
     rank = int(LIMITS.most * (off.size - 1))
     left = float(np.partition(off, rank)[rank]) / LIMITS.most_deviations
@@ -137,9 +136,8 @@ def choose(
 
     with δ for distortion, over all chips of the view, which reaches from the first start to the
     last end: a shorter frame predicts silence in what is left. No chip votes with more than κ, so
-    that no single disturbed chip decides. With what is likely before looking the costs give each
-    frame's probability, and for every node the probability of all frames that give it another word
-    or silence.
+    that no single disturbed chip decides. With what is likely before looking, costs give each
+    frame's probability, and for every node that of all frames that give it another word or silence.
 
     start, chip: (c,) float64, samples. noise: variance of a chip's level in the gap, V².
     unlikely: (c,) negative log-probability of each before looking, which the waveform itself gives;

@@ -72,8 +72,7 @@ class LineRecogniser(Recogniser):
     edges; then, of the stretches that end where the line falls silent and of all up to 11 %, those
     that explain the most energy. These take the samples that such a frame would have, and are left
     out once a frame is accepted: another chip duration would have its edges elsewhere. Frames with
-    restarts within them are not stretched: the digitizer's sync edges place their chips, or all a
-    bit later.
+    restarts are not stretched: sync edges place their chips, or all of them a bit later.
     """
 
     def __init__(self, line: MarkedLine) -> None:

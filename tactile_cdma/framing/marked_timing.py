@@ -194,8 +194,11 @@ class MarkedLine:
         noise_v = math.sqrt(power / self.chip)
         if reason := silence_hidden(clipped, max(noise_v, math.sqrt(self.noise)), self.spec):
             return Verdict(over=frame.start + frame.volts.size, rejected=reason)
-        if self.spec.scramble and power > self.most_silent_power:
-            # Scrambled chips that are late show in no row, but as noise that the gap has not.
+        gap, swing_v = self.noise * self.chip, self.spec.node_swing_v
+        # Scrambled chips that are late show in no row, but as noise that the gap has not: a quarter
+        # of a node's power, or, of unknown amplitude, more than the gap's noise may rise.
+        most = LIMITS.rise * gap if swing_v is None else gap + swing_v**2 / 4
+        if self.spec.scramble and power > most:
             return Verdict(over=frame.start + frame.volts.size, rejected=NOISY)
         doubtful = None
         may_stick_out = self.integrated and not self.spec.sparse and frame.volts.size >= self.size
@@ -232,16 +235,6 @@ class MarkedLine:
         if levels.rows is None or self.spec.first_row == 0 or not swing_v:
             return False
         return float(levels.rows[:, 0].var()) > (MOVED_SHARE * swing_v) ** 2
-
-    @property
-    def most_silent_power(self) -> float:
-        """Largest power of samples of a scrambled frame in which no node spoke, V².
-
-        That of the gap's noise, and a quarter of a node's; of one of unknown amplitude, as much
-        more as that noise may rise.
-        """
-        noise, swing_v = self.noise * self.chip, self.spec.node_swing_v
-        return LIMITS.rise * noise if swing_v is None else noise + swing_v**2 / 4
 
     def heard(
         self, frame: MarkedFrame, fit: Fit, levels: NodeLevels, doubtful: Bools | None = None
@@ -285,8 +278,7 @@ class Recogniser:
         """Prepare for the frame marked at a stream index; returns the samples needed to decide.
 
         called: the frame belongs to a roll call. since: samples from the mark before to this one,
-        None after a hole in the stream. Need not be called while there is a carried timing, for
-        frames that are not called.
+        None after a hole. Frames that are not called need not be opened while a timing is carried.
         """
         return self._line.size
 
@@ -338,9 +330,13 @@ class MarkedTiming(Timing):
         frames = self._begin(block)
         # Slices keep the buffer bounded; a value more than a frame has shows that it is too long.
         volts, slice_size = np.asarray(block.volts, np.float32), self.line.size + 1
-        for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
+        for begin in range(0, volts.size, slice_size):
             self._samples.append(volts[begin : begin + slice_size])
-            frames += self._decide_due()
+            while self._start is not None and self._samples.end >= self._due:
+                end = self._samples.end if self.line.integrated else self._due
+                frames += self._decide(self._start, end, final=False)
+            if self._start is None:
+                self._samples.drop(self._samples.end - self.gap_size)
         return frames
 
     def quiet(self, block: QuietBlock) -> list[FrameLevels]:
@@ -375,16 +371,6 @@ class MarkedTiming(Timing):
         if self._start is not None:
             self.rejections += INCOMPLETE
         self._start = self._mark = self._gap_begin = None
-
-    def _decide_due(self) -> list[FrameLevels]:
-        """The frame in progress, if there are enough samples."""
-        frames: list[FrameLevels] = []
-        while self._start is not None and self._samples.end >= self._due:
-            end = self._samples.end if self.line.integrated else self._due
-            frames += self._decide(self._start, end, final=False)
-        if self._start is None:
-            self._samples.drop(self._samples.end - self.gap_size)
-        return frames
 
     def _begin(self, block: SampleBlock | QuietBlock) -> list[FrameLevels]:
         """Join a block to the stream; a mark ends the frame in progress, which is returned."""

@@ -25,9 +25,8 @@ from .marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Recogniser, Ve
 from .timing import Rails, blinding_noise_v
 
 DAMPINGS = (0.0, 0.6, 0.8)
-"""How a frame is tried, one after the other, until it is certain; see detect. Chosen: of frames in
-which half as many nodes as 64 chips speak, one in 300 fails without damping, none of 2,500 with
-0.6."""
+"""How a frame is tried, in turn, until it is certain; see detect. Chosen: of frames of 32 words on
+64 chips one in 300 fails without damping, none of 2,500 with 0.6."""
 CAPACITY, LOST = 0.65, 2.0
 """Nodes that may speak in a frame, of the chips per bit but LOST times their square root: beyond,
 some frames do not settle. Found with `make bench-sparse`."""
@@ -41,8 +40,7 @@ MORE, BY_CHANCE = 0.1, 4.0
 """Power by which what is left may exceed the noise of the frames before, in amplitudes of a node
 squared; and deviations of that noise that are chance. Chosen: a node leaves 1, a wrong bit 0.4."""
 MOST_TURNED = 128
-"""Words of which pairs of bits are turned to leave less. Chosen: takes 5 ms; of more words none of
-10,000 frames needed it."""
+"""Words of which pairs of bits are turned. Chosen: 5 ms; no frame in 10,000 of more needed it."""
 ALIKE_BELOW = 128
 """Chips per bit below which codes of those who speak may add up to nothing. Derived: of four whose
 numbers XOR to 0 they do in a bit once in 0.75^-N times, in 10¹⁶ at 128 chips."""
@@ -168,8 +166,7 @@ class SparseRecogniser(Recogniser):
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """See Recogniser.
 
-        A frame that is not certain is tried harder, a bounded number of times; then nodes that are
-        late are looked for.
+        Uncertain frames are tried harder, a bounded number of times; then late nodes are sought.
         """
         if verdict := self._line.gate(frame):
             return verdict

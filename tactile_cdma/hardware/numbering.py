@@ -2,7 +2,7 @@
 
 """Gives nodes their numbers: asks for one taxel after the other to be pressed. No I/O.
 
-All nodes have one image (node_image.py). The digitizer announces a number (docs/protocol.md,
+All nodes have one image (programmer.py). The digitizer announces a number (docs/protocol.md,
 numbers); the node that is pressed keeps it, and from then on speaks whenever it is announced.
 Nobody else speaks: so what is heard tells whether it was taken, and by how many.
 """
@@ -44,11 +44,6 @@ class Numbering:
         if self._left:
             return Number(self._forgets, forget=True)
         return Number(self.asked or 0)
-
-    @property
-    def forgets(self) -> bool:
-        """Whether nodes are being told to forget a number."""
-        return self._left > 0
 
     @property
     def waits(self) -> bool:

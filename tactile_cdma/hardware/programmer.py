@@ -1,19 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Node memories as files, and writing them to a node by avrdude."""
+"""What a node is programmed with, as files, and writing them to a node by avrdude.
+
+A node's memory goes into its EEPROM. Boot loaders of Arduinos write flash only: for them an image
+has the program and, behind it, memories, at which a node without one in its EEPROM looks.
+"""
 
 import logging
 import shlex
 import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import NodeMemoryError
+from ..base.errors import NodeMemoryError, SpecError
 from ..base.named_file import naming, read_named
 from ..base.whole_file import replace_file, replacing
-from ..wire._protocol import NODE_FLASH
+from ..wire._protocol import NODE_FLASH, NODE_FLASH_END
 from .intel_hex import from_hex, to_hex
 from .node_memory import MCUS, NodeRecord, NodeTable, read_node_memory, read_node_table
 
@@ -24,6 +30,8 @@ HEX, RAW = (".hex", ".eep"), (".bin",)
 AVRDUDE = "avrdude"
 EEPROM, FLASH = "eeprom", "flash"
 """Memories by its names."""
+PROGRAMS = Path(__file__).resolve().parents[2] / "firmware" / "build" / "node"
+"""Where `make firmware` puts the nodes' programs."""
 MOST_BYTES = 1 << 20
 """Largest file read; chosen: Intel HEX of 64 kB takes 180 kB."""
 
@@ -41,6 +49,42 @@ def write_image(path: Path, text: str) -> None:
         raise NodeMemoryError(f"{path}: the flash's Intel HEX ends in {HEX[0]}")
     with naming(path, NodeMemoryError):
         replace_file(path, text)
+
+
+def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: Path | None) -> str:
+    """Intel HEX of a microcontroller's program, and of memories: the node's, or of nodes 1, 2, ….
+
+    program: its Intel HEX; None: that of `make firmware`. Raises SpecError for a microcontroller
+    without room, or for too many memories; NodeMemoryError, naming the file, for another program.
+    """
+    if not MCUS[mcu].flash_table:
+        raise SpecError(
+            f"the {mcu}, with 8 kB of flash, has no room for a memory there: write its EEPROM (-o "
+            "FILE --programmer NAME)"
+        )
+    table = NodeTable(len(memories), crystal_mhz).pack() + b"".join(memories)
+    if (end := NODE_FLASH + len(table)) > NODE_FLASH_END:
+        room = (NODE_FLASH_END - NODE_FLASH) // len(memories[0])
+        raise SpecError(
+            f"{len(memories)} memories of {len(memories[0])} bytes end at 0x{end:X} of the flash, "
+            f"which is free up to 0x{NODE_FLASH_END:X}: one image takes up to {room} such nodes"
+        )
+    path = program or PROGRAMS / f"node-{mcu}.hex"
+    if program is None and not path.exists():
+        raise NodeMemoryError(
+            f"{path}: there is none; `make firmware` builds it, or name the program with --image"
+        )
+    with _reading(path):
+        text = read_named(path, MOST_BYTES).decode("latin-1")
+        flash = from_hex(text)
+        if len(flash) > NODE_FLASH:
+            raise NodeMemoryError(
+                f"{len(flash)} bytes; a node's program ends before 0x{NODE_FLASH:X}: has it "
+                "memories already?"
+            )
+        if f"node-{mcu}\0".encode() not in flash:  # the firmware's BOARD_NAME
+            raise NodeMemoryError(f"no program of this firmware for the {mcu}")
+    return to_hex(table, NODE_FLASH, text)
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:
@@ -62,15 +106,12 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8], NodeTable | N
     Raises NodeMemoryError, naming the file and what is wrong.
     """
     is_hex = _is_hex(path)
-    with naming(path, NodeMemoryError):
+    with _reading(path):
         content = read_named(path, MOST_BYTES)
-    try:
         memory = from_hex(content.decode("latin-1")) if is_hex else content
         if len(memory) > NODE_FLASH:
             return read_node_table(memory[NODE_FLASH:])
         return *read_node_memory(memory), None
-    except NodeMemoryError as error:
-        raise NodeMemoryError(f"{path}: {error}") from None
 
 
 def avrdude(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> list[str]:
@@ -101,6 +142,16 @@ def burn(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> None:
             f"avrdude failed with exit code {code}: is programmer {programmer!r} connected, and "
             f"the node supplied? The command was: {shlex.join(command)}"
         )
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Errors, also of what is in the file, name it."""
+    try:
+        yield
+    except (OSError, NodeMemoryError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise NodeMemoryError(f"{path}: {reason}") from None
 
 
 def _is_hex(path: Path) -> bool:

@@ -57,7 +57,6 @@ class Baseline:
 
     @property
     def tared(self) -> bool:
-        """Whether there is a tare."""
         return self.rest_v is not None
 
     def forget(self) -> None:

@@ -67,10 +67,7 @@ class NumpyGatherer:
         self._place[:], self._unread[:] = -1, True
 
     def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        """The contacts of a frame; thresholds: see ContactThresholds.
-
-        An uncertain reading counts as none.
-        """
+        """The contacts of a frame, see ContactThresholds; an uncertain reading is none."""
         coverage = readings.coverage(contact_pa)
         certain = is_certain(readings.status)
         pressure_pa = np.where(certain, readings.pressure_pa, np.float32(np.nan))
@@ -161,11 +158,9 @@ class CompiledGatherer:
         self.forget()
 
     def forget(self) -> None:
-        """See NumpyGatherer."""
         self._place[:], self._notes[:] = -1, 1
 
     def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        """See NumpyGatherer."""
         assert kernel.compiled is not None
         count = kernel.compiled.gather_contacts(
             contact_pa, release_pa, RIM * release_pa, *_FLAGS, *self._skin,

@@ -45,10 +45,7 @@ _LOW_SNR, _SATURATED = np.uint8(Status.LOW_SNR), np.uint8(Status.SATURATED)
 
 
 class StuckNodes:
-    """Compares every taxel with its neighbours, every LOOK_S.
-
-    looked_s: device time of the last look, s.
-    """
+    """Compares taxels with their neighbours every LOOK_S; looked_s: last time, device time, s."""
 
     def __init__(self, layout: Layout) -> None:
         taxels = len(layout)
@@ -77,15 +74,11 @@ class StuckNodes:
 
     @property
     def nodes(self) -> list[int]:
-        """Numbers of the stuck nodes."""
         numbers: list[int] = np.sort(self._nodes[self._swings >= SWINGS]).tolist()
         return numbers
 
     def look(self, readings: Readings, t_s: float, contact_pa: float) -> None:
-        """Compare a frame's readings at t_s (device time, s); to be called once every LOOK_S.
-
-        contact_pa: pressure at which a contact begins, Pa.
-        """
+        """Compare readings at device time t_s, s, every LOOK_S; contact_pa: of a contact, Pa."""
         self.looked_s = t_s
         if readings is self._seen:
             return

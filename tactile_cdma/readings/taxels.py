@@ -155,7 +155,6 @@ class Taxels:
 
     @property
     def in_service(self) -> int:
-        """Number of nodes in service."""
         return int(np.count_nonzero(~self._masked))
 
     @property
@@ -165,10 +164,7 @@ class Taxels:
 
     @property
     def dead(self) -> list[int]:
-        """The missing nodes that were never heard since the stream or its clock began.
-
-        Empty until stale_after_s have passed.
-        """
+        """Missing nodes never heard since stream or clock began; none until stale_after_s."""
         if self.now_s - self._began_s <= self.stale_after_s:
             return []
         return _numbers(self._is_missing & np.isinf(self._heard_s))
@@ -222,7 +218,6 @@ class Taxels:
 
     @property
     def baseline(self) -> Baseline:
-        """Tare and drift of the nodes."""
         return self.chain.baseline
 
     def tare(self, contact_pa: float, force: bool = False) -> list[int]:

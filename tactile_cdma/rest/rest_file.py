@@ -117,10 +117,7 @@ def write_rest(path: Path, state: RestState) -> None:
 
 
 def set_aside(path: Path) -> Path | None:
-    """Keep a file that is to be overwritten under another name, which is returned; None: no file.
-
-    Raises RestError.
-    """
+    """Keep what is to be overwritten under another name; None: no file. Raises RestError."""
     with naming(path, RestError, "cannot be set aside"):
         return keep_aside(path)
 
@@ -207,10 +204,7 @@ class RestStore:
         return self.path
 
     def write_calibration(self, calibration: Calibration, adc: AdcScale, skin: str) -> Path:
-        """Write the curves in force, unless they are on file already; returns the file's path.
-
-        Raises TactileError.
-        """
+        """Write the curves in force unless on file; the file's path. Raises TactileError."""
         assert self.path is not None
         path = calibration_path(self.path)
         source = f"the calibration {calibration.identity or 'by default'} of a running skin"

@@ -180,10 +180,7 @@ class RestKeeper:
             self._save_changes()
 
     def tare(self, force: bool = False) -> TareResult:
-        """Make what the skin reads now its zero, and save that; see take_tare.
-
-        Raises RestError where no frames arrive, and where take_tare does.
-        """
+        """Make what is read now zero, and save it. Raises RestError, also where no frames come."""
         with self._streaming().between_frames() as pipeline:
             unheard = pipeline.taxels.tare(self.config.rest.contact_pa, force)
             self.tared = _now()
@@ -194,10 +191,7 @@ class RestKeeper:
         return result
 
     def clear(self) -> str:
-        """Forget tare and drift, on file too; returns words for it.
-
-        Raises RestError where no frames arrive.
-        """
+        """Forget tare and drift, on file too; what was done. Raises RestError without frames."""
         with self._streaming().between_frames() as pipeline:
             pipeline.taxels.restore()
             self.tared = ""
@@ -207,10 +201,7 @@ class RestKeeper:
         return text
 
     def save(self) -> tuple[Path, Path]:
-        """Write tare and drift to one file and the curves to another; returns their paths.
-
-        Raises TactileError.
-        """
+        """Write tare and drift, and the curves; paths of both files. Raises TactileError."""
         config = self.config
         path = self._write()
         return path, self._store.write_calibration(config.calibration, config.adc, config.skin)

@@ -45,10 +45,8 @@ SETTLED_S = 0.3
 """A contact's speed counts from this age on, s: until then it is still spreading; chosen."""
 _NO_STATES = np.zeros(0, dtype=STATE)
 TRANSITIONS = {
-    "configure": Transition.TRANSITION_CONFIGURE,
-    "activate": Transition.TRANSITION_ACTIVATE,
-    "deactivate": Transition.TRANSITION_DEACTIVATE,
-    "cleanup": Transition.TRANSITION_CLEANUP,
+    name: int(getattr(Transition, f"TRANSITION_{name.upper()}"))
+    for name in ("configure", "activate", "deactivate", "cleanup")
 }
 
 

@@ -44,9 +44,8 @@ from .limits import (
 from .tones import toned
 
 AUTO_FLOOR = 6.0
-"""With the amplitude unknown, words below this many noise deviations count as silence. Noise alone
-has a mean |r| of 0.8 ± 0.6/√k deviations, 0.99 at k = 10; chosen far above, as noise is not all
-there is."""
+"""Of unknown amplitude, words below this many noise deviations count as silence. Chosen: far above
+noise's mean |r|, 0.8 ± 0.6/√k, or 0.99 at k = 10, as noise is not all there is."""
 LEAKED_SHARE = 0.5
 """Share of a word's amplitude that must be left beside what leaks from louder words for it to be a
 word. Chosen: a word that was sent keeps √(1 − 3/k) of it, 0.84 at k = 10."""
@@ -122,9 +121,8 @@ class Words:
     def disturbed(self, broken: Bools) -> bool:
         """Whether something is on the line that these words do not explain, nor noise.
 
-        A word that is uneven without noise may have another one on its row, of a node that is late
-        and so appears silent; one that is doubled has. broken: (n,) bool, nodes whose words are
-        known to be uneven.
+        A word that is uneven without noise may have that of a late node, which appears silent, on
+        its row; one that is doubled has. broken: (n,) bool, nodes known for uneven words.
         """
         uneven = self.doubtful & (self.rho > CLEAR_RHO) & ~broken
         return bool((self.active & (uneven | self.doubled)).any())
@@ -228,8 +226,7 @@ class _Decided(NamedTuple):
 
     codes: (n,) int32, parity mended and removed. rho, margin: (n,) float32, see Words.
     doubtful, doubled, odd: (n,) bool, see Words; the latter two of silent nodes, too.
-    uneven: whether a level of any word may be off by more than UNLIKE of it, among more than two
-        nodes.
+    uneven: whether, of more than two nodes, any word may have a level off by more than UNLIKE.
     """
 
     codes: NDArray[np.int32]

@@ -29,8 +29,7 @@ MOST_FAINT, FAINT_FADES = 8.0, 0.98
 and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
 to 20, noise (amplitude.BY_CHANCE) to 1."""
 WEAK_RHO = 8.0
-"""ρ above which words below the threshold are noticed as those of a weak node. Chosen: at half the
-amplitude of a node at ρ = 16."""
+"""ρ above which words too faint to count show a weak node. Chosen: half a node's at ρ = 16."""
 
 
 class NodeState(IntEnum):
@@ -134,8 +133,7 @@ class NodeHealth:
 def count(words: Words, weak_v: float, sums: Floats32, suspected: NDArray[np.int32]) -> bool:
     """Add one frame's words to each node's sums (5, n), and note whom they make suspect, (n,).
 
-    weak_v: least amplitude of a word that is too weak to count, V; NaN if unknown. Returns whether
-    there is a suspect node.
+    weak_v: least amplitude of a word too weak to count, V; NaN if unknown. Returns whether any is.
     """
     # Too weak to count as spoken, but too even and too strong to be noise.
     strong = (words.amplitude_v > np.float32(weak_v)) & (words.rho > WEAK_RHO)

@@ -33,11 +33,9 @@ LATE_SHARE = 0.35
 """Share of its amplitude with which a word shows in the wrong bits' chips, or on a row that no node
 has, if it is late. Chosen: one late by 0.6 chip shows in full there, or by 0.6."""
 LEAKED = 0.3
-"""Share of a chip that may be the one beside it without anybody being late. Chosen: a low-pass of
-0.3 chip."""
+"""Share of the next chip that a chip may hold with nobody late. Chosen: a low-pass of 0.3 chip."""
 BY_CHANCE = 5.0
-"""Standard deviations by which it must show in chips. Chosen: so it does by chance in one frame of
-1,000 nodes in 500."""
+"""Deviations by which it must show in chips. Chosen: by chance in one of 500 frames of 1,000."""
 SHOWN, ANYWHERE = 4.0, 6.0
 """Standard deviations of a mean |r| by which it must show on a row; the same of a faint word, of
 any node. Chosen: of noise alone, levels of ten bits exceed the latter once in 10⁵ rows."""
@@ -165,9 +163,8 @@ def displaced(
     """Nodes whose words show when the chips are read early or late, (n,) bool; whether others may.
 
     Chips that are late show in other rows, in parts, or, if they are scrambled, in none; read as
-    late as they are, they are words again. They are looked for in what the words that are in time
-    leave over. A node that is later, or flips its chips otherwise, can only be told from noise by
-    how much is left.
+    late as they are, they are words again. They are looked for in what words in time leave over.
+    Later nodes, and other flips of chips, can only be told from noise by how much is left.
     """
     _, _, left = _taken_apart(levels, amplitude, active, spec)
     left_v = math.sqrt(float(np.square(left).sum()) / spec.line_bits)  # of a chip, RMS

@@ -6,8 +6,7 @@ SOUND_SHARE = 0.8
 """Share of the loudest word's amplitude below which a word may be what leaks from louder ones.
 Chosen: spreads of sound nodes are a few percent."""
 LOW_RHO = 5.0
-"""ρ below which words are flagged: there more than 3e-6 of them hold a wrong bit, k·Q(ρ) for k =
-10."""
+"""ρ below which words are flagged: more than 3e-6 hold a wrong bit, k·Q(ρ) for k = 10."""
 DOUBLE_SHARE = 1.6
 """Share of a node's amplitude above which a level is that of two nodes. Chosen: nodes with equal
 bits give 2, one 60 % too strong is out of tolerance anyway."""
@@ -15,15 +14,13 @@ SHARED_SHARE = 1.25
 """Share of a node's amplitude above which a word may be that of more than one: two nodes with
 random bits give 1 on average, three give 1.5. Chosen between these."""
 CLEAR_RHO = 8.0
-"""ρ above which noise does not give a word levels of two nodes: 0.6 amplitudes are then 4.8
-deviations of a level."""
+"""ρ above which noise gives no word levels of two nodes: 0.6 amplitudes are 4.8 deviations."""
 UNLIKE = 0.2
-"""Share of a word's amplitude by which one of its levels may be off. Chosen on disturbed lines
-(make torture)."""
+"""Share of a word's amplitude by which a level may be off. Chosen (make torture)."""
 
 LOWER_SHARE = 0.5
-"""Share of a word's strongest level below which its weakest one is that of fewer nodes. Chosen:
-three nodes give 3 and 1."""
+"""Share of a word's strongest level below which its weakest is that of fewer nodes. Chosen: three
+nodes give 3 and 1."""
 
 
 def most_square(bits: int) -> float:

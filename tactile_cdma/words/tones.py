@@ -28,8 +28,7 @@ that is one leaves over 1/u − 1 of its energy per bit. Tones are looked for fr
 on. Chosen: the rest for noise."""
 MOST_PERIODS, STEP, MOST_LEVELS = 8.0, 0.02, 4096
 """Periods per bit up to which tones are looked for, their steps, and the levels of rows that each
-may cost. Chosen: half a step turns a tone of ten bits by a tenth of a period; rows of more periods
-are few."""
+may cost. Chosen: half a step turns a tone of ten bits by 0.1 period; few rows have more."""
 TONES = 3
 """Tones that are looked for, the strongest first. Chosen: mains and two harmonics."""
 PROVEN = 15.0
@@ -46,8 +45,7 @@ class _Tones(NamedTuple):
     """Tones of 1 V on the rows of a code book; its real part is a cosine that begins with the bit.
 
     periods: (f,) per bit. waves: (2, f, N) float32, levels of all rows, both parts. products:
-    (3, f, N) float32, |wave|², and real and imaginary part of wave². holds: (N,) most of a tone
-    that a row holds.
+    (3, f, N) float32, |wave|², and both parts of wave². holds: (N,) most of a tone on a row.
     """
 
     periods: Floats

@@ -17,9 +17,9 @@ from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.hardware.node_image import node_image
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.hardware.passive import passive_line
+from tactile_cdma.hardware.programmer import node_image
 from test.support.emulated_node import REST, Bench, assert_says
 from trial import press_and_decode
 

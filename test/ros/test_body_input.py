@@ -21,7 +21,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock as RosClock
 from sensor_msgs.msg import PointCloud2
@@ -42,8 +41,9 @@ from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.views.cloud import BODY_POINT
+from test.support.skin_client import node_with
 from test.support.waiting import PATIENCE_S, wait_for
-from torture.hosts.clock import WrongClock
+from torture.hosts.rig import WrongClock
 
 pytestmark = pytest.mark.xdist_group("body input")  # its world is made once
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,9 +92,7 @@ class World:
     def __init__(self, **more: object) -> None:
         """more: parameters of the body's node."""
         given = {"patches": ["a/skin", "b/skin"], "stale_after_s": STALE_AFTER_S, **more}
-        self.body = BodyNode(
-            parameter_overrides=[Parameter(name, value=value) for name, value in given.items()]
-        )
+        self.body = node_with(BodyNode, **given)
         self._client = rclpy.create_node("client")
         self.clock = self._client.create_publisher(RosClock, "/clock", 10)
         self.a, self.b = Patch(self._client, "a"), Patch(self._client, "b")
@@ -209,9 +207,9 @@ def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None
         play(130)
         for _ in range(2):
             turn_back(100)
-            before = world.said
-            wait_for(lambda before=before: world.goes_on() and world.said is not before)
-            play(130)  # the last message of the loop before comes late, and after a report
+            # The last message of the loop before comes late, and after the first report.
+            wait_for(lambda: world.goes_on() and not world.body._feeds["/a/skin"]._settles)
+            play(130)
             begin = len(world.contacts)
             for sec in range(101, 131, 5):
                 turn_back(sec)

@@ -149,13 +149,9 @@ def contact(rng: random.Random, patch: str) -> TactileContact:
 
 
 @pytest.mark.parametrize("frame_id", NAMES)
+@pytest.mark.parametrize("patch", NAMES)
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_contacts_are_read_and_written(frame_id: str, count: int) -> None:
-    for patch in NAMES:
-        check_contacts(frame_id, patch, count)
-
-
-def check_contacts(frame_id: str, patch: str, count: int) -> None:
+def test_contacts_are_read_and_written(frame_id: str, patch: str, count: int) -> None:
     rng = random.Random(f"{frame_id} {patch} {count}")
     message = TactileContacts(
         header=header(frame_id),

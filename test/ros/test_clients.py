@@ -91,52 +91,8 @@ class GrippedThing:
         return self.peak_pa * np.clip(1 - (away / (2.5 * skin.pitch_m)) ** 2, 0, None) ** 1.5
 
 
-def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    thing = GrippedThing()
-    monkeypatch.setitem(SCENES, "hand", thing)
-    commands_mm: list[float] = []
-
-    def close(message: Float64) -> None:
-        thing.closed_mm = message.data
-        commands_mm.append(message.data)
-
-    def held(frames: int) -> bool:
-        return len(set(commands_mm[-frames:])) == 1 and len(commands_mm) > frames
-
-    with running(port="sim://?scene=hand&seed=1&threshold=1", nodes=64, chip_us=10.0) as (
-        _,
-        client,
-    ):
-        client.create_subscription(Float64, "/gripper/close_mm", close, 10)
-        stops, claims = client.heard(Bool, "/arm/stop"), client.heard(Bool, "/gripper/gripped")
-        with example("grip"):
-            wait_for(lambda: stops and not stops[-1].data)
-            feeling = len(stops)
-            # the taxel nearest to the peak reads a bit less than it
-            wait_for(lambda: thing.peak_pa >= 5e3 and held(40))
-            assert thing.peak_pa < 10e3
-            assert not any(stop.data for stop in stops[feeling:])
-            wait_for(lambda: claims[-1].data)
-
-            grip_mm, before = commands_mm[-1], len(stops)
-            thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
-            wait_for(lambda: not thing.slides and held(40))
-            assert any(stop.data for stop in stops[before:])
-            assert not stops[-1].data
-            assert commands_mm[-1] > grip_mm
-            assert thing.peak_pa >= thing.needed_pa
-    assert np.all(np.diff(commands_mm) >= 0)
-
-
-NODES = 16
-ALL_DEAD = ",".join(str(node) for node in range(1, NODES + 1))
-MOST_MM = float(re.findall(r"MOST_MM, .* = ([\d.]+),", (EXAMPLES / "grip.py").read_text())[0])
-
-
 class Gripper:
-    """The fingers, between which there is nothing, and what the program "grip" tells them."""
+    """What the program "grip" tells the fingers."""
 
     def __init__(self, client: Client) -> None:
         self.closed_mm: list[float] = []
@@ -146,6 +102,46 @@ class Gripper:
         stops, claims = ("/arm/stop", Bool, self.stops), ("/gripper/gripped", Bool, self.claims)
         for topic, kind, heard in (closed, stops, claims):
             client.create_subscription(kind, topic, lambda m, to=heard: to.append(m.data), 10)
+
+
+def test_grip_closes_until_5_kpa_holds_and_stops_what_slides(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    thing = GrippedThing()
+    monkeypatch.setitem(SCENES, "hand", thing)
+
+    def close(message: Float64) -> None:
+        thing.closed_mm = message.data
+
+    def held(frames: int) -> bool:
+        return len(set(told.closed_mm[-frames:])) == 1 and len(told.closed_mm) > frames
+
+    port = "sim://?scene=hand&seed=1&threshold=1"
+    with running(port=port, nodes=64, chip_us=10.0) as (_, client):
+        client.create_subscription(Float64, "/gripper/close_mm", close, 10)
+        told = Gripper(client)
+        with example("grip"):
+            wait_for(lambda: told.stops and not told.stops[-1])
+            feeling = len(told.stops)
+            # the taxel nearest to the peak reads a bit less than it
+            wait_for(lambda: thing.peak_pa >= 5e3 and held(40))
+            assert thing.peak_pa < 10e3
+            assert not any(told.stops[feeling:])
+            wait_for(lambda: told.claims[-1])
+
+            grip_mm, before = told.closed_mm[-1], len(told.stops)
+            thing.needed_pa = thing.peak_pa + 1e3  # somebody pulls
+            wait_for(lambda: not thing.slides and held(40))
+            assert any(told.stops[before:])
+            assert not told.stops[-1]
+            assert told.closed_mm[-1] > grip_mm
+            assert thing.peak_pa >= thing.needed_pa
+    assert np.all(np.diff(told.closed_mm) >= 0)
+
+
+NODES = 16
+ALL_DEAD = ",".join(str(node) for node in range(1, NODES + 1))
+MOST_MM = float(re.findall(r"MOST_MM, .* = ([\d.]+),", (EXAMPLES / "grip.py").read_text())[0])
 
 
 PERIOD_S, STEP_MM = 12.8e-3, 0.01
@@ -286,10 +282,8 @@ def test_tare_prints_the_answer_of_the_driver() -> None:
 
 def test_subscribe_prints_the_hardest_pressed_taxel() -> None:
     ball = Sphere(radius_m=0.01, position_m=(-3.5e-3, 3.5e-3, 0.009))  # on node 6, taxel 5
-    with (
-        running(port="sim://?scene=external&dead=1") as (_, client),
-        example("subscribe") as output,
-    ):
+    port = "sim://?scene=external&dead=1"
+    with running(port=port) as (_, client), example("subscribe") as output:
         press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
         wait_for(lambda: press.get_subscription_count())
         pressed = [(press, sim_objects([ball]))]
@@ -311,10 +305,8 @@ def printed_of(output: IO[str], taxel: int) -> list[tuple[int, int]]:
 
 def test_points_to_numpy_finds_what_is_pressed() -> None:
     box = Box(size_m=(13e-3, 6e-3, 0.01), position_m=(0, 3.5e-3, 0.004), stiffness_pa_per_m=2e7)
-    with (
-        running(port="sim://?scene=external&dead=16") as (_, client),
-        example("points_to_numpy") as output,
-    ):
+    port = "sim://?scene=external&dead=16"
+    with running(port=port) as (_, client), example("points_to_numpy") as output:
         press = client.create_publisher(SimObjects, "/skin/sim/objects", 10)
         wait_for(lambda: press.get_subscription_count())
         pressed = [(press, sim_objects([box]))]  # two taxels of the second row, symmetrically

@@ -155,10 +155,7 @@ class Lossy(VirtualDigitizer):
 
 def test_untouched_is_not_claimed_after_a_loss_until_every_node_was_heard_again() -> None:
     lossy = Lossy(SimOptions(scene="idle", heartbeat=20))
-    with (
-        plugged(lambda: lossy) as tty,
-        running(port=tty, idle_rate_hz=1.0) as (_, client),
-    ):
+    with plugged(lambda: lossy) as tty, running(port=tty, idle_rate_hz=1.0) as (_, client):
         lists = client.heard(TactileContacts, "/skin/contacts", 1000)
         wait_for(lambda: lists and lists[-1].untouched)
         before = lists[-1].sequence

@@ -135,10 +135,8 @@ def assert_policy_is_what_is_used(onlooker: Node, node: str) -> None:
 
 
 def test_the_policy_gives_the_driver_what_it_has_and_no_more() -> None:
-    with running(port="sim://?scene=external", parent_frame="palm", use_sim_time=True) as (
-        _,
-        client,
-    ):
+    port = "sim://?scene=external"
+    with running(port=port, parent_frame="palm", use_sim_time=True) as (_, client):
         wait_for(lambda: client.get_publishers_info_by_topic("/tf_static"))
         assert_policy_is_what_is_used(client, "skin")
 

@@ -136,10 +136,8 @@ def test_tf_is_told_where_the_skin_is_from_configure_to_cleanup() -> None:
 
 def test_a_skin_that_is_not_mounted_is_known_to_tf_by_its_middle() -> None:
     file = str(Path(__file__).resolve().parents[2] / "config" / "layouts" / "cylinder.yaml")
-    with running(nodes=72, frame_period_ms=40.0, layout_file=file, port="sim://?scene=idle") as (
-        _,
-        client,
-    ):
+    skin = {"nodes": 72, "frame_period_ms": 40.0, "layout_file": file}
+    with running(port="sim://?scene=idle", **skin) as (_, client):
         told = client.heard(TFMessage, "/tf_static", LATCHED)
         wait_for(lambda: told)
     [transform] = told[-1].transforms

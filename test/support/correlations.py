@@ -1,11 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Correlations of frames as hypothesis draws them: sound, weak, doubled, broken and noisy words."""
+"""Correlations and words of chips; those of frames that hypothesis draws, sound and disturbed."""
+
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 
 from tactile_cdma.code.frame import BIPOLAR, UNIPOLAR, FrameSpec
+from tactile_cdma.code.separate import NodeLevels, node_levels
+from tactile_cdma.code.transform import rows_of
+from tactile_cdma.words.decode import Words, decode
+
+
+def separate(chips: ArrayLike, spec: FrameSpec) -> NodeLevels:
+    """The nodes' levels, from chips (k, N) V that are free of an offset if row 0 is assigned."""
+    return node_levels(rows_of(np.asarray(chips, np.float32), spec), spec)
+
+
+def read_chips(chips: ArrayLike, spec: FrameSpec, **how: Any) -> Words:
+    """Their words; how: see decode."""
+    return decode(separate(chips, spec), spec, **how)
+
 
 SPECS = st.builds(
     lambda row_and_drive, **rest: FrameSpec(

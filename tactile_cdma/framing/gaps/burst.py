@@ -21,16 +21,13 @@ from ..fit import Fit, least_power
 from ..limits import LIMITS
 
 _CELLS = 320
-"""Most cells, about, that the burst search divides a frame into, whatever its order. Chosen: bounds
-its cost."""
+"""Most cells, about, that the burst search divides a frame into, to bound its cost. Chosen."""
 _LOUD = 6.0
-"""Noise deviations off the gap level beyond which a half-chip mean belongs to a frame. Chosen:
-noise exceeds that once in 5·10⁸."""
+"""Noise deviations beyond which a half-chip mean is a frame's. Chosen: noise is once in 5·10⁸."""
 _LEAST_POWER = 1e-14
 """Power below which there is not even rounding, V²: (0.1 µV)²."""
 _CALMER = 1000.0
-"""Ratio of the known variance of the gap to the newest one beyond which it is no chance: what had
-raised it is over. Chosen."""
+"""Ratio of the known variance to the newest gap's beyond which what raised it is over. Chosen."""
 _DRIFTING = 4.0
 """Ratio of a gap's variance to that of its differences beyond which the rest is drift, not noise.
 Chosen: noise alone gets to 1.8 (20 differences)."""
@@ -238,9 +235,8 @@ class BurstSearch:
     def beside(self, volts: Floats, fit: Fit, burst: Burst) -> Beside:
         """What lies up to a gap's length beside a frame; a chip next to it is left out.
 
-        The variance that is known is that of the quietest window: too low, or far too high where
-        the line drifts. So it is taken from differences, which cancel hum, by their median, which a
-        piece of a frame does not sway.
+        The known variance is that of the quietest window: too low, or far too high if it drifts. So
+        it is taken from differences, which cancel hum, by their median, which no frame sways.
         """
         first, end = int(fit.start - fit.chip), math.ceil(fit.end(self.spec) + fit.chip)
         first = max(0, first)

@@ -45,16 +45,14 @@ from .stray import strays
 _log = logging.getLogger(__name__)
 
 FORGET = 0.999
-"""Factor on the power of a learnt amplitude in each silent slot. Chosen: halves it in 690 slots, 9
-s at 78 Hz."""
+"""Factor on a learnt amplitude's power in each silent slot. Chosen: halves it in 9 s at 78 Hz."""
 SURE_SHARE, SURE_NOISE = 0.5, 0.3
 """A silent slot holds no faint word if its power, and so much of its noise, stays below the power
 of a word of this share of FAINT_SHARE. Chosen: an eighth of a node's amplitude; the variances of
 slot and gap are right to a tenth. A slot of far less power than the gap's noise says that this is
 none, but hum, which may hide a word."""
 AGAIN_PERIODS = 12
-"""Frame periods of rejected samples that are kept, to be looked at again once hum is known. Chosen:
-it is known after 4 to 8."""
+"""Frame periods of rejected samples kept until hum is known. Chosen: that takes 4 to 8."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +66,9 @@ class _Failure:
 class GapTiming(Timing):
     """Frames from nothing but the waveform: they stand between gaps, stretched by 0…11 %.
 
-    Samples from `_cursor` on are undecided. At `due`, when they hold the frame expected next, the
-    search decides: nothing, a frame, or something else. Decisions depend on sample positions only,
-    so any cutting into blocks gives the same frames.
+    Samples from `_cursor` on are undecided. At stream index `due`, when they hold the frame that is
+    expected next, the search decides: nothing, a frame, or something else. Decisions depend on
+    sample positions only, so any cutting into blocks gives the same frames.
     """
 
     def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
@@ -106,16 +104,11 @@ class GapTiming(Timing):
         self._again = (0, 0.0, self.rejections)
         self._cursor = 0
         self._seen = 0  # end of the samples that were looked at last
-        self._due = 0
+        self.due = 0
         self._expected: Expected | None = None  # the next frame
         self._sure = False  # whether the raster places it
         self._next = 0.0  # start of the next slot
         self._failures = 0
-
-    @property
-    def due(self) -> int:
-        """Stream index up to which samples are needed before anything is decided."""
-        return self._due
 
     def feed(self, block: SampleBlock) -> list[FrameLevels]:
         """Take samples in; return the frames and silent slots that they complete."""
@@ -125,8 +118,8 @@ class GapTiming(Timing):
         volts, slice_size = block.volts, 2 * math.ceil(self._search.period)
         for begin in range(0, volts.size, slice_size):  # keeps the buffer bounded
             self._samples.append(volts[begin : begin + slice_size], block.checked)
-            while self._samples.end >= self._due:
-                frames += self._decide(self._due)
+            while self._samples.end >= self.due:
+                frames += self._decide(self.due)
         return frames
 
     def quiet(self, block: QuietBlock) -> list[FrameLevels]:
@@ -176,14 +169,14 @@ class GapTiming(Timing):
     def _schedule(self) -> None:
         """Drop decided samples; set when the next decision is due."""
         if self._gap is None:  # a whole gap must be in view
-            self._due = self._cursor + math.ceil(self._search.period) + self._reach
+            self.due = self._cursor + math.ceil(self._search.period) + self._reach
         else:
-            self._due = max(math.ceil(self._next), self._cursor) + self._reach
+            self.due = max(math.ceil(self._next), self._cursor) + self._reach
             expected = self._expected = self._raster.expect(self._next)
             self._note(self._search.is_sure(expected))
             if expected and self._sure:
                 early = math.ceil(expected.start + self._proof_chips * expected.chip)
-                self._due = early if self._seen < early < self._due else self._due
+                self.due = early if self._seen < early < self.due else self.due
         if self._cursor - self._again[0] > self._most_again:
             self._again = self._cursor, self._next, self.rejections
         self._samples.drop(self._again[0])
@@ -212,7 +205,10 @@ class GapTiming(Timing):
             return []
         candidates = [look.gap] if look else self._search.gaps(volts, self._gap)
         if candidates:
-            self._learn_hum(raw, candidates[0])
+            # The window in which the gap was measured shows hum.
+            begin, half = candidates[0].begin, self._search.half
+            window = raw[begin : begin + self._search.window_halves * half]
+            self._hum.learn(self._cursor + begin, window, candidates[0].variance * half)
             if self._comes_too_early(heard):
                 return []
         if look and look.is_sound:
@@ -266,7 +262,7 @@ class GapTiming(Timing):
             complete = min(burst.first + self._reach, burst.last + self._search.bit)
             incomplete = volts.size < complete and volts.size <= self._most_held
             if not final and incomplete:
-                self._due = max(end + 1, self._cursor + math.ceil(complete))
+                self.due = max(end + 1, self._cursor + math.ceil(complete))
                 found = self._proven(line, burst, expected, look)
                 taken = [] if found is None else self._take(line, burst, gap, raw, found)
                 return [] if isinstance(taken, Rejections) else taken
@@ -291,7 +287,7 @@ class GapTiming(Timing):
             fit = search.carried(line, expected)
         proven = look.proven if look else 0.0 if fit is None else search.proven(burst, fit)
         if proven > line.received.size:
-            self._due = min(self._due, self._cursor + math.ceil(proven))
+            self.due = min(self.due, self._cursor + math.ceil(proven))
         elif proven and (fit := fit or search.carried(line, expected)):
             return search.explained(line, burst, fit, expected)
         return None
@@ -331,12 +327,6 @@ class GapTiming(Timing):
             self._try_again()
         return again
 
-    def _learn_hum(self, volts: Floats, gap: Gap) -> None:
-        """Learn from the window in which the gap was measured."""
-        half = self._search.half
-        window = volts[gap.begin : gap.begin + self._search.window_halves * half]
-        self._hum.learn(self._cursor + gap.begin, window, gap.variance * half)
-
     def _take(
         self,
         line: Line,
@@ -348,8 +338,7 @@ class GapTiming(Timing):
     ) -> list[FrameLevels] | Rejections:
         """The frame that a burst is, after silent slots before it; or why it is no frame.
 
-        line: gap level, hum and impulses removed. raw: the samples as they came, V. beside: as far
-        as that is known.
+        line: gap level, hum and impulses removed. raw: samples as they came, V. beside: if known.
         """
         spec, fit = self._spec, found.fit
         end = fit.end(spec)
@@ -436,13 +425,6 @@ class GapTiming(Timing):
         self._settle()
         return frames
 
-    def _is_deaf(self) -> bool:
-        """Whether a node that speaks alone might pass for noise, since power finds bursts."""
-        swing_v, gap = self._spec.node_swing_v, self._gap
-        if swing_v is None or gap is None:
-            return False
-        return swing_v**2 < LIMITS.lone * 2 * self._search.snr_floor * gap.variance
-
     def _silent_slot(self, level: float, noise: float) -> FrameLevels | Rejections:
         """The slot that is next, in which there is no frame; noise: of a chip's level, V RMS.
 
@@ -483,10 +465,12 @@ class GapTiming(Timing):
         """Silent slots that begin up to an index; rejected where a rail or noise hides words."""
         if self._next > until:
             return
-        level, noise = 0.0, math.nan
-        if self._gap:  # whose variance is that of half chips
-            level, noise = self._gap.level, math.sqrt(self._gap.variance / 2)
-        is_deaf = self._is_deaf()
+        level, noise, is_deaf = 0.0, math.nan, False
+        if gap := self._gap:  # whose variance is that of half chips
+            level, noise = gap.level, math.sqrt(gap.variance / 2)
+            # A node that speaks alone might pass for noise, since power finds bursts.
+            least_v2 = LIMITS.lone * 2 * self._search.snr_floor * gap.variance
+            is_deaf = (self._spec.node_swing_v or math.inf) ** 2 < least_v2
         while self._next <= until:
             slot = NOISY if is_deaf else self._silent_slot(level, noise)
             if isinstance(slot, Rejections):

@@ -69,8 +69,7 @@ _STILL_MISFIT = 1e-3
 """Misfit of a frame where it is expected below which it need not be refined. Chosen: edges 0.02
 chip off; see LIMITS.carried_misfit."""
 _LEAST_CHIP = 0.5
-"""Share of an expected chip duration below which a refined one fits no frame: most edges were out
-of view. Chosen."""
+"""Share of an expected chip duration below which most edges were out of view. Chosen."""
 _MOST_CARRIED = 16
 """Candidates that the kernel weighs: JUDGE_MOST in kernel/judge.h."""
 _SILENT, _BURST, _FRAME = 0, 2, 3
@@ -154,10 +153,9 @@ class GapSearch(BurstSearch):
     ) -> Look | None:
         """What is in a stretch of samples, all in one call of the kernel.
 
-        None without it, and where a sample is NaN, or all are too few. volts, raw: (m,) float64, V,
-        without hum and as they came, from stream index `begin` on. expected: the next frame, if
-        that is sure, in stream indices. Gives what the other methods would, as far as it is beyond
-        doubt.
+        Gives what the other methods would, as far as it is beyond doubt; None without the kernel,
+        where a sample is NaN, or all are too few. volts, raw: (m,) float64, V, without hum and as
+        they came, from stream index `begin` on. expected: the next frame, if sure, in such indices.
         """
         code = self._code
         if code is None:
@@ -318,20 +316,15 @@ class GapSearch(BurstSearch):
         starts, chips, power = self._shifts(line, burst, edge, chip)
         if not starts.size:
             return None
-        score = self._score(starts, chips, power, burst)
+        # Log-likelihood in white noise, no sharper than distortion allows.
+        energy = spec.chips * chips * power
+        unit = 2 * LIMITS.distortion**2 / spec.chips * float(energy.max())
+        score: Floats = energy / max(2 * self.half * burst.variance, unit, 1e-30)
         if expected is not None:
             score = score + expected.log_prior(starts)
         best = int(np.argmax(score))
         fit = refine(line, Fit(starts[best], chips[best]), spec)
         return fit if LIMITS.possible(fit.chip / self.chip) else None
-
-    def _score(
-        self, starts: Floats, chips: Floats, power: NDArray[np.floating], burst: Burst
-    ) -> Floats:
-        """Log-likelihood in white noise, no sharper than distortion allows, (c,)."""
-        energy = self.spec.chips * chips * power
-        unit = 2 * LIMITS.distortion**2 / self.spec.chips * float(energy.max())
-        return energy / max(2 * self.half * burst.variance, unit, 1e-30)
 
     @cached_property
     def _tones(self) -> tuple[int, Floats]:

@@ -4,9 +4,8 @@
 
 A node whose chips alternate leaves nothing in chips that reach from the middle of one of its own to
 the next. In Paley's orders a row is another one's shift, or nearly, so that a node a chip late says
-another one's word, and if all bits are equal nothing but the frame's ends shows that. So each word
-is asked whether another node, late or early, explains the chips as well, and the frame is read
-between its chips.
+another one's word, and of equal bits only the frame's ends show that. So each word is asked whether
+another node, late or early, explains the chips as well, and the frame is read between its chips.
 """
 
 import math
@@ -59,9 +58,8 @@ SCATTER = 4.0
 class _Twins(NamedTuple):
     """Rows that are those of other nodes, or their own inverted, but late: (h,) each.
 
-    late: chips. own, other: nodes. sign: -1 where inverted. same_bit, next_bit: chips, agreeing
-    less differing ones, in which a bit of its own overlaps with the other's same one, and with that
-    beside it.
+    late: chips. own, other: nodes. sign: -1 where inverted. same_bit, next_bit: agreeing less
+    differing chips where a bit overlaps with the other's same one, and with that beside it.
     """
 
     late: Indices

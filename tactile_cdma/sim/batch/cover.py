@@ -21,20 +21,7 @@ AT_ONCE = 1 << 15
 
 
 class BatchCover:
-    """The elastic cover of e equal skins of t taxels.
-
-    >>> import numpy as np
-    >>> from tactile_cdma import Skin
-    >>> from tactile_cdma.sim import Sphere
-    >>> from tactile_cdma.sim.batch import BatchCover
-    >>> cover = BatchCover(Skin("sim://", nodes=16).layout)
-    >>> ball = Sphere(radius_m=0.02, position_m=(0.0, 0.0, 0.0))
-    >>> places_m = np.array([[0.0, 0.0, 0.019], [0.007, 0.0, 0.05]])
-    >>> cover.pressure_pa(ball, places_m).shape
-    (2, 16)
-    >>> pressed_pa = cover.pressure_pa(ball, places_m, force_n=np.array([2.0, 0.5]))
-    >>> np.round(pressed_pa @ cover.areas_m2, 6).tolist()
-    [2.0, 0.5]
+    """The elastic cover of e equal skins of t taxels; docs/simulation.md has an example.
 
     areas_m2: (t,) float64, m².
     """

@@ -81,15 +81,7 @@ class BatchState(NamedTuple):
 class SkinBatch:
     """As many equal skins as there are environments, each with a driver, without the line.
 
-    >>> import numpy as np
-    >>> from tactile_cdma import Skin
-    >>> from tactile_cdma.sim.batch import SkinBatch
-    >>> skin = Skin("sim://?scene=external&speed=0&sensor=paper", nodes=24, rows=4, columns=6)
-    >>> batch = SkinBatch(skin.config, 1000, skin.port)
-    >>> state = batch.begin(np.zeros(()))
-    >>> state, frame = batch.step(state, np.full((1000, 24), 20e3))
-    >>> frame.pressure_pa.shape
-    (1000, 24)
+    docs/simulation.md has an example.
 
     config: of the driver. envs: number of skins. simulator: sim:// URL whose options say what the
     sensors and nodes are like: sensor, hysteresis, mismatch, sensor_noise, dead, dead_after, stuck,

@@ -8,10 +8,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.boards import plugged
+from test.support.command_line import Printed
 from test.support.simulated import record
 from test.support.waiting import PATIENCE_S
 
@@ -61,19 +63,24 @@ def pairs(out: str) -> dict[str, str]:
     return dict(pair.split("=", 1) for pair in out.splitlines()[-1].split())
 
 
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    capsys.readouterr()
-    assert main(["calibrate", *map(str, arguments)]) == 1
-    return capsys.readouterr().err
+Program: TypeAlias = Callable[..., str]
+"""Gives words to `tactile-cdma calibrate`; returns what it prints."""
 
 
-def test_points_become_a_file_that_the_driver_takes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def calibrate(printed: Printed) -> Program:
+    return lambda *words: printed("calibrate", *words).out
+
+
+@pytest.fixture
+def refusal(printed: Printed) -> Program:
+    return lambda *words: printed("calibrate", *words, code=1).err
+
+
+def test_points_become_a_file_that_the_driver_takes(tmp_path: Path, calibrate: Program) -> None:
     loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
     curves = write_loads(loads)
-    assert main(["calibrate", str(loads), "-o", str(output), "--skin", "palm"]) == 0
-    values = pairs(capsys.readouterr().out)
+    values = pairs(calibrate(loads, "-o", output, "--skin", "palm"))
     assert (values["fitted"], values["uncalibrated"]) == ("16", "0")
     assert float(values["residual1_over_quantisation"]) < 1.1
     assert float(values["residual2_over_quantisation"]) < 1.1
@@ -85,38 +92,35 @@ def test_points_become_a_file_that_the_driver_takes(
         assert fitted.voltage_v == pytest.approx(curve.voltage_v, abs=ADC.lsb_v)
     assert (tmp_path / "skin.png").read_bytes().startswith(b"\x89PNG")
     output.write_text(output.read_text().replace("skin: palm", "skin: 'thumb'"))
-    assert main(["calibrate", "--seal", str(output)]) == 0
-    identity = pairs(capsys.readouterr().out)["identity"]
+    identity = pairs(calibrate("--seal", output))["identity"]
     assert read_calibration(output, NODES, ADC, SIMULATED, "thumb").identity == identity
 
 
 def test_a_wrong_area_is_warned_of_and_a_far_too_small_one_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, calibrate: Program, refusal: Program
 ) -> None:
     loads, picture = tmp_path / "loads.csv", tmp_path / "picture.of.palm"
     write_loads(loads)
     loads.write_text(loads.read_text().replace("pressure_kpa", "force_n"))
-    arguments = [str(loads), "-o", str(tmp_path / "skin.yaml"), "--area-mm2"]
-    assert main(["calibrate", *arguments, "1000", "--png", str(picture)]) == 0
+    arguments = [loads, "-o", tmp_path / "skin.yaml", "--area-mm2"]
+    assert "warning" not in calibrate(*arguments, 1000, "--png", picture)
     assert picture.read_bytes().startswith(b"\x89PNG"), "whatever its name"
-    assert "warning" not in capsys.readouterr().out
-    assert main(["calibrate", *arguments, "100", "--force"]) == 0
-    assert "warning: 0.1 times as sensitive" in capsys.readouterr().out.replace("0.0996", "0.1")
-    assert main(["calibrate", *arguments, "10", "--force"]) == 1
-    assert "1.4e+07 Pa" in (told := capsys.readouterr().err) and "is --area-mm2 right?" in told
+    told = calibrate(*arguments, 100, "--force").replace("0.0996", "0.1")
+    assert "warning: 0.1 times as sensitive" in told
+    told = refusal(*arguments, 10, "--force")
+    assert "1.4e+07 Pa" in told and "is --area-mm2 right?" in told
 
 
 def test_a_bad_node_stops_all_unless_it_may_be_missing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, calibrate: Program, refusal: Program
 ) -> None:
     loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
     write_loads(loads, bad_node=5)
-    assert "no sound curve for node 5 (see above); nothing is written" in refusal(
-        capsys, loads, "-o", output
-    )
+    told = refusal(loads, "-o", output)
+    assert "no sound curve for node 5 (see above); nothing is written" in told
     assert not output.exists()
-    assert main(["calibrate", str(loads), "-o", str(output), "--allow-missing"]) == 0
-    assert "node 5: no curve: the voltage changes by 0 mV only" in capsys.readouterr().out
+    told = calibrate(loads, "-o", output, "--allow-missing")
+    assert "node 5: no curve: the voltage changes by 0 mV only" in told
     config = SkinConfig.of({"calibration_file": str(output)})
     assert config.calibration.curves[4] == SIMULATED
     capture = tmp_path / "skin.raw"
@@ -129,35 +133,27 @@ def test_a_bad_node_stops_all_unless_it_may_be_missing(
 
 
 def test_what_cannot_be_meant_is_refused_before_anything_is_done(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refusal: Program
 ) -> None:
     loads, output = tmp_path / "loads.csv", tmp_path / "skin.yaml"
     write_loads(loads)
-    assert "-o is missing" in refusal(capsys, loads)
-    assert "which loads?" in refusal(capsys, "-o", output)
-    assert "no such folder" in refusal(capsys, loads, "-o", tmp_path / "no" / "skin.yaml")
-    assert "one of the two" in refusal(
-        capsys, loads, "-o", output, "--port", "sim://", "--capture", "x.raw"
-    )
-    assert "No such file" in refusal(capsys, loads, "-o", output, "--capture", "no.raw")
-    assert "the skin has nodes 1…9" in refusal(capsys, loads, "-o", output, "--nodes", 9)
+    assert "-o is missing" in refusal(loads)
+    assert "which loads?" in refusal("-o", output)
     output.write_text("precious")
-    assert "--force overwrites it" in refusal(capsys, loads, "-o", output)
+    assert "--force overwrites it" in refusal(loads, "-o", output)
     assert output.read_text() == "precious"
-    for bad in (
-        ["--steps", "0,ten"],
-        ["--steps", "-1"],
-        ["--pieces", "0"],
-        ["--area-mm2", "0"],
-        ["--offset", "nan"],
-    ):
+    for bad in ("--steps=0,ten", "--steps=-1", "--pieces=0", "--area-mm2=0", "--offset=nan"):
         with pytest.raises(SystemExit):
-            main(["calibrate", str(loads), "-o", str(output), *bad])
+            main(["calibrate", str(loads), "-o", str(output), bad])
 
 
 @pytest.mark.parametrize(
     ("options", "cause"),
     [
+        (["-o", "no/skin.yaml"], "no such folder"),
+        (["--port", "sim://", "--capture", "x.raw"], "one of the two"),
+        (["--capture", "no.raw"], "No such file"),
+        (["--nodes", 9], "the skin has nodes 1…9"),
         (["--append"], "--append goes with --port only"),
         (["--steps", "0,10", "--capture", "x.raw"], "--steps goes with --port only"),
         (["--offset", 3], "--offset goes with --capture only"),
@@ -172,14 +168,14 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(
 )
 def test_no_option_is_ignored_and_no_file_lost(
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refusal: Program,
     monkeypatch: pytest.MonkeyPatch,
     options: list[object],
     cause: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_loads(Path("loads.csv"))
-    assert cause in refusal(capsys, "loads.csv", "--force", "-o", "skin.yaml", *options)
+    assert cause in refusal("loads.csv", "--force", "-o", "skin.yaml", *options)
     assert [path.name for path in tmp_path.iterdir()] == ["loads.csv"]
 
 
@@ -191,7 +187,7 @@ def staircase(t_s: float) -> float:
 
 
 def test_a_reference_beside_a_capture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, calibrate: Program, refusal: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Through the real path of bytes; the reference's clock is 1000 s behind."""
     monkeypatch.setitem(
@@ -204,9 +200,8 @@ def test_a_reference_beside_a_capture(
     reference = tmp_path / "reference.csv"
     reference.write_text("\n".join(["time_s,pressure_kpa", *rows]) + "\n")
     output = tmp_path / "skin.yaml"
-    arguments = [str(reference), "--capture", str(capture), "-o", str(output), "--settle", "0.5"]
-    assert main(["calibrate", *arguments]) == 0
-    out = capsys.readouterr().out
+    arguments = [reference, "--capture", capture, "-o", output, "--settle", 0.5]
+    out = calibrate(*arguments)
     found = re.search(r"offset of the clocks: ([\d.]+) ± ([\d.]+) s \(match [\d.]+\)", out)
     assert found is not None
     assert float(found[1]) == pytest.approx(1000, abs=float(found[2]) + 0.1)
@@ -216,9 +211,7 @@ def test_a_reference_beside_a_capture(
         curve = calibration.curves[node]
         assert curve.pressure_pa == pytest.approx(SIMULATED.pressure_pa, abs=400)
         assert curve.voltage_v == pytest.approx(SIMULATED.voltage_v, abs=ADC.lsb_v)
-    capsys.readouterr()
-    wrong = "0 loads rest for longer"
-    assert wrong in refusal(capsys, *arguments, "--force", "--offset", 0)
+    assert "0 loads rest for longer" in refusal(*arguments, "--force", "--offset", 0)
 
 
 @dataclass
@@ -341,7 +334,7 @@ def take(process: subprocess.Popen[str], text: str = "") -> str:
 
 
 def test_answers_are_loads_and_none_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output, points = tmp_path / "skin.yaml", tmp_path / "skin.points.csv"
     with pressed_skin(monkeypatch) as (tty, press):
@@ -388,50 +381,50 @@ def test_interrupted_before_the_first_load(tmp_path: Path) -> None:
 
 
 def test_nothing_taken_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("builtins.input", lambda question: "")
     nothing = ["--port", "sim://", "-o", tmp_path / "nothing.yaml"]
-    assert "no load was taken" in refusal(capsys, *nothing)
-    assert "not a regular file" in refusal(capsys, "/dev/full", *nothing, "--append")
+    assert "no load was taken" in refusal(*nothing)
+    assert "not a regular file" in refusal("/dev/full", *nothing, "--append")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_port_that_is_not_there_is_told_of_before_a_load_and_leaves_no_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unasked(question: str) -> str:
         raise AssertionError(question)
 
     monkeypatch.setattr("builtins.input", unasked)
     nowhere = ["--port", tmp_path / "none", "-o", tmp_path / "skin.yaml"]
-    assert "no such port" in refusal(capsys, *nowhere)
+    assert "no such port" in refusal(*nowhere)
     other = ["--port", "sim://?nodes=9", "-o", tmp_path / "other.yaml", "--node", "17"]
-    assert "--node is 17; the skin has nodes 1…16" in refusal(capsys, *other)
+    assert "--node is 17; the skin has nodes 1…16" in refusal(*other)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("begun", ["node;pressure_bar;voltage_mv\n1;0;3200\n", "\n", "\ufffd"])
 def test_points_follow_on_points_only(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, begun: str
+    tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch, begun: str
 ) -> None:
     monkeypatch.setattr("builtins.input", lambda question: "0")
     points = tmp_path / "points.csv"
     points.write_text(begun)
     live = ["--port", "sim://", "-o", tmp_path / "skin.yaml", points, "--append"]
-    assert "points follow on node,pressure_kpa,voltage_v only" in refusal(capsys, *live)
+    assert "points follow on node,pressure_kpa,voltage_v only" in refusal(*live)
     assert points.read_text() == begun
 
 
 def test_points_follow_on_a_line_of_their_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, refusal: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter(["0", ""])
     monkeypatch.setattr("builtins.input", lambda question: next(answers))
     points = tmp_path / "points.csv"
     points.write_text("node,pressure_kpa,voltage_v\n1,20,2.64")
     live = ["--port", "sim://?scene=idle", "--seconds", 0.2, "-o", tmp_path / "skin.yaml"]
-    refusal(capsys, *live, points, "--append")
+    refusal(*live, points, "--append")
     lines = points.read_text().splitlines()
     assert lines[1:3] == ["1,20,2.64", "1,0,3.296777"]
 
@@ -449,17 +442,15 @@ def write_fsr(path: Path, nodes: tuple[int, ...], half_pa: float) -> None:
 
 
 def test_a_rising_table_is_calibrated_updated_compared_and_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, calibrate: Program
 ) -> None:
     loads, output, old = tmp_path / "fsr.csv", tmp_path / "fsr.yaml", tmp_path / "old.yaml"
     write_fsr(loads, (1, 2, 3), 30e3)
-    table = ["calibrate", str(loads), "--nodes", "3", "--area-mm2", "700", "-o"]
-    assert main([*table, str(old)]) == 0
-    told = capsys.readouterr().out
+    table = [loads, "--nodes", 3, "--area-mm2", 700, "-o"]
+    told = calibrate(*table, old)
     assert "voltages rise with the pressure: all nodes" in told
     assert "advice: --power-law would be off by" in told and "expect errors, rms, of" in told
-    assert main([*table, str(output), "--power-law"]) == 0
-    assert float(pairs(capsys.readouterr().out)["error_kpa"]) < 0.5
+    assert float(pairs(calibrate(*table, output, "--power-law"))["error_kpa"]) < 0.5
     values = {"nodes": 3, "calibration_file": str(output)}
     curves = SkinConfig.of(values).calibration.curves
     load_pa = np.array([5e3, 50e3, 130e3])
@@ -468,15 +459,10 @@ def test_a_rising_table_is_calibrated_updated_compared_and_read(
     assert found_pa == pytest.approx(load_pa, abs=0.005 * 140e3)
     before = read_calibration(output, 3, ADC, SIMULATED).curves
     write_fsr(loads, (2,), 40e3)
-    assert (
-        main(["calibrate", str(loads), "--area-mm2", "700", "--power-law", "--update", str(output)])
-        == 0
-    )
+    calibrate(loads, "--area-mm2", 700, "--power-law", "--update", output)
     after = read_calibration(output, 3, ADC, SIMULATED).curves
     assert after[0] == before[0] and after[2] == before[2] and after[1] != before[1]
-    capsys.readouterr()
-    assert main(["calibrate", "--compare", str(old), str(output)]) == 0
-    compared = capsys.readouterr().out
+    compared = calibrate("--compare", old, output)
     assert compared.startswith("node 2: up to ")
     worst_pa = max(
         abs(after[1].pressure(one.voltage(load)) - load)
@@ -487,15 +473,14 @@ def test_a_rising_table_is_calibrated_updated_compared_and_read(
 
 
 def test_loads_beyond_what_the_sensors_bear_need_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, calibrate: Program, refusal: Program
 ) -> None:
     loads, output = tmp_path / "fsr.csv", tmp_path / "fsr.yaml"
     write_fsr(loads, (1,), 300e3)
-    table = ["calibrate", str(loads), "--nodes", "1", "--area-mm2", "70", "-o", str(output)]
-    assert main([*table, "--power-law"]) == 1
-    assert "1401 kPa are 10 times range_kpa (140)" in capsys.readouterr().err
+    table = [loads, "--nodes", 1, "--area-mm2", 70, "-o", output, "--power-law"]
+    assert "1401 kPa are 10 times range_kpa (140)" in refusal(*table)
     assert not output.exists()
-    assert main([*table, "--power-law", "--force"]) == 0
+    calibrate(*table, "--force")
     with pytest.raises(TactileError, match="10 times range_kpa"):
         SkinConfig.of({"nodes": 1, "calibration_file": str(output)})
     curve = {"range_kpa": 1400.0, "sensitivity1_v_per_kpa": 3e-3, "sensitivity2_v_per_kpa": 1e-3}

@@ -26,18 +26,11 @@ def test_displacement_grows_with_the_chips_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "rate", "known", "word"),
-    [
-        ([0.0, 1.0], [0.0], [True], "shapes"),
-        ([9.0], [0.0], [True], "node 1 is 9"),
-        ([0.0], [float("nan")], [True], "rate_error"),
-    ],
+    ("delay", "rate", "word"), [(9.0, 0.0, "node 1 is 9"), (0.0, float("nan"), "rate_error")]
 )
-def test_what_no_node_has_is_refused(
-    delay: list[float], rate: list[float], known: list[bool], word: str
-) -> None:
+def test_what_no_node_has_is_refused(delay: float, rate: float, word: str) -> None:
     with pytest.raises(SpecError, match=word):
-        NodeClocks(np.array(delay), np.array(rate), np.array(known))
+        clocks([delay], [rate])
 
 
 @pytest.mark.parametrize("order", [64, 68])

@@ -11,6 +11,9 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips, word_bits
 from tactile_cdma.code.frame import FrameSpec
 
+SCRAMBLED = {"scramble": True}
+SPARSE = {"codes": "sparse", "nodes": 100, "order": 32, "frame_period_s": 1.0}
+
 
 def test_defaults_keep_row_zero_free_and_fit_the_papers_period() -> None:
     spec = FrameSpec()
@@ -43,6 +46,17 @@ def test_the_papers_book_is_selectable() -> None:
         ({"chip_s": float("nan")}, "chip_s is nan"),
         ({"amplitude_v": -0.3}, "amplitude_v is -0.3"),
         ({"sign_seed": 2**32}, "sign_seed"),
+        ({"resync_chips": 32}, "resync_chips is 32 and guard_chips 0"),
+        ({"guard_chips": 1}, "resync_chips is 0 and guard_chips 1"),
+        (SCRAMBLED | {"nodes": 1, "order": 2, "first_row": 0}, "order is 2: rows of fewer than 4"),
+        (SCRAMBLED | {"drive": "unipolar"}, "would show in all rows"),
+        (SCRAMBLED | {"sign_seed": None}, "from sign_seed"),
+        (SPARSE | {"drive": "unipolar"}, "unipolar drive cannot be: .* set drive to bipolar"),
+        (SPARSE | {"first_row": 0}, "set first_row to 1"),
+        (SPARSE | {"order": 7}, "8 to 4096 chips"),
+        (SPARSE | {"order": 5000}, "8 to 4096 chips"),
+        (SPARSE | {"sign_seed": None}, "sign_seed"),
+        (SPARSE | {"nodes": 65_536}, "65535 at most"),
     ],
 )
 def test_impossible_combinations_are_refused_with_the_reason(fields: dict, message: str) -> None:

@@ -17,7 +17,7 @@ from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.detect import Before, Detected, Detector, numpy_detect, numpy_loudness
 from tactile_cdma.code.encode import line_chips
-from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
+from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.sparse import TAPS
 from tactile_cdma.code.transform import chips_of, rows_of
 from tactile_cdma.config.skin_config import SkinConfig
@@ -178,22 +178,6 @@ def test_chips_that_are_no_numbers_have_no_words() -> None:
     assert not Detector(spec, certificate(spec)).detect(chips).settled
     with np.errstate(invalid="ignore"):
         assert not in_numpy(chips, spec).settled
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"drive": UNIPOLAR}, "unipolar drive cannot be: .* set drive to bipolar"),
-        ({"first_row": 0}, "set first_row to 1"),
-        ({"order": 7}, "8 to 4096 chips"),
-        ({"order": 5000}, "8 to 4096 chips"),
-        ({"sign_seed": None}, "sign_seed"),
-        ({"nodes": 65_536}, "65535 at most"),
-    ],
-)
-def test_what_cannot_be_is_refused(changes: dict[str, Any], reason: str) -> None:
-    with pytest.raises(SpecError, match=reason):
-        sparse(**{"nodes": 100, "order": 32, **changes})
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import separate
 from tactile_cdma.config.parameters import GAP
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.clock import DeviceClock
@@ -25,6 +24,7 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.wire.messages import FrameLayout, Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import decode
+from test.support.correlations import read_chips, separate
 from test.support.examples import examples
 
 SPEC = FrameSpec()
@@ -46,7 +46,7 @@ def spec_of(nodes: int, **fields: object) -> FrameSpec:
 def test_every_word_survives_at_any_number_of_nodes(nodes: int) -> None:
     spec, rng = spec_of(nodes), np.random.default_rng(nodes)
     codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.7
-    words = decode(separate(line_chips(spec, codes, active), spec), spec)
+    words = read_chips(line_chips(spec, codes, active), spec)
     assert np.array_equal(words.active, active)
     assert np.array_equal(words.codes, codes * active)
 

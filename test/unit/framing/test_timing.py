@@ -4,6 +4,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -28,7 +29,7 @@ def test_too_few_samples_are_refused() -> None:
 
 
 def feed_marked(
-    timing: LineTiming, volts: np.ndarray, starts: list[int], cuts: list[int]
+    timing: LineTiming, volts: np.ndarray, starts: list[int], cuts: Sequence[int] = ()
 ) -> list[FrameLevels]:
     frames = []
     bounds = sorted({0, *starts, *cuts, volts.size})
@@ -44,13 +45,14 @@ def marked(
     seed: int = 0,
     frames: int = 6,
     nodes: int | None = None,
-) -> Wire:
+) -> tuple[Wire, list[int]]:
+    """Random frames, and where their marks are."""
     wire = Wire(spec, samples_per_chip, seed)
     wire.send_random(frames, nodes, wander=0)
     for sent in wire.sent:
         sent.start = math.ceil(sent.start) - (0.0 if stretch == 0 else wire.rng.uniform(0, 0.9))
         sent.chip = samples_per_chip * (1 + stretch)
-    return wire
+    return wire, [math.ceil(sent.start) for sent in wire.sent]
 
 
 @pytest.mark.slow
@@ -58,18 +60,17 @@ def marked(
 @pytest.mark.parametrize("stretch", [0.0, 0.004, 0.06, 0.11])
 @pytest.mark.parametrize("name", SPECS)
 def test_marked_frames(name: str, stretch: float, rate: float) -> None:
-    wire = marked(SPECS[name], rate, stretch, seed=20)
-    starts = [math.ceil(sent.start) for sent in wire.sent]
+    wire, starts = marked(SPECS[name], rate, stretch, seed=20)
     timing = LineTiming(wire.spec, wire.rate_hz)
-    frames = feed_marked(timing, wire.volts(), starts, [])
+    frames = feed_marked(timing, wire.volts(), starts)
     assert [words_of(f, wire.spec) for f in frames] == [s.words for s in wire.sent]
     assert [f.start for f in frames] == pytest.approx(starts, abs=1.0)
     assert timing.rejections.total == 0
 
 
 def test_a_marked_frame_comes_three_chips_after_its_end() -> None:
-    wire = marked(PAPER, 8.0, 0.0)
-    start, volts, timing = int(wire.sent[0].start), wire.volts(), LineTiming(PAPER, wire.rate_hz)
+    wire, (start, *_) = marked(PAPER, 8.0, 0.0)
+    volts, timing = wire.volts(), LineTiming(PAPER, wire.rate_hz)
     end = start + 8 * PAPER.chips
     assert timing.feed(SampleBlock(start, volts[start:end], sync=True)) == []
     assert len(timing.feed(SampleBlock(end, volts[end : end + 3 * 8 + 2]))) == 1
@@ -82,10 +83,9 @@ def test_stretched_marked_frames_are_right_or_rejected(name: str, rate: float) -
     """With one or two nodes few level changes tell the stretch: a wrong one must not pass."""
     spec = SPECS[name]
     for stretch, nodes in itertools.product((0.005, 0.03, 0.1), (1, 2)):
-        wire = marked(spec, rate, stretch, seed=31, frames=40, nodes=nodes)
-        starts = [math.ceil(sent.start) for sent in wire.sent]
+        wire, starts = marked(spec, rate, stretch, seed=31, frames=40, nodes=nodes)
         timing = LineTiming(spec, wire.rate_hz)
-        frames = feed_marked(timing, wire.volts(), starts, [])
+        frames = feed_marked(timing, wire.volts(), starts)
         sent = {start: one.words for start, one in zip(starts, wire.sent, strict=True)}
         wrong = 0
         for frame in frames:
@@ -97,10 +97,9 @@ def test_stretched_marked_frames_are_right_or_rejected(name: str, rate: float) -
 
 
 def test_words_of_more_bits_than_specified_are_rejected() -> None:
-    wire = marked(DEFAULT, 8.0, 0.0, seed=32, frames=60, nodes=8)
-    starts = [math.ceil(sent.start) for sent in wire.sent]
+    wire, starts = marked(DEFAULT, 8.0, 0.0, seed=32, frames=60, nodes=8)
     timing = LineTiming(replace(DEFAULT, bits=9), wire.rate_hz)
-    frames = feed_marked(timing, wire.volts(), starts, [])
+    frames = feed_marked(timing, wire.volts(), starts)
     assert len(frames) <= 4  # the sum of the nodes may cancel for three chips
     assert timing.rejections.total >= 56
 
@@ -140,18 +139,17 @@ def test_integrated_chips(spec: FrameSpec) -> None:
 @examples(25)
 @given(st.lists(st.integers(0, 7000), max_size=20), st.sampled_from([0.0, 0.07]))
 def test_chunking_is_invisible_with_marks(cuts: list[int], stretch: float) -> None:
-    wire = marked(PAPER, 4.0, stretch, seed=22)
-    volts, starts = wire.volts(rho=15), [math.ceil(sent.start) for sent in wire.sent]
-    whole = feed_marked(LineTiming(PAPER, wire.rate_hz), volts, starts, [])
+    wire, starts = marked(PAPER, 4.0, stretch, seed=22)
+    volts = wire.volts(rho=15)
+    whole = feed_marked(LineTiming(PAPER, wire.rate_hz), volts, starts)
     cuts = [cut for cut in cuts if cut < volts.size]
     same(feed_marked(LineTiming(PAPER, wire.rate_hz), volts, starts, cuts), whole)
 
 
 def test_a_mark_within_a_frame_rejects_it() -> None:
-    wire = marked(PAPER, 8.0, 0.0, seed=23)
-    starts = [int(sent.start) for sent in wire.sent]
+    wire, starts = marked(PAPER, 8.0, 0.0, seed=23)
     timing = LineTiming(PAPER, wire.rate_hz)
-    frames = feed_marked(timing, wire.volts(), [starts[0] - 300, *starts], [])
+    frames = feed_marked(timing, wire.volts(), [starts[0] - 300, *starts])
     assert timing.rejections.total == 1
     assert [words_of(f, PAPER) for f in frames] == [s.words for s in wire.sent]
 
@@ -160,12 +158,12 @@ def test_marked_silence_and_garbage() -> None:
     rng = np.random.default_rng(24)
     starts = list(range(100, 18_000, 2048))
     quiet = rng.normal(0, 0.01, 20_000).astype(np.float32)
-    frames = feed_marked(LineTiming(PAPER, 8 / PAPER.chip_s), quiet, starts, [])
+    frames = feed_marked(LineTiming(PAPER, 8 / PAPER.chip_s), quiet, starts)
     assert len(frames) == len(starts)
     assert all(frame.levels is None for frame in frames)
     for kind in ("nan", "huge", "walk"):
         timing = LineTiming(DEFAULT, 8 / PAPER.chip_s)  # a drifting line is a word on row 0
-        frames = feed_marked(timing, garbage(kind)[:20_000], starts, [])
+        frames = feed_marked(timing, garbage(kind)[:20_000], starts)
         assert all(frame.levels is None for frame in frames)
         assert timing.rejections.total >= len(starts) - 1
 

@@ -36,8 +36,9 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def taxels(*places: str) -> str:
-    return "taxels:\n" + "".join(f"  - {{{place}}}\n" for place in places)
+def list_of(*places: str, head: str = "") -> str:
+    """A list of these taxels; head: its other keys."""
+    return LIST + head + "taxels:\n" + "".join(f"  - {{{place}}}\n" for place in places)
 
 
 def at(x_mm: float, node: int | str) -> str:
@@ -55,14 +56,11 @@ def test_a_grid_file_is_the_grid_of_the_parameters(tmp_path: Path) -> None:
 
 
 def test_a_list_stands_where_it_says(tmp_path: Path) -> None:
-    text = (
-        LIST
-        + "name: odd\nunplaced: [2]\nmasked: [3]\n"
-        + taxels(
-            "position_mm: [0, 0, 0], node: 4",
-            "position_mm: [5, 0, 1], node: 1, normal: [0, 3, 4], area_mm2: 20",
-            "position_mm: [0, 5, 0], node: 3",
-        )
+    text = list_of(
+        "position_mm: [0, 0, 0], node: 4",
+        "position_mm: [5, 0, 1], node: 1, normal: [0, 3, 4], area_mm2: 20",
+        "position_mm: [0, 5, 0], node: 3",
+        head="name: odd\nunplaced: [2]\nmasked: [3]\n",
     )
     layout = read_layout(written(tmp_path, text), Wiring(nodes=4))
     assert (layout.name, layout.rows, layout.columns, layout.irregular) == ("odd", 1, 3, True)
@@ -76,12 +74,12 @@ def test_a_list_stands_where_it_says(tmp_path: Path) -> None:
 
 def test_a_list_is_drawn_as_seen_from_outside(tmp_path: Path) -> None:
     """Seen against the normals x is to the right and y is up."""
-    side = taxels(  # a wall in the plane x = 0 whose outside is at x > 0
+    side = list_of(  # a wall in the plane x = 0 whose outside is at x > 0
         "position_mm: [0, 0, 0], normal: [1, 0, 0], node: 1",
         "position_mm: [0, 7, 0], normal: [1, 0, 0], node: 2",
         "position_mm: [0, 0, 7], normal: [1, 0, 0], node: 3",
     )
-    flat = read_layout(written(tmp_path, LIST + side), Wiring()).flat_m
+    flat = read_layout(written(tmp_path, side), Wiring()).flat_m
     assert np.allclose(flat, [[0, 0], [0, 7e-3], [-7e-3, 0]], atol=1e-9)
 
 
@@ -89,8 +87,8 @@ def test_code_rows_count_from_the_first_row(tmp_path: Path) -> None:
     text = GRID + "code_rows: [[0, 1, ~], [4, 3, 2]]\n"
     layout = read_layout(written(tmp_path, text), Wiring(nodes=5, first_row=0))
     assert layout.nodes.tolist() == [1, 2, 0, 5, 4, 3]
-    rows = taxels(at(0, 9), at(9, 8)).replace("node", "code_row")
-    layout = read_layout(written(tmp_path, LIST + rows), Wiring(first_row=8))
+    rows = list_of(at(0, 9), at(9, 8)).replace("node", "code_row")
+    layout = read_layout(written(tmp_path, rows), Wiring(first_row=8))
     assert layout.nodes.tolist() == [2, 1]
 
 
@@ -124,8 +122,8 @@ def test_a_wrap_around_layout_reads_the_same_forces_anywhere_in_the_order(tmp_pa
 
 
 def test_nodes_out_of_service_or_without_a_place_are_not_missed(tmp_path: Path) -> None:
-    places = taxels(*(at(7 * n, n) for n in (1, 2, 4)))
-    path = written(tmp_path, LIST + "masked: [2]\nunplaced: [3]\n" + places)
+    places = (at(7 * n, n) for n in (1, 2, 4))
+    path = written(tmp_path, list_of(*places, head="masked: [2]\nunplaced: [3]\n"))
     pipeline = Pipeline(SkinConfig.of({"nodes": 4, "layout_file": str(path)}))
     read = pipeline.taxels.update(silent(4, 0.0), 10.0, pipeline.health)
     assert len(read.pressure_pa) == len(read.voltage_v) == len(read.status) == 3
@@ -147,8 +145,8 @@ def test_the_simulator_presses_on_the_unrolled_skin(tmp_path: Path) -> None:
 
 
 def test_the_simulator_is_centred_on_the_skin(tmp_path: Path) -> None:
-    places = taxels(*(at(100 + 7 * n, 4 - n) for n in range(4)))
-    path = written(tmp_path, LIST + places.replace(", 0, 0]", ", 50, 0]"))
+    places = list_of(*(at(100 + 7 * n, 4 - n) for n in range(4)))
+    path = written(tmp_path, places.replace(", 0, 0]", ", 50, 0]"))
     skin = SimOptions.from_url(f"sim://?layout={path}").skin(4)
     assert np.allclose(skin.positions_m * 1e3, [[10.5, 0], [3.5, 0], [-3.5, 0], [-10.5, 0]])
     assert skin.pitch_m == pytest.approx(7e-3)
@@ -168,8 +166,9 @@ def test_there_is_an_example_of_every_shape() -> None:
 
 
 ONE = at(0, 1)
-HEAP = taxels(*(at(round(n * 1e-5, 5), n) for n in range(1, 3000)))
+HEAP = list_of(*(at(round(n * 1e-5, 5), n) for n in range(1, 3000)), head="pitch_mm: 7\n")
 BENT = "shape: cylinder\nrows: 2\ncolumns: 9\npitch_mm: 7\n"
+NODES, ROWS = GRID + "nodes: ", GRID + "code_rows: "
 REFUSED = {
     # what it is
     "another schema": ("schema: 1\nversion: 1\n", ["line 1", "schema is '1'", "layout"]),
@@ -189,32 +188,23 @@ REFUSED = {
     "too large": (GRID.replace("rows: 2", "rows: 65000"), ["195000 taxels", "65535"]),
     "area": (GRID + "area_mm2: 50\n", ["line 7", "area_mm2 is 50", "49.05 mm²"]),
     # nodes of grids
-    "rows of nodes": (GRID + "nodes: [[1, 2, 3]]\n", ["line 7", "nodes has 1 rows; rows is 2"]),
-    "columns of nodes": (
-        GRID + "nodes:\n - [1, 2, 3]\n - [4, 5]\n",
-        ["line 9", "2 entries; it must have 3"],
-    ),
+    "rows of nodes": (NODES + "[[1, 2, 3]]", ["line 7", "nodes has 1 rows; rows is 2"]),
+    "columns of nodes": (NODES + "[[1, 2, 3],\n [4, 5]]", ["line 8", "2 entries; it must have 3"]),
     "doubled": (
         GRID + "nodes:\n - [1, 2, 3]\n - [4, 2, 5]\n",
         ["line 9", "taxel 4 (row 1, column 1)", "node 2", "taxel 1 (row 0, column 1)", "line 8"],
     ),
-    "negative": (GRID + "nodes: [[1, 2, 3], [4, -5, 6]]\n", ["taxel 4", "-5", "1…65535"]),
-    "gap": (
-        GRID + "nodes: [[1, 2, 3], [4, 0, 6]]\n",
-        ["no place for node 5 of the skin's 6", "unplaced"],
-    ),
-    "beyond": (GRID + "nodes: [[1, 2, 3], [4, 5, 7]]\n", ["taxel 5", "node 7", "6 nodes"]),
-    "empty": (GRID + "nodes: [[0, 0, 0], [0, 0, 0]]\n", ["no taxel has a node"]),
-    "both": (GRID + "nodes: []\ncode_rows: []\n", ["line 8", "leave one out"]),
+    "negative": (NODES + "[[1, 2, 3], [4, -5, 6]]", ["taxel 4", "-5", "1…65535"]),
+    "gap": (NODES + "[[1, 2, 3], [4, 0, 6]]", ["no place for node 5 of the skin's 6", "unplaced"]),
+    "beyond": (NODES + "[[1, 2, 3], [4, 5, 7]]", ["taxel 5", "node 7", "6 nodes"]),
+    "empty": (NODES + "[[0, 0, 0], [0, 0, 0]]", ["no taxel has a node"]),
+    "both": (NODES + "[]\ncode_rows: []", ["line 8", "leave one out"]),
     "row 0": (
-        GRID + "code_rows: [[0, 1, 2], [3, 4, 5]]\n",
+        ROWS + "[[0, 1, 2], [3, 4, 5]]",
         ["line 7", "taxel 0", "code row 0", "node 1 has row 1"],
     ),
-    "row beyond": (
-        GRID + "code_rows: [[1, 2, 3], [4, 5, 60]]\n",
-        ["taxel 5", "node 60", "code rows 1…6"],
-    ),
-    "no row": (GRID + "code_rows: [[1, 2, 3], [4, 5, x]]\n", ["taxel 5", "'x'", "whole number"]),
+    "row beyond": (ROWS + "[[1, 2, 3], [4, 5, 60]]", ["taxel 5", "node 60", "code rows 1…6"]),
+    "no row": (ROWS + "[[1, 2, 3], [4, 5, x]]", ["taxel 5", "'x'", "whole number"]),
     "masked twice": (GRID + "masked: [2, 2]\n", ["line 7", "masked lists node 2 twice"]),
     "masked nobody": (GRID + "masked: [7]\n", ["line 7", "node 7", "behind no taxel"]),
     "unplaced but placed": (GRID + "unplaced: [3]\n", ["line 7", "node 3", "behind taxel 2"]),
@@ -231,37 +221,34 @@ REFUSED = {
     "empty list": (LIST + "taxels: []\n", ["line 4", "0 entries"]),
     "no list": (LIST + "taxels: 3\n", ["line 4", "taxels is '3'; it must be a list"]),
     "no entry": (LIST + "taxels: [3]\n", ["line 4", "taxel 0 is '3'"]),
-    "one": (LIST + taxels(ONE), ["give pitch_mm"]),
+    "one": (list_of(ONE), ["give pitch_mm"]),
     "flat position": (
-        LIST + taxels("position_mm: [0, 0], node: 1"),
+        list_of("position_mm: [0, 0], node: 1"),
         ["line 5", "position of taxel 0 has 2 entries; it must have 3"],
     ),
-    "no position": (LIST + taxels("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
-    "far away": (LIST + taxels("position_mm: [0, 1e6, 0], node: 1"), ["-100000…100000 mm"]),
+    "no position": (list_of("node: 1"), ["line 5", "taxel 0 has no 'position_mm'"]),
+    "far away": (list_of("position_mm: [0, 1e6, 0], node: 1"), ["-100000…100000 mm"]),
     "no normal": (
-        LIST + taxels(ONE, at(7, 2) + ", normal: [0, 0, 0]"),
+        list_of(ONE, at(7, 2) + ", normal: [0, 0, 0]"),
         ["line 6", "normal of taxel 1", "length is 0"],
     ),
-    "no area": (LIST + taxels(ONE + ", area_mm2: 0"), ["line 5", "area of taxel 0 is 0"]),
-    "no node": (LIST + taxels("position_mm: [0, 0, 0]"), ["line 5", "taxel 0 needs a node or"]),
-    "node and row": (LIST + taxels(ONE + ", code_row: 1"), ["line 5", "not both"]),
-    "node 0": (LIST + taxels(at(0, 0)), ["line 5", "node of taxel 0 is 0"]),
+    "no area": (list_of(ONE + ", area_mm2: 0"), ["line 5", "area of taxel 0 is 0"]),
+    "no node": (list_of("position_mm: [0, 0, 0]"), ["line 5", "taxel 0 needs a node or"]),
+    "node and row": (list_of(ONE + ", code_row: 1"), ["line 5", "not both"]),
+    "node 0": (list_of(at(0, 0)), ["line 5", "node of taxel 0 is 0"]),
     "node twice": (
-        LIST + taxels(ONE, at(7, 1)),
+        list_of(ONE, at(7, 1)),
         ["line 6", "taxel 1 has node 1", "taxel 0 already (line 5)"],
     ),
-    "same place": (
-        LIST + taxels(ONE, at(0, 2)),
-        ["line 6", "taxel 1 is at the same place as taxel 0"],
-    ),
+    "same place": (list_of(ONE, at(0, 2)), ["line 6", "taxel 1 is at the same place as taxel 0"]),
     "too near": (
-        LIST + taxels(*(at(x_mm, n) for n, x_mm in enumerate([0, 7, 14, 15, 22, 29], 1))),
+        list_of(*(at(x_mm, n) for n, x_mm in enumerate([0, 7, 14, 15, 22, 29], 1))),
         ["line 8", "taxel 3 is 1 mm from taxel 2", "quarter of the pitch of 7 mm"],
     ),
-    "piled up": (LIST + "pitch_mm: 7\n" + HEAP, ["on top of each other"]),
-    "in metres": (LIST + taxels(ONE, at(0.007, 2)), ["0.007 mm apart", "are positions in mm"]),
+    "piled up": (HEAP, ["on top of each other"]),
+    "in metres": (list_of(ONE, at(0.007, 2)), ["0.007 mm apart", "are positions in mm"]),
     "misspelt in a list": (
-        LIST + taxels("positon_mm: [0, 0, 0], node: 1"),
+        list_of("positon_mm: [0, 0, 0], node: 1"),
         ["line 5", "taxel 0", "did you mean 'position_mm'"],
     ),
 }

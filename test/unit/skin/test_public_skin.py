@@ -4,7 +4,6 @@
 
 import doctest
 import gc
-import os
 import sys
 import threading
 import time
@@ -21,6 +20,7 @@ from tactile_cdma.commands.cli import main
 from tactile_cdma.recording.recording_file import Recorder
 from tactile_cdma.sim.options import SimOptions
 from test.support import simulated
+from test.support.boards import chattering
 from test.support.programs import run_python
 from test.support.waiting import wait_for
 
@@ -239,16 +239,9 @@ def test_paths_and_numpy_s_numbers_are_parameters_too() -> None:
 def test_a_port_that_is_none_and_one_that_says_nothing_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="no such port"):
         Skin(str(tmp_path / "ttyACM9")).open()
-    parent, child = os.openpty()
-    try:
-        with (
-            Skin(os.ttyname(child), timeout_s=0.5) as skin,
-            pytest.raises(PortError, match=r"no frame for 0\.5 s: "),
-        ):
-            skin.read()
-    finally:
-        os.close(parent)
-        os.close(child)
+    said = pytest.raises(PortError, match=r"no frame for 0\.5 s: ")
+    with chattering() as silent, Skin(silent, timeout_s=0.5) as skin, said:
+        skin.read()
 
 
 def test_a_closed_skin_says_so_and_can_be_opened_again() -> None:

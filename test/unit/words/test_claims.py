@@ -10,10 +10,9 @@ from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import TIMINGS, compare, decode
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import separate
-from tactile_cdma.words.decode import decode as read_words
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
 from tactile_cdma.words.tones import toned
+from test.support.correlations import read_chips, separate
 from test.support.independent_line import Line, Skin, Talk, render
 
 FEW = Talk(speakers=(0, 2, 3, 5), share=0.6, stay=8)
@@ -128,7 +127,7 @@ def test_what_a_weak_word_lacks_may_be_on_a_row_that_has_too_much() -> None:
         gain[node] * line_chips(spec, rng.integers(0, 1024, 16), np.arange(16) == node)
         for node in (3, 8, 12)
     )
-    words = read_words(separate(np.asarray(chips, np.float32), spec), spec)
+    words = read_chips(chips, spec)
     assert words.active[[3, 8, 12]].all()
     assert words.doubtful[[3, 8, 12]].tolist() == [True, False, False]
 
@@ -173,7 +172,7 @@ def test_a_tone_speaks_for_nobody(periods: float) -> None:
     for phase in np.arange(0, 1, 0.1):
         for volts in (0.2, 0.3, 0.6, 1.2):
             tone = volts * np.sin(2 * np.pi * (periods * bits + phase))
-            words = read_words(separate(tone.astype(np.float32), spec), spec)
+            words = read_chips(tone, spec)
             assert not (words.active & ~words.doubtful).any()
             spoke += words.doubtful.any()
     assert spoke > 10 or periods < 0.15, "it had something to say"
@@ -188,7 +187,7 @@ def test_words_in_a_tone_of_a_third_of_an_amplitude_are_heard() -> None:
         active[19] = True
         hum = 0.1 * np.sin(2 * np.pi * (rng.uniform(0.1, 1.5) * time + rng.uniform()))
         chips = line_chips(spec, codes, active) + hum + rng.normal(0, 0.02, (10, 40))
-        words = read_words(separate(chips.astype(np.float32), spec), spec)
+        words = read_chips(chips, spec)
         assert np.array_equal(words.active, active)
         assert np.array_equal(words.codes[active], codes[active])
         flagged += int((words.doubtful & active).sum())
@@ -227,7 +226,7 @@ def test_silence_in_noise_is_certain() -> None:
             active = rng.random(16) < 0.3
             chips = line_chips(spec, rng.integers(0, 1024, 16), active)
             chips = chips + rng.normal(0, sigma, chips.shape)
-            words = read_words(separate(chips.astype(np.float32), spec), spec)
+            words = read_chips(chips, spec)
             flagged += int((words.doubtful & ~active).sum())
             total += int((~active).sum())
     assert flagged < 0.01 * total
@@ -243,7 +242,7 @@ def test_a_node_that_always_speaks_faintly_is_named_weak(every: int, verdicts: i
         if frame % every == 0:
             chips = chips + line_chips(spec, codes, weak, 0.045)
         chips = chips + rng.normal(0, 0.067, chips.shape)  # ρ = 20, of the faint words 3
-        words = read_words(separate(chips.astype(np.float32), spec), spec, swing_v=health.swing_v)
+        words = read_chips(chips, spec, swing_v=health.swing_v)
         health.update(words)
     assert health.nodes(NodeState.WEAK) == [12]
     assert not words.active[11], "it is not heard for that"

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.code.separate import separate
 from tactile_cdma.words.decode import decode, silent
+from test.support.correlations import read_chips, separate
 from test.support.examples import examples
 
 SPECS = {
@@ -34,7 +34,7 @@ def test_decoding_undoes_encoding_for_every_word_and_activity(
     spec, rng = SPECS[name], np.random.default_rng(seed)
     codes = rng.integers(0, 1 << spec.bits, spec.nodes)
     active = rng.random(spec.nodes) < share
-    words = decode(separate(line_chips(spec, codes, active), spec), spec)
+    words = read_chips(line_chips(spec, codes, active), spec)
     assert np.array_equal(words.active, active)
     assert np.array_equal(words.codes[active], codes[active])
     assert not words.doubtful.any()
@@ -54,9 +54,7 @@ def test_noise_is_measured_and_errors_follow_the_matched_filter(name: str) -> No
     for _ in range(frames):
         codes = rng.integers(0, 1 << spec.bits, spec.nodes)
         chips = line_chips(spec, codes)
-        words = decode(
-            separate(chips + rng.normal(0, sigma, chips.shape).astype(np.float32), spec), spec
-        )
+        words = read_chips(chips + rng.normal(0, sigma, chips.shape), spec)
         heard = words.active
         differing = (words.codes ^ codes)[heard]
         wrong += sum(int(word).bit_count() for word in differing)
@@ -73,17 +71,17 @@ def test_noise_alone_is_silence_even_with_unknown_amplitude() -> None:
     for spec in (SPECS["learnt amplitude"], FrameSpec(order=16, first_row=0, amplitude_v=None)):
         for _ in range(200):
             chips = rng.normal(0, 0.05, (spec.bits, spec.order)).astype(np.float32)
-            assert not decode(separate(chips, spec), spec).active.any()
+            assert not read_chips(chips, spec).active.any()
 
 
 def test_close_decisions_are_flagged() -> None:
     spec, rng = FrameSpec(), np.random.default_rng(5)
     chips = line_chips(spec, np.full(16, 682))
     chips[3] *= 0.2  # one bit nearly lost, as a dropout of the line would do
-    words = decode(separate(chips, spec), spec)
+    words = read_chips(chips, spec)
     assert words.doubtful.all()
     noisy = line_chips(spec, np.full(16, 682)) + rng.normal(0, 0.4, chips.shape)
-    assert decode(separate(noisy.astype(np.float32), spec), spec).doubtful.any()
+    assert read_chips(noisy, spec).doubtful.any()
 
 
 @pytest.mark.slow
@@ -100,7 +98,7 @@ def test_a_discharge_within_one_bit_passes_no_wrong_word_for_a_good_one(nodes: i
         line[rng.integers(spec.bits)] += np.where(
             since < 0, 0, height * np.exp(-abs(since) / chips)
         )
-        words = decode(separate(line.astype(np.float32), spec), spec)
+        words = read_chips(line, spec)
         wrong = words.codes != codes
         turned += wrong.any()
         assert not (wrong & ~words.doubtful).any()
@@ -134,14 +132,14 @@ def test_one_node_that_fails_in_one_bit_is_the_only_one_in_doubt() -> None:
 def test_offset_does_not_reach_nodes_while_row_zero_is_free() -> None:
     spec = FrameSpec()
     codes = np.arange(16) * 60
-    words = decode(separate(line_chips(spec, codes) + np.float32(5.0), spec), spec)
+    words = read_chips(line_chips(spec, codes) + np.float32(5.0), spec)
     assert np.array_equal(words.codes, codes)
 
 
 def test_silent_words_have_the_shape_of_decoded_ones() -> None:
     spec = FrameSpec()
     nothing = silent(spec.nodes, 0.0)
-    decoded = decode(separate(np.zeros((10, 20), np.float32), spec), spec)
+    decoded = read_chips(np.zeros((10, 20), np.float32), spec)
     for field in ("active", "codes", "amplitude_v", "rho", "margin", "doubtful", "doubled"):
         a, b = getattr(nothing, field), getattr(decoded, field)
         assert (a.shape, a.dtype) == (b.shape, b.dtype)

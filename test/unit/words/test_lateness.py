@@ -7,11 +7,11 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.code.separate import separate
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import SampleBlock
 from tactile_cdma.words.decode import Words, decode
 from tactile_cdma.words.lateness import out_of_place
+from test.support.correlations import read_chips, separate
 
 SPEC = FrameSpec()
 
@@ -75,7 +75,7 @@ def test_a_weak_word_is_no_part_of_a_late_one_if_all_chips_hold_a_share_of_the_o
         chips += line_chips(SPEC, codes, np.isin(everybody, nodes[1:])).ravel()
         chips = (1 - share) * chips + share * np.append(0, chips[:-1])
         chips = (chips + rng.normal(0, 1e-3, chips.size)).astype(np.float32)
-        words = decode(separate(chips.reshape(SPEC.line_bits, SPEC.order), SPEC), SPEC)
+        words = read_chips(chips.reshape(SPEC.line_bits, SPEC.order), SPEC)
         assert words.active[nodes[1:]].all()
         assert words.doubtful[nodes[0]] if late else not words.doubtful.any()
 
@@ -86,7 +86,7 @@ def test_the_smallest_books_are_read(order: int) -> None:
     spec = FrameSpec(nodes=1, order=order, first_row=order > 1, frame_period_s=5e-3)
     rng = np.random.default_rng(order)
     chips = line_chips(spec, np.array([618]), np.array([True])) + rng.normal(0, 0.05, (10, order))
-    words = decode(separate(chips.astype(np.float32), spec), spec)
+    words = read_chips(chips, spec)
     assert words.active.all() and words.codes.tolist() == [618]
 
 
@@ -113,9 +113,7 @@ def test_a_chip_that_was_clipped_is_no_late_word_nor_turns_any(chip: int) -> Non
         codes ^= (sent < 0) << (9 - bit)
         chips = line_chips(SPEC, codes, everybody) + rng.normal(0, 0.01, (10, 20))
         assert chips[bit, chip] > 15 * DEFAULT_AMPLITUDE_V, "it has something to lose"
-        words = decode(
-            separate(chips.clip(max=12 * DEFAULT_AMPLITUDE_V).astype(np.float32), SPEC), SPEC
-        )
+        words = read_chips(chips.clip(max=12 * DEFAULT_AMPLITUDE_V), SPEC)
         assert np.array_equal(words.codes, codes)
         changes = np.bitwise_count((codes ^ codes >> 1) & 0x1FF)
         assert not words.doubtful[changes > 1].any(), "of others only that place tells"

@@ -7,9 +7,9 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.code.separate import separate
-from tactile_cdma.words.decode import Words, decode
+from tactile_cdma.words.decode import Words
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
+from test.support.correlations import read_chips
 
 SPEC = FrameSpec()
 
@@ -30,7 +30,7 @@ def low_pass(chips: np.ndarray, tau: float) -> np.ndarray:
 def heard(codes: np.ndarray, active: np.ndarray, tau: float, rng: np.random.Generator) -> Words:
     chips = low_pass(line_chips(SPEC, codes, active), tau)
     chips += rng.normal(0, 0.003, chips.shape)
-    return decode(separate(chips.astype(np.float32), SPEC), SPEC)
+    return read_chips(chips, SPEC)
 
 
 @pytest.mark.parametrize("tau", [0.1, 0.3, 0.4])
@@ -57,7 +57,7 @@ def test_a_weak_node_beside_loud_ones_is_found_and_doubtful_until_then(share: fl
         alone = np.arange(SPEC.nodes) == weak
         chips = chips + line_chips(SPEC, codes, alone, share * DEFAULT_AMPLITUDE_V)
         chips = low_pass(chips, 0.2) + rng.normal(0, 0.003, chips.shape)
-        words = decode(separate(chips.astype(np.float32), SPEC), SPEC, swing_v=health.swing_v)
+        words = read_chips(chips, SPEC, swing_v=health.swing_v)
         assert words.active[loud].all()
         if frame < JUDGE_FRAMES:
             assert not words.active[weak] and words.doubtful[weak]
@@ -75,5 +75,5 @@ def test_on_a_line_that_weakens_all_words_faint_ones_are_not_called_silent() -> 
         chips = line_chips(SPEC, codes, speaks, 0.45 * DEFAULT_AMPLITUDE_V)
         chips = chips + line_chips(SPEC, codes, faint, 0.22 * DEFAULT_AMPLITUDE_V)
         chips += rng.normal(0, 0.003, chips.shape)
-        words = decode(separate(chips.astype(np.float32), SPEC), SPEC)
+        words = read_chips(chips, SPEC)
         assert np.array_equal(words.doubtful, speaks | faint)

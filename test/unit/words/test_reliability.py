@@ -9,14 +9,15 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tactile_cdma.code.encode import line_chips, with_parity, word_bits
+from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels, separate
+from tactile_cdma.code.separate import NodeLevels
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.readings.status import Status
 from tactile_cdma.words.decode import Words, decode
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
+from test.support.correlations import read_chips, separate
 from test.support.examples import examples
 
 SPEC = FrameSpec()
@@ -32,14 +33,6 @@ def noisy(codes: np.ndarray, spec: FrameSpec, rho: float, rng: np.random.Generat
     chips = line_chips(spec, codes)
     sigma = SWING * np.sqrt(spec.order) / rho
     return separate(chips + rng.normal(0, sigma, chips.shape).astype(np.float32), spec)
-
-
-@given(st.integers(1, 16), st.integers(0, 2**32 - 1))
-def test_a_word_and_its_parity_bit_have_an_even_number_of_ones(bits: int, seed: int) -> None:
-    codes = np.random.default_rng(seed).integers(0, 1 << bits, 50)
-    line = with_parity(word_bits(codes, bits))
-    assert line.shape == (50, bits + 1)
-    assert not (line.sum(axis=1) % 2).any()
 
 
 @examples(50)
@@ -172,7 +165,7 @@ def test_a_node_that_only_tells_that_it_lives_is_sound() -> None:
     for frame in range(78 * 12):
         active = np.arange(16) == frame % 78
         chips = line_chips(SPEC, rng.integers(0, 1024, 16), active)
-        health.update(decode(separate(chips, SPEC), SPEC, swing_v=health.swing_v))
+        health.update(read_chips(chips, SPEC, swing_v=health.swing_v))
     assert health.nodes(NodeState.OK) == list(range(1, 17))
 
 
@@ -205,7 +198,7 @@ def test_noise_makes_no_weak_nodes() -> None:
     silence = np.zeros((10, 20), np.float32)
     for _ in range(500):
         noise = rng.normal(0, 0.4, silence.shape).astype(np.float32)
-        health.update(decode(separate(silence + noise, SPEC), SPEC, swing_v=health.swing_v))
+        health.update(read_chips(silence + noise, SPEC, swing_v=health.swing_v))
     assert not np.isin(health.state, [NodeState.WEAK, NodeState.DOUBLED, NodeState.FAULTY]).any()
 
 
