@@ -137,8 +137,7 @@ def picture(found: dict[int, dict[str, float]], one_by_one_hz: float) -> Figure:
         values = [rates[kind] for rates in found.values()]
         axes.loglog(list(found), values, "o-", color=f"C{number}", label=f"SkinBatch, {kind}")
     axes.axhline(one_by_one_hz, color="0.4", ls="--", label="Skin.step, one by one")
-    axes.set_xlabel("environments")
-    axes.set_ylabel("skin frames per s of CPU time")
+    axes.set(xlabel="environments", ylabel="skin frames per s of CPU time")
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3, which="both")
     figure.tight_layout()

@@ -360,8 +360,7 @@ def picture(found: dict[str, Result]) -> Figure:
         label = ("median", "99 %")[percentile]
         values = [ages_ms(result)[percentile] for result in found.values()]
         ages.plot(values, names, marker, color="C1", label=label)
-    ages.set_xscale("log")
-    ages.set_xlabel("age of contacts, ms")
+    ages.set(xscale="log", xlabel="age of contacts, ms")
     ages.legend()
     for axes in (shares, ages):
         axes.grid(alpha=0.3, axis="x", which="both")

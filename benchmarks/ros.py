@@ -416,8 +416,7 @@ def picture(results: Results) -> Figure:
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
-    axes.set_xlabel("last byte in → callback, ms")
-    axes.set_ylabel("share of frames, %")
+    axes.set(xlabel="last byte in → callback, ms", ylabel="share of frames, %")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend()
     return figure

@@ -171,9 +171,7 @@ def picture(times: dict[tuple[int, float | str, bool], float]) -> Figure:
             label = f"{nodes} nodes" + ("" if quiet else ", without QUIET")
             axes.plot(SHARES, ms, style, label=label, color=f"C{list(SKINS).index(nodes)}")
     axes.set_xscale("symlog", linthresh=0.003)
-    axes.set_yscale("log")
-    axes.set_xlabel("share of nodes that speak")
-    axes.set_ylabel("CPU time, ms per frame")
+    axes.set(yscale="log", xlabel="share of nodes that speak", ylabel="CPU time, ms per frame")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the curves
     return figure

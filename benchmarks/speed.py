@@ -171,8 +171,7 @@ def picture(times: dict[int, dict[str, float]], errors: dict[int, dict[str, floa
         "Correlating a frame of 10 bits, one thread (×: orders that are no power of two)"
     )
     above.legend()
-    below.set_ylabel("largest error / RMS")
-    below.set_xlabel("code order N, chips per bit")
+    below.set(ylabel="largest error / RMS", xlabel="code order N, chips per bit")
     below.set_xticks([16, 64, 256, 1024, 4096, 16_384, 65_536], minor=False)
     below.set_xticklabels(["16", "64", "256", "1024", "4096", "16384", "65536"])
     for axes in (above, below):

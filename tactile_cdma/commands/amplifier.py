@@ -15,18 +15,14 @@ LONGEST_MS = 1e5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand."""
-    parser.add_argument(
-        "--passive",
-        action="store_true",
-        help="no amplifier: resistors only, for up to some 24 nodes",
-    )
-    for name, text in (
-        ("--input-ohm", "from a node's pin to the line [Ω] (chosen)"),
-        ("--bias-ohm", "from the line to supply and to ground, each [Ω] (2200)"),
-        ("--supply", "of the digitizer and these two [V] (3.3)"),
-        ("--node-supply", "of the nodes: 5 for an Arduino Uno or Nano [V] (3.3)"),
-    ):
-        parser.add_argument(name, type=float, help=text)
+    add = parser.add_argument
+    text = "no amplifier: resistors only, for up to some 24 nodes"
+    add("--passive", action="store_true", help=text)
+    add("--input-ohm", type=float, help="from a node's pin to the line [Ω] (chosen)")
+    add("--bias-ohm", type=float, help="from the line to supply and to ground, each [Ω] (2200)")
+    add("--supply", type=float, help="of the digitizer and these two [V] (3.3)")
+    text = "of the nodes: 5 for an Arduino Uno or Nano [V] (3.3)"
+    add("--node-supply", type=float, help=text)
     add_skin_options(parser, "the driver's; the frame period has no effect")
 
 

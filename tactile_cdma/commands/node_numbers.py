@@ -66,11 +66,12 @@ def enumerate_nodes(
     Raises PortError where the digitizer sends no frames or does not announce numbers.
     """
     numbering, session, pipeline = Numbering(config.spec.nodes), Session(config), Pipeline(config)
+    on_key = {"b": numbering.back, "s": numbering.skip}
     announced, said_s, heard_s, prompted = Number(0), -np.inf, np.inf, 0
     tell(KEYS)
     port.write(session.open())
     try:
-        while numbering.asked is not None or numbering.forgets:
+        while numbering.asked is not None or numbering.request.forget:
             data, now_s = port.read()
             heard_s = min(heard_s, now_s)
             for frame in pipeline.feed(data, now_s):
@@ -89,15 +90,9 @@ def enumerate_nodes(
                     "frames is below 2.2 ms"
                 )
             if not typed.empty():
-                match typed.get().strip().lower():
-                    case "b":
-                        tell(numbering.back())
-                    case "s":
-                        tell(numbering.skip())
-                    case "q":
-                        break
-                    case _:
-                        tell(KEYS)
+                if (key := typed.get().strip().lower()) == "q":
+                    break
+                tell(on_key[key]() if key in on_key else KEYS)
                 prompted = 0
             if not numbering.waits:
                 prompted = 0

@@ -216,16 +216,14 @@ def user_path(name: str, text: str) -> Path:
 
 def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
     """Combinations that cannot work: whether it is this one, and what to say of it."""
-    gap, samples_per_chip = get["timing"] == GAP, get["samples_per_chip"]
+    gap, roll_call = get["timing"] == GAP, get["roll_call"]
+    samples_per_chip = get["samples_per_chip"]
     samples = f"samples_per_chip is {samples_per_chip}, it must be"
     line = "timing is 'gap', it must be 'line'"
     if spec.sparse:
         reason = "sparse codes are told apart by whole chips of marked frames"
         yield gap, f"{reason}: {line}"
-        yield (
-            get["roll_call"],
-            f"{reason}, nodes with clocks of their own are not: set roll_call to false",
-        )
+        yield roll_call, f"{reason}, nodes with clocks of their own are not: set roll_call to false"
         yield samples_per_chip != 1, f"{reason}: {samples} 1"
         yield (
             spec.amplitude_v is None,
@@ -246,7 +244,7 @@ def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
             f"timing 'gap' needs a silence between frames: a frame stretched by {MAX_STRETCH:.0%} "
             f"lasts {longest_s * 1e3:g} ms, its period is {spec.frame_period_s * 1e3:g} ms",
         )
-    if get["roll_call"]:
+    if roll_call:
         reason = "roll_call measures clocks from raw samples of marked frames"
         yield gap, f"{reason}: {line}"
         yield samples_per_chip < 2, f"{reason}: {samples} 2 or more"

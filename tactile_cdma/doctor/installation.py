@@ -15,6 +15,7 @@ import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -32,6 +33,8 @@ UNFINISHED_S = 2.0
 """Age, s, at which a segment should have its size: it gets it microseconds after its name."""
 ROS_TIMEOUT_S = 60.0
 """Time limit for the checks of ROS 2, s; chosen: several times what a slow computer takes."""
+
+_run = partial(subprocess.run, capture_output=True, text=True)
 
 
 def installation() -> Iterator[Check]:
@@ -154,8 +157,7 @@ def port_access() -> Iterator[Check]:
     else:
         what = problem if closed else warning
         yield what(
-            "serial ports",
-            f"{user} is not in the group {name} and may not open them: {remedy}",
+            "serial ports", f"{user} is not in the group {name} and may not open them: {remedy}"
         )
 
 
@@ -239,14 +241,9 @@ def _is_unfinished(path: Path) -> bool:
 
 def clock() -> Iterator[Check]:
     """Whether the clock is synchronized, so that stamps of several computers can be compared."""
+    command = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
     try:
-        answer = subprocess.run(
-            ["timedatectl", "show", "--property=NTPSynchronized", "--value"],  # noqa: S607
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        ).stdout.strip()
+        answer = _run(command, timeout=5, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):  # no systemd: then it is not known
         return
     if answer == "yes":
@@ -261,13 +258,8 @@ def ros() -> Iterator[Check]:
     """The checks of tactile_cdma.ros.doctor, in a process of its own: ROS may crash or hang."""
     path = os.pathsep.join(filter(None, (str(CHECKOUT), os.environ.get("PYTHONPATH"))))
     try:
-        run = subprocess.run(
-            [sys.executable, "-m", "tactile_cdma.ros.doctor"],
-            capture_output=True,
-            text=True,
-            timeout=ROS_TIMEOUT_S,
-            env={**os.environ, "PYTHONPATH": path},
-        )
+        command = [sys.executable, "-m", "tactile_cdma.ros.doctor"]
+        run = _run(command, timeout=ROS_TIMEOUT_S, env={**os.environ, "PYTHONPATH": path})
     except subprocess.TimeoutExpired:
         yield problem(
             "ROS 2",

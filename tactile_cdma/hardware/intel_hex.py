@@ -12,15 +12,13 @@ BLANK = 0xFF
 """An erased byte: what is between the records."""
 
 
-def to_hex(data: bytes) -> str:
-    """The text of a memory of up to 64 kB that begins at address 0."""
-    return "\n".join([*_records(data, 0), _record(0, END, b""), ""])
-
-
-def joined_hex(text: str, data: bytes, address: int) -> str:
-    """Such a text, and after it data at an address behind it."""
-    before = [line.strip() for line in text.splitlines() if line.strip()]
-    return "\n".join([*before[:-1], *_records(data, address), before[-1], ""])
+def to_hex(data: bytes, address: int = 0, text: str = ":00000001FF") -> str:
+    """The text of up to 64 kB from an address on, after those of a text that ends before it."""
+    *before, end = [line.strip() for line in text.splitlines() if line.strip()]
+    records = [
+        _record(address + at, data[at : at + PER_RECORD]) for at in range(0, len(data), PER_RECORD)
+    ]
+    return "\n".join([*before, *records, end, ""])
 
 
 def from_hex(text: str) -> bytes:
@@ -46,15 +44,8 @@ def from_hex(text: str) -> bytes:
     raise NodeMemoryError("the Intel HEX text has no end record: is it truncated?")
 
 
-def _records(data: bytes, begin: int) -> list[str]:
-    return [
-        _record(begin + at, DATA, data[at : at + PER_RECORD])
-        for at in range(0, len(data), PER_RECORD)
-    ]
-
-
-def _record(address: int, kind: int, data: bytes) -> str:
-    body = bytes([len(data), address >> 8, address & 0xFF, kind]) + data
+def _record(address: int, data: bytes) -> str:
+    body = bytes([len(data), address >> 8, address & 0xFF, DATA]) + data
     return f":{(body + bytes([-sum(body) & 0xFF])).hex().upper()}"
 
 

@@ -46,11 +46,6 @@ class Numbering:
         return Number(self.asked or 0)
 
     @property
-    def forgets(self) -> bool:
-        """Whether nodes are being told to forget a number."""
-        return self._left > 0
-
-    @property
     def waits(self) -> bool:
         """Whether somebody has to press a taxel, once the digitizer announces that."""
         return not self._left and self.asked is not None

@@ -76,10 +76,8 @@ class PassiveLine:
     @property
     def range_v(self) -> tuple[float, float]:
         """The line with all pins low, and with all high."""
-        middle_v, swing_v = (
-            self.supply_v / 2 + self.shift_v,
-            self.nodes * self.amplitude_v(self.nodes),
-        )
+        middle_v = self.supply_v / 2 + self.shift_v
+        swing_v = self.nodes * self.amplitude_v(self.nodes)
         return middle_v - swing_v, middle_v + swing_v
 
     @property

@@ -20,7 +20,7 @@ from ..base.errors import NodeMemoryError, SpecError
 from ..base.named_file import naming, read_named
 from ..base.whole_file import replace_file, replacing
 from ..wire._protocol import NODE_FLASH, NODE_FLASH_END
-from .intel_hex import from_hex, joined_hex, to_hex
+from .intel_hex import from_hex, to_hex
 from .node_memory import MCUS, NodeRecord, NodeTable, read_node_memory, read_node_table
 
 _log = logging.getLogger(__name__)
@@ -84,7 +84,7 @@ def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: P
             )
         if f"node-{mcu}\0".encode() not in flash:  # the firmware's BOARD_NAME
             raise NodeMemoryError(f"no program of this firmware for the {mcu}")
-    return joined_hex(text, table, NODE_FLASH)
+    return to_hex(table, NODE_FLASH, text)
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:

@@ -88,7 +88,6 @@ class CdrWriter:
         self.add(string(text), 4)
 
     def texts(self, texts: Sequence[str]) -> None:
-        """Write a sequence of strings."""
         self.count(len(texts))
         for text in texts:
             self.text(text)

@@ -179,7 +179,7 @@ def test_a_node_that_goes_on_talking_is_told() -> None:
     said = [numbering.take(words) for _ in range(2 * TALKING_FRAMES)]
     told = [text for text in said if text]
     assert len(told) == 2 and "node 5 goes on talking" in told[0]
-    assert numbering.forgets and not numbering.waits
+    assert numbering.request.forget and not numbering.waits
 
 
 def test_a_node_with_a_number_of_its_own_is_told_and_does_not_count() -> None:
@@ -191,7 +191,7 @@ def test_a_node_with_a_number_of_its_own_is_told_and_does_not_count() -> None:
     assert numbering.waits
     said = []
     for _ in range(500):
-        said.append(numbering.take(quiet if numbering.forgets else words))
+        said.append(numbering.take(quiet if numbering.request.forget else words))
     assert numbering.asked == 1 and [text for text in said if text] == [
         "node 1 speaks before it is pressed: has it a number of its own? All nodes take one image "
         "(node --any)"

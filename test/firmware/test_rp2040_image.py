@@ -13,7 +13,6 @@ from test.support.programs import run_program
 
 FLASH, RAM, RAM_SIZE = 0x10000000, 0x20000000, 0x42000
 BOOT_SIZE = 256
-FLASH_SIZE = 2 << 20
 
 
 @pytest.fixture(scope="module")

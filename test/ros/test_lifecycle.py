@@ -16,7 +16,7 @@ import rclpy
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import Transition
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -203,7 +203,7 @@ def test_a_defect_is_told_of_releases_everything_and_can_be_outlived(tmp_path: P
 @pytest.mark.parametrize(
     "defects, transition, ends",
     [
-        ({"_watch_of_port": 1}, "configure", UNCONFIGURED),
+        ({"_rest_path": 1}, "configure", UNCONFIGURED),
         ({"_stop_driver": 1}, "deactivate", UNCONFIGURED),
         ({"release": 1}, "shutdown", UNCONFIGURED),
         ({"release": 2}, "shutdown", FINALIZED),
@@ -220,7 +220,7 @@ def test_a_defect_in_a_transition_ends_no_node(
             state = ACTIVE
         before, node.defects = FAILURES.count, dict(defects)
         assert not client.change(full_name(state, transition))
-        assert client.state() == getattr(State, f"PRIMARY_STATE_{ends.upper()}")
+        assert client.state() == ends
         assert FAILURES.count == before + (1 + (ends == FINALIZED))
         if ends != FINALIZED:
             assert client.change("configure", "activate")
@@ -246,7 +246,7 @@ def test_a_manager_learns_why_a_node_cannot_start_and_then_starts_and_ends_it(
         for name in (*life, *life, "shutdown"):
             assert client.change(full_name(state, name))
             state = TRANSITIONS[state, name]
-            assert client.state() == getattr(State, f"PRIMARY_STATE_{state.upper()}")
+            assert client.state() == state
 
 
 def test_a_destroyed_node_leaves_no_services_behind() -> None:

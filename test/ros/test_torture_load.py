@@ -73,15 +73,6 @@ def another_flag(message: TactileArray, number: int) -> bool:
     return False
 
 
-def another_stamp(message: TactileArray, number: int) -> bool:
-    message.header.stamp.sec += 3600 * (number == 5)
-    return False
-
-
-def told_loss(message: TactileArray, number: int) -> bool:
-    return number == 5
-
-
 def untold_loss(message: TactileArray, number: int) -> bool:
     message.sequence -= number > 5
     return number == 5
@@ -93,8 +84,6 @@ def untold_loss(message: TactileArray, number: int) -> bool:
         (nothing, 0, 0),
         (another_pressure, 1, 0),
         (another_flag, 1, 0),
-        (another_stamp, 1, 0),
-        (told_loss, 0, 0),
         (untold_loss, 0, 2),  # where it is lost, and where the numbers are right again
     ],
 )

@@ -132,9 +132,6 @@ class CoreDigitizer:
         self.events.append(("t", struct.pack("<Q", now_us)))
         self._core.dg_time(self._shim, now_us)
 
-    def sync_fault(self) -> None:
-        self._core.dg_sync_fault(self._shim)
-
     def pulses(self, count: int) -> list[Pulse]:
         """The next pulses, at most as many as asked for."""
         self.events.append(("p", struct.pack("<I", count)))
@@ -208,7 +205,6 @@ def declare(core: ctypes.CDLL) -> None:
         "dg_samples": (None, pointer, POINTER(c_uint16), size),
         "dg_lost": (None, pointer, c_uint32),
         "dg_pulse": (c_bool, pointer, POINTER(_Pulse)),
-        "dg_sync_fault": (None, pointer),
         "dg_time": (None, pointer, u64),
         "dg_output": (size, pointer, POINTER(POINTER(c_uint8))),
         "dg_sent": (None, pointer, size),

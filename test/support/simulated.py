@@ -3,7 +3,6 @@
 """What simulated skins send: raw captures, an oscilloscope's view of the line, streams of bytes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -45,22 +44,14 @@ def recording(path: Path, options: SimOptions, seconds: float, **parameters: obj
 
 def _told(options: SimOptions, seconds: float) -> Iterator[tuple[bytes, float]]:
     """What a host reads, and when, in so many seconds of the skin's time."""
-    clock = _Clock()
-    digitizer = VirtualDigitizer(options, clock)
+    now_s = 0.0
+    digitizer = VirtualDigitizer(options, lambda: now_s)
     digitizer.receive(Session(SkinConfig.of({})).open())
-    while clock.now_s < seconds:
-        clock.now_s += 0.02
+    while now_s < seconds:
+        now_s += 0.02
         digitizer.advance()
-        yield digitizer.take(1 << 20), clock.now_s
+        yield digitizer.take(1 << 20), now_s
     assert digitizer.packets_dropped == 0
-
-
-@dataclass
-class _Clock:
-    now_s: float = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 class Truth:

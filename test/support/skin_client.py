@@ -77,8 +77,8 @@ class Client(Node):
         requests = (ChangeState.Request(transition=Transition(id=number)) for number in numbers)
         return all(self.call(ChangeState, "change_state", each).success for each in requests)
 
-    def state(self) -> int:
-        return int(self.call(GetState, "get_state", GetState.Request()).current_state.id)
+    def state(self) -> str:
+        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
 
     def set(self, **values: Any) -> tuple[bool, str]:
         """Set one parameter; returns whether it was taken and the reason if not."""

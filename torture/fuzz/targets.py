@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from tactile_cdma.base.errors import ParameterError, PortError, SpecError, TactileError
 from tactile_cdma.replay.player import ReplayOptions
 from tactile_cdma.sim.options import SimOptions
@@ -16,14 +18,9 @@ from .target import Target
 PORTS = (SerialPort("/dev/ttyACM0", "a board", "E661"), SerialPort("/dev/ttyACM1", "twin", "77"))
 
 
-def read_sim(data: bytes) -> None:
-    """Read the options of a simulated skin."""
-    SimOptions.from_url("sim://?" + data.decode(errors="replace"))
-
-
-def read_replay(data: bytes) -> None:
-    """Read the options of a replay."""
-    ReplayOptions.from_url("replay://" + data.decode(errors="replace"))
+def read_url(options: type[SimOptions | ReplayOptions], scheme: str) -> Callable[[bytes], object]:
+    """Read the options of a simulated skin, or of a replay."""
+    return lambda data: options.from_url(scheme + data.decode(errors="replace"))
 
 
 def read_names(data: bytes) -> None:
@@ -44,8 +41,8 @@ SIM = {
 REPLAY = {"file": b"touch.skin?speed=2&loop=1&start=0.5&end=9", "home": b"~/a%20b.skin"}
 NAMES = {"id": b"0xE6:60:58:38:83:72:A4:32", "usb": b"e661", "twice": b"77"}
 TEXTS = (
-    Target("sim", read_sim, lambda: SIM, (SpecError,), 256),
-    Target("replay", read_replay, lambda: REPLAY, (SpecError,), 256),
+    Target("sim", read_url(SimOptions, "sim://?"), lambda: SIM, (SpecError,), 256),
+    Target("replay", read_url(ReplayOptions, "replay://"), lambda: REPLAY, (SpecError,), 256),
     Target("names", read_names, lambda: NAMES, (PortError, TactileError), 128),
 )
 GROUPS = {

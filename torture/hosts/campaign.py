@@ -24,8 +24,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..outcome import Outcome, Plan, Tally
-from .heard import ARRAYS, BODY_CONTACTS, CONTACTS, Heard
-from .judge import SLACK_S, arrivals, deaf_claims, false_claims, untold
+from .judge import (
+    ARRAYS,
+    BODY_CONTACTS,
+    CONTACTS,
+    SLACK_S,
+    Heard,
+    arrivals,
+    deaf_claims,
+    false_claims,
+    untold,
+)
 from .network import Network, why_not
 from .relay import Weather
 from .rig import BRAIN, PATCHES, RIGHT, SIDES, STALE_AFTER_S, Rig

@@ -7,16 +7,40 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
-from .heard import BODY_CONTACTS, CONTACTS, Heard
-
+BODY = "/body"
+ARRAYS, CONTACTS, BODY_CONTACTS, REPORTS = "tactile", "contacts", "body", "reports"
+"""Kinds of messages; the first two are topics of the patches' drivers, too."""
 SLACK_S = 1.0
 """How much older than stale_after_s a body's data may be: it looks every 0.2 s at who is silent,
 messages are under way, and on a busy machine they wait for its turn. Chosen above all that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message as it arrived at a host.
+
+    kind: ARRAYS, CONTACTS, BODY_CONTACTS or REPORTS. patch: the node of its driver, or the body.
+    sent_s: when it was sent, monotonic, the same on all hosts; true if its sender's clock is the
+    listener's. sent_ns: that on the sender's clock, by which all listeners know it. age_s: arrival
+    minus stamp, on the listener's clock. said: of REPORTS, the body's words on each patch. Others:
+    as in the message.
+    """
+
+    kind: str
+    patch: str
+    sent_s: float
+    sent_ns: int = 0
+    sequence: int = 0
+    age_s: float = 0.0
+    touched: bool = False
+    untouched: bool = False
+    absent: list[str] = field(default_factory=list)
+    said: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from tactile_cdma.msg import TactileArray, TactileContacts
 from tactile_cdma.ros.common.convert import nanoseconds
 from tactile_cdma.ros.common.executor import LeanExecutor
 
-from .heard import ARRAYS, BODY, BODY_CONTACTS, CONTACTS, REPORTS, Heard
+from .judge import ARRAYS, BODY, BODY_CONTACTS, CONTACTS, REPORTS, Heard
 
 DEPTH = 1000
 

@@ -82,9 +82,8 @@ class LoadedSkin:
     """Use as a context manager. patience_s: without progress for so long, something hangs.
 
     folder: for all files that are written; state_folder: the driver's.
-    judge: takes every message. reports: number of messages on /diagnostics. warned: what they said
-    at WARN or worse, by entry. watches: whether to subscribe to the heatmap; pictures: how many of
-    it came.
+    judge: takes every message. reports: number of messages on /diagnostics. watches: whether to
+    subscribe to the heatmap; pictures: how many of it came.
     """
 
     def __init__(
@@ -107,7 +106,6 @@ class LoadedSkin:
         self.reports = self.pictures = 0
         self.watches = False
         self._heatmap: Subscription | None = None
-        self.warned: dict[str, set[str]] = {}
         self.hangs = 0
         namespace = f"/load_{os.getpid()}_{next(_NUMBERS)}"  # others may be in the same domain
         self.name = f"{namespace}/skin"
@@ -199,10 +197,6 @@ class LoadedSkin:
         """The newest value of a key in /diagnostics; empty if there was none."""
         return self._values.get(value, "")
 
-    def complains(self, entry: str, text: str) -> bool:
-        """Whether an entry of /diagnostics warned with this text since the last outcome."""
-        return any(text in message for message in self.warned.get(entry, ()))
-
     @property
     def rss_kb(self) -> int:
         """Resident memory of the driver's process."""
@@ -217,7 +211,7 @@ class LoadedSkin:
         tally.wrong_values += wrong
         tally.uncounted_losses += uncounted
         tally.crashes = self.defects() + (self.process.poll() is not None)
-        tally.hangs, self.hangs, self.warned = self.hangs, 0, {}
+        tally.hangs, self.hangs = self.hangs, 0
         return tally.outcome(fault, said or frames_missing(tally))
 
     def defects(self) -> int:
@@ -277,11 +271,8 @@ class LoadedSkin:
         self.reports += 1
         ours = f"{self.name.lstrip('/')}: "
         for status in message.status:
-            if not status.name.startswith(ours):
-                continue
-            self._values |= {pair.key: pair.value for pair in status.values}
-            if status.level in (status.WARN, status.ERROR):
-                self.warned.setdefault(status.name.removeprefix(ours), set()).add(status.message)
+            if status.name.startswith(ours):
+                self._values |= {pair.key: pair.value for pair in status.values}
 
 
 def frames_missing(tally: Tally) -> str:

@@ -177,12 +177,9 @@ class DatasetWriter:
         """As pandas writes a table whose index is the task."""
         library = self._arrow
         table = library.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
-        types = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-        columns = [
-            {"name": name, "field_name": name, "metadata": None}
-            | {"pandas_type": pandas, "numpy_type": numpy}
-            for name, (pandas, numpy) in types.items()
-        ]
+        types = ("task_index", "int64", "int64"), ("task", "unicode", "object")
+        keys = "name", "field_name", "pandas_type", "numpy_type", "metadata"
+        columns = [dict(zip(keys, (name, name, *its, None), strict=True)) for name, *its in types]
         described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
         library.parquet.write_table(table, self._folder / "meta/tasks.parquet")

@@ -39,7 +39,7 @@ from .contacts import body_contacts
 from .names import body_names
 from .parameters import body_setup, declared
 from .patch_feed import PatchFeed
-from .report import body_status, host_status
+from .report import body_report
 from .tactile import Part, body_tactile
 
 NODE_NAME = "body"
@@ -123,10 +123,12 @@ class BodyNode(Node):
         elif now_s - self._published_s > self._values["stale_after_s"]:
             self._publish_contacts(now_s)
 
-    def _pose(self, feed: PatchFeed, frame_id: str) -> Pose | None:
-        """The pose of a patch's frame in the body's; None, noting the fault, if unknown."""
+    def _pose(self, feed: PatchFeed, message: Touches | TaxelArray | None) -> Pose | None:
+        """The pose in the body's frame of what a patch sent; None, noting the fault, if unknown."""
+        if message is None:
+            return None
         try:
-            pose = self._transforms.tree.pose(self._values["frame_id"], frame_id)
+            pose = self._transforms.tree.pose(self._values["frame_id"], message.heading.frame_id)
         except TransformError as error:
             self._faults[feed.node_name] = str(error)
             return None
@@ -159,7 +161,7 @@ class BodyNode(Node):
         present = set(self._rounds.present(self._feeds, now_s))
         for name, feed in self._feeds.items():
             latest = feed.contacts if name in present else None
-            pose = self._pose(feed, latest.heading.frame_id) if latest else None
+            pose = self._pose(feed, latest)
             if latest and pose and latest.taxels_valid:
                 parts.append((pose, latest))
             else:
@@ -199,7 +201,7 @@ class BodyNode(Node):
         present = set(self._taxel_rounds.present(self._feeds, now_s))
         for name, feed in self._feeds.items():
             array, places = feed.taxels, feed.places
-            pose = self._pose(feed, array.heading.frame_id) if array else None
+            pose = self._pose(feed, array)
             is_absent = name not in present or places is None
             if array and places:
                 is_absent |= array.info_id != places.info_id or len(array.status) != len(places)
@@ -235,7 +237,7 @@ class BodyNode(Node):
         self._are_points_due, self._drawn = False, present
         for feed in present:
             feed.is_new = False
-            pose = self._pose(feed, feed.array.heading.frame_id) if feed.array else None
+            pose = self._pose(feed, feed.array)
             max_pa, gamma = self._values["colour_max_kpa"] * 1e3, self._values["colour_gamma"]
             cloud = feed.points(max_pa, pose, gamma) if pose else None
             if feed.array and cloud is not None:
@@ -252,7 +254,7 @@ class BodyNode(Node):
         places_m = {}
         for feed in self._feeds.values():
             feed.poll_points()
-            pose = self._pose(feed, feed.array.heading.frame_id) if feed.array else None
+            pose = self._pose(feed, feed.array)
             if pose and (taxels_m := feed.taxels_m) is not None:
                 places_m[feed.node_name] = pose.apply(taxels_m)
         if places_m:
@@ -262,8 +264,8 @@ class BodyNode(Node):
 
     def _report(self) -> None:
         name, stale_after_s = self.get_fully_qualified_name(), self._values["stale_after_s"]
-        status = body_status(name, self._feeds, self._faults, stale_after_s, time.monotonic())
-        self._diagnostics.publish(report(self, [status, host_status(name)]))
+        entries = body_report(name, self._feeds, self._faults, stale_after_s, time.monotonic())
+        self._diagnostics.publish(report(self, entries))
 
 
 def main() -> int:

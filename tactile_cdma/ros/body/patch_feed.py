@@ -78,7 +78,6 @@ class PatchFeed:
 
     @property
     def is_followed(self) -> bool:
-        """Whether it is subscribed to."""
         return bool(self._for_contacts or self._for_points or self._for_taxels)
 
     def silent_s(self, now_s: float) -> float:

@@ -22,14 +22,14 @@ BEHIND_S = 30e-3
 quickest message of a second on a sound Wi-Fi, a few ms."""
 
 
-def body_status(
+def body_report(
     name: str,
     feeds: Mapping[str, PatchFeed],
     faults: Mapping[str, str],
     stale_after_s: float,
     now_s: float,
-) -> DiagnosticStatus:
-    """The entry `<node>: patches`.
+) -> list[DiagnosticStatus]:
+    """The entries `<node>: patches` and `<node>: host`.
 
     name: fully qualified name of the body node. faults: why a patch's frame is unknown in the
     body's, by patch.
@@ -46,13 +46,11 @@ def body_status(
     elif not any(feed.is_followed for feed in feeds.values()):
         text = "nobody subscribes to the body's topics"
     values = {patch: complaint or state for patch, (complaint, state) in judged.items()}
-    return diagnostic(f"{name.lstrip('/')}: patches", level, text, values)
-
-
-def host_status(name: str) -> DiagnosticStatus:
-    """The entry `<node>: host`."""
-    values = {FAILED: FAILURES.count}
-    return diagnostic(f"{name.lstrip('/')}: host", DiagnosticStatus.OK, "ok", values)
+    prefix, failed = name.lstrip("/"), {FAILED: FAILURES.count}
+    return [
+        diagnostic(f"{prefix}: patches", level, text, values),
+        diagnostic(f"{prefix}: host", DiagnosticStatus.OK, "ok", failed),
+    ]
 
 
 def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
@@ -62,7 +60,7 @@ def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> 
     late_s, underway_s, rate_hz = feed.late_s(), feed.underway_s(), feed.rate_hz(now_s)
     if not feed.is_followed:
         return "", "its driver is there" if feed.has_driver else "its driver was not seen yet"
-    complaint = fault
+    complaint = ""
     if silent and not feed.has_driver:
         complaint = "no driver: does it run, in this ROS domain, on a computer that is discovered?"
     elif silent:
@@ -71,22 +69,24 @@ def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> 
             f"its driver is there, but silent{since}: its own entries here say why; if those stay "
             "away, too, the network to its computer is cut"
         )
-    elif not fault and coverage and not coverage.valid:
+    elif fault:
+        complaint = fault
+    elif coverage and not coverage.valid:
         complaint = (
             f"none of its {coverage.in_service} taxels in service has a valid reading: its own "
             "entry 'nodes' here says why"
         )
-    elif not fault and underway_s < -AHEAD_S:
+    elif underway_s < -AHEAD_S:
         complaint = (
             f"the clock of its computer is ahead of this one's by {-underway_s:.3f} s and the time "
             "that messages take: have both computers follow one time server"
         )
-    elif not fault and underway_s > BEHIND_S:
+    elif underway_s > BEHIND_S:
         complaint = (
             f"its messages take {underway_s:.3f} s by the computers' clocks: that of its computer "
             "is behind this one's, or the network is slow (ping tells)"
         )
-    elif not fault and abs(late_s) > STAMPS_OFF_S:
+    elif abs(late_s) > STAMPS_OFF_S:
         complaint = (
             f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
             "for both, or is a computer too busy?"

@@ -5,7 +5,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
@@ -24,18 +24,19 @@ STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 TAKEN = SetParametersResult(successful=True)
 """The answer where no parameter is to be set."""
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
+Init = TypeVar("Init", bound=Callable[..., None])
 
 
-def all_or_nothing(constructor: Callable[..., None]) -> Callable[..., None]:
+def all_or_nothing(init: Init) -> Init:
     """Decorate a node's __init__: if it raises, it leaves nothing behind.
 
     Others would see the node for as long as the exception is kept, whose traceback refers to it.
     """
 
-    @wraps(constructor)
+    @wraps(init)
     def construct(node: Node, *args: Any, **options: Any) -> None:
         try:
-            constructor(node, *args, **options)
+            init(node, *args, **options)
         except BaseException:
             with suppress(AttributeError):  # rclpy's own constructor has raised: parts are missing
                 node.destroy_node()
@@ -43,7 +44,7 @@ def all_or_nothing(constructor: Callable[..., None]) -> Callable[..., None]:
                 node.handle.destroy_when_not_in_use()
             raise
 
-    return construct
+    return cast(Init, construct)
 
 
 def reported(transition: Transition) -> Transition:

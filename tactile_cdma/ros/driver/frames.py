@@ -35,7 +35,6 @@ class FramePublishers:
     """
 
     def __init__(self, node: LifecycleNode, live: Values, stamps: Stamps) -> None:
-        """live: the parameters' present values, kept by the node."""
         self._live, self._stamps = live, stamps
         create = node.create_lifecycle_publisher
         self._array = create(TactileArray, "~/tactile", qos_profile_sensor_data)
@@ -62,7 +61,6 @@ class FramePublishers:
         self._is_tracking = False
 
     def stop(self) -> None:
-        """No more frames of the stream will come."""
         self.latest = None
 
     def change(self, thresholds: ContactThresholds) -> None:

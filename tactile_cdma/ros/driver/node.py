@@ -147,7 +147,9 @@ class SkinNode(ManagedNode):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and open the port."""
-        watch = self._watch_of_port()
+        port, watch = str(self._live["port"]), self._watch
+        if watch is None or watch.port != port:  # it outlasts activations of the same port
+            watch = SourceWatch(port)
         url = watch.source.port
         try:
             if self._declared.faults:
@@ -175,7 +177,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stream."""
         assert self._rest is not None and self._watch is not None
         result = super().on_activate(state)
         config, spec = self._rest.config, self._rest.config.spec
@@ -212,7 +213,6 @@ class SkinNode(ManagedNode):
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything."""
         self.release()
         return super().on_shutdown(state)
 
@@ -271,13 +271,6 @@ class SkinNode(ManagedNode):
         self._frames.stop()
 
     # Publishing
-
-    def _watch_of_port(self) -> SourceWatch:
-        """The watch of the port that is given; it outlasts activations of the same port."""
-        port = str(self._live["port"])
-        if self._watch is None or self._watch.port != port:
-            return SourceWatch(port)
-        return self._watch
 
     def _publish_info(self) -> None:
         assert self._rest is not None and self._rest.baseline is not None

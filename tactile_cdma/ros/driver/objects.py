@@ -37,7 +37,6 @@ class ObjectsInput:
     """Hands what is published on ~/sim/objects to the driver, while there is one."""
 
     def __init__(self, node: LifecycleNode, live: Values) -> None:
-        """live: the parameters' present values, kept by the node."""
         self._node, self._live = node, live
         self._subscription: Subscription | None = None
         self._pressable, self._frames = False, 0
@@ -48,13 +47,11 @@ class ObjectsInput:
         self._frames = int(port is not None and port.stepped)
 
     def start(self, driver: Driver) -> None:
-        """Subscribe."""
         if self._pressable:
             take = self._press_by(driver)
             self._subscription = self._node.create_subscription(SimObjects, TOPIC, take, RELIABLE)
 
     def stop(self) -> None:
-        """Unsubscribe."""
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None

@@ -52,7 +52,7 @@ class Pictures:
         frames: FramePublishers,
         heading_at: Callable[[float], Heading],
     ) -> None:
-        """live: the parameters' present values, kept by the node. heading_at: host time, s."""
+        """heading_at: of a host time, s."""
         self._live, self._frames, self._heading_at = live, frames, heading_at
         self._publishers = {
             name: node.create_lifecycle_publisher(kind, f"~/{name}", PICTURE)
@@ -65,14 +65,12 @@ class Pictures:
         self._timer.cancel()
 
     def start(self, config: SkinConfig) -> None:
-        """Prepare for the frames of a stream."""
         # Contacts are followed from picture to picture: those of ~/contacts exist only while
         # somebody subscribes to them, in the driver's thread, which this spares.
         self._tracker = ContactTracker(config.layout, config.contact)
         self._drawings = _drawings(config, self._live, self._tracker)
 
     def stop(self) -> None:
-        """Draw nothing more of the stream."""
         self._timer.cancel()
         self._drawings = self._drawn = None
 
@@ -90,7 +88,6 @@ class Pictures:
 
     @property
     def _asked(self) -> list[str]:
-        """The topics that have subscribers."""
         return [name for name, p in self._publishers.items() if p.get_subscription_count()]
 
     def _turn_every(self, period_s: float) -> None:

@@ -43,7 +43,6 @@ class Stamps:
         return self._heading(self._ros_ns(t_host))
 
     def now(self) -> Heading:
-        """A heading for this moment."""
         return self.at(time.monotonic())
 
     def _ros_ns(self, t_host: float) -> int:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -30,6 +29,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import SCENES, SkinGeometry
 from test.support.boards import plugged
+from test.support.command_line import Printed
 from test.support.simulated import record
 from test.support.waiting import PATIENCE_S
 
@@ -67,20 +67,14 @@ Program: TypeAlias = Callable[..., str]
 """Gives words to `tactile-cdma calibrate`; returns what it prints."""
 
 
-def said_of(capsys: pytest.CaptureFixture[str], code: int, *words: object) -> str:
-    capsys.readouterr()
-    assert main(["calibrate", *map(str, words)]) == code
-    return capsys.readouterr()[code]
+@pytest.fixture
+def calibrate(printed: Printed) -> Program:
+    return lambda *words: printed("calibrate", *words).out
 
 
 @pytest.fixture
-def calibrate(capsys: pytest.CaptureFixture[str]) -> Program:
-    return partial(said_of, capsys, 0)
-
-
-@pytest.fixture
-def refusal(capsys: pytest.CaptureFixture[str]) -> Program:
-    return partial(said_of, capsys, 1)
+def refusal(printed: Printed) -> Program:
+    return lambda *words: printed("calibrate", *words, code=1).err
 
 
 def test_points_become_a_file_that_the_driver_takes(tmp_path: Path, calibrate: Program) -> None:

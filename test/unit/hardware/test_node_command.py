@@ -17,7 +17,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.commands.cli import main
 from tactile_cdma.hardware.intel_hex import from_hex, to_hex
 from tactile_cdma.hardware.node_memory import node_memory, read_node_memory
-from test.support.command_line import Refused
+from test.support.command_line import Printed, Refused
 from test.support.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -25,9 +25,7 @@ PARAMS = ["--params", str(ROOT / "config/skin.yaml")]
 PROGRAM = bytes(range(200)) + b"node-atmega328p\0"
 
 
-def test_the_memory_of_a_node_follows_the_parameter_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_memory_of_a_node_follows_the_parameter_file(tmp_path: Path, printed: Printed) -> None:
     params = tmp_path / "skin.yaml"
     params.write_text(
         "skin:\n  ros__parameters:\n"
@@ -35,27 +33,26 @@ def test_the_memory_of_a_node_follows_the_parameter_file(
         "     resync_chips: 32, guard_chips: 2, first_row: 2}\n"
     )
     path = tmp_path / "node05.hex"
-    assert main(["node", "--params", str(params), "--node", "5", "-o", str(path)]) == 0
-    out, err = capsys.readouterr()
+    out, err = printed("node", "--params", params, "--node", 5, "-o", path)
     assert f"eeprom:w:{path}:i" in out and "-p m328p" in out
     assert err == ""
     spec = FrameSpec(30, 10, 32, 50e-6, 25e-3, 2, 7, parity=True, resync_chips=32, guard_chips=2)
     assert from_hex(path.read_text()) == node_memory(spec, 5)
 
 
-def test_options_of_the_node_arrive_in_its_memory(tmp_path: Path) -> None:
+def test_options_of_the_node_arrive_in_its_memory(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "node.bin"
     options = "--threshold 3 --heartbeat 50 --rest 1000 --no-discipline --mcu attiny85"
-    assert main(["node", "--node", "16", "-o", str(path), *options.split()]) == 0
+    printed("node", "--node", 16, "-o", path, *options.split())
     expected = node_memory(
         FrameSpec(), 16, threshold=3, heartbeat=50, rest=1000, discipline=False, mcu="attiny85"
     )
     assert path.read_bytes() == expected
 
 
-def test_all_nodes_get_a_file_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_nodes_get_a_file_each(tmp_path: Path, printed: Printed) -> None:
     folder = tmp_path / "new" / "skin"
-    assert main(["node", *PARAMS, "--node", "all", "-o", str(folder)]) == 0
+    printed("node", *PARAMS, "--node", "all", "-o", folder)
     files = sorted(folder.iterdir())
     assert [path.name for path in files] == [f"node{node:02}.hex" for node in range(1, 17)]
     records, rows = zip(*(read_node_memory(from_hex(p.read_text())) for p in files), strict=True)
@@ -63,12 +60,10 @@ def test_all_nodes_get_a_file_each(tmp_path: Path, capsys: pytest.CaptureFixture
     assert np.array_equal(np.array(rows) @ np.array(rows, dtype=int).T, 20 * np.eye(16))
 
 
-def test_a_file_tells_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_tells_what_it_says(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "node.eep"
-    assert main(["node", "--node", "5", "--rest", "1020", "-o", str(path)]) == 0
-    capsys.readouterr()
-    assert main(["node", "--read", str(path)]) == 0
-    out = capsys.readouterr().out
+    printed("node", "--node", 5, "--rest", 1020, "-o", path)
+    out = printed("node", "--read", path).out
     for words in (
         "5 of 16",
         "5 of order 20, sign +1: -+--++-++----+-+-+++",
@@ -78,14 +73,10 @@ def test_a_file_tells_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture
         assert words in out
 
 
-def test_program_and_record_are_one_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    program = tmp_path / "program.hex"
-    program.write_text(to_hex(PROGRAM))
-    options = [*PARAMS, "--image", str(program), "--crystal-mhz", "16"]
-    assert main(["node", "--all", "--hex", str(tmp_path / "skin"), *options]) == 0
-    out = capsys.readouterr().out
+def test_program_and_record_are_one_file(tmp_path: Path, printed: Printed) -> None:
+    (program := tmp_path / "program.hex").write_text(to_hex(PROGRAM))
+    options = [*PARAMS, "--image", program, "--crystal-mhz", 16]
+    out = printed("node", "--all", "--hex", tmp_path / "skin", *options).out
     assert f"flash:w:{tmp_path}/skin/node01.hex:i" in out and "-c arduino -P" in out
     for number in (1, 16):
         path = tmp_path / "skin" / f"node{number:02}.hex"
@@ -93,20 +84,15 @@ def test_program_and_record_are_one_file(
         assert flash.startswith(PROGRAM) and set(flash[len(PROGRAM) : 0x3000]) == {0xFF}
         assert flash[0x3000:0x3003] == bytes([1, 0, 16])
         assert flash[0x3003:] == node_memory(FrameSpec(), number)
-        assert main(["node", "--read", str(path)]) == 0
-        out = capsys.readouterr().out
+        out = printed("node", "--read", path).out
         assert f"{number} of 16\n" in out and "memory, of a node with 16 MHz" in out
 
 
-def test_an_image_for_any_node_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
-) -> None:
+def test_an_image_for_any_node_says_so(tmp_path: Path, printed: Printed, refused: Refused) -> None:
     (program := tmp_path / "program.hex").write_text(to_hex(PROGRAM))
     image = tmp_path / "any.hex"
-    assert main(["node", *PARAMS, "--any", "--hex", str(image), "--image", str(program)]) == 0
-    capsys.readouterr()
-    assert main(["node", "--read", str(image)]) == 0
-    out = capsys.readouterr().out
+    printed("node", *PARAMS, "--any", "--hex", image, "--image", program)
+    out = printed("node", "--read", image).out
     assert "of any node with 8 MHz" in out and "once in 78 frames\n" in out
     assert "1 to 16 of 16: it takes its number when it is pressed" in out
     flash, first = from_hex(image.read_text()), node_memory(FrameSpec(), 1)
@@ -120,23 +106,21 @@ def test_an_image_for_any_node_says_so(
     ):
         damaged = bytes(octets.get(at, octet) for at, octet in enumerate(flash))
         image.write_text(to_hex(damaged + b"\xff" * 64))
-        assert told in refused("node", "--read", str(image))
+        assert told in refused("node", "--read", image)
     (tmp_path / "any.bin").write_bytes(flash[:0x3001])
     assert "the image is truncated" in refused("node", "--read", str(tmp_path / "any.bin"))
     program.write_text(to_hex(PROGRAM.replace(b"p\0", b"p-fast\0")))
-    said = refused("node", *PARAMS, "--any", "--hex", str(image), "--image", str(program))
+    said = refused("node", *PARAMS, "--any", "--hex", image, "--image", str(program))
     assert "no program of this firmware for the atmega328p" in said
 
 
 @pytest.mark.parametrize("heartbeat", ["0", "300"])
 def test_nodes_too_silent_for_the_driver_are_warned_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], heartbeat: str
+    tmp_path: Path, printed: Printed, heartbeat: str
 ) -> None:
-    arguments = ["node", "--node", "1", "-o", str(tmp_path / "a.hex"), "--heartbeat", heartbeat]
-    assert main(arguments) == 0
-    assert "is stale to the driver after 3 s" in capsys.readouterr().err
-    assert main([*arguments, "--threshold", "0"]) == 0  # talks in every frame
-    assert capsys.readouterr().err == ""
+    arguments = ["node", "--node", 1, "-o", tmp_path / "a.hex", "--heartbeat", heartbeat]
+    assert "is stale to the driver after 3 s" in printed(*arguments).err
+    assert printed(*arguments, "--threshold", 0).err == ""  # talks in every frame
 
 
 @pytest.mark.parametrize(
@@ -175,12 +159,12 @@ def test_mistakes_are_one_clear_error(
 
 
 def test_a_missing_avrdude_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     path = tmp_path / "a.hex"
-    assert main(["node", "--node", "1", "-o", str(path), "--programmer", "usbasp"]) == 1
-    assert "apt install avrdude" in capsys.readouterr().err
+    words = "node", "--node", 1, "-o", path, "--programmer", "usbasp"
+    assert "apt install avrdude" in printed(*words, code=1).err
     assert path.exists()
 
 

@@ -12,10 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from torture.hosts.clock import WrongClock
-from torture.hosts.heard import BODY, BODY_CONTACTS, CONTACTS, Heard
-from torture.hosts.judge import arrivals, deaf_claims, false_claims, untold
+from torture.hosts.judge import (
+    BODY,
+    BODY_CONTACTS,
+    CONTACTS,
+    Heard,
+    arrivals,
+    deaf_claims,
+    false_claims,
+    untold,
+)
 from torture.hosts.relay import Switch, Weather
+from torture.hosts.rig import WrongClock
 
 BROADCAST, MULTICAST = b"\xff" * 6, b"\x01\x00\x5e\x00\x00\x01"
 MAC = {name: bytes([2, 0, 0, 0, 0, number]) for number, name in enumerate("abc")}

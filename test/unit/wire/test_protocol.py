@@ -321,9 +321,7 @@ def test_cobs_is_what_its_authors_defined(data: bytes) -> None:
     assert 0 not in encoded
     assert len(encoded) <= len(data) + max(1, -(-len(data) // 254))
     assert cobs_decode(encoded) == data
-
-
-def test_cobs_accepts_a_final_full_block_with_its_zero() -> None:
+    # A final full block may have its zero.
     assert cobs_decode(b"\xff" + b"\7" * 254 + b"\1") == b"\7" * 254
 
 
@@ -526,12 +524,14 @@ def lost_and_jumps(*sequences: int) -> tuple[int, int]:
     return counters.lost_packets, counters.jumps
 
 
-def test_lost_packets_follow_from_the_sequence() -> None:
+def test_losses_and_restarts_follow_from_the_sequence() -> None:
     assert lost_and_jumps(40_000) == (0, 0)  # the first packet shows no loss
     assert lost_and_jumps(65_534, 65_535, 0, 1) == (0, 0)
     assert lost_and_jumps(5, 7, 10) == (3, 0)
     assert lost_and_jumps(65_534, 2) == (3, 0)
     assert lost_and_jumps(0, 1 + MAX_GAP) == (MAX_GAP, 0)
+    assert lost_and_jumps(0, 2 + MAX_GAP, 3 + MAX_GAP) == (0, 1)
+    assert lost_and_jumps(40_000, 0, 1, 2) == lost_and_jumps(30, 0, 1, 2) == (0, 1)
 
 
 @given(st.data())
@@ -550,12 +550,6 @@ def test_what_is_skipped_is_lost_and_not_broken(data: st.DataObject) -> None:
     seen = parser.counters
     assert (seen.framing_errors, seen.crc_errors, seen.resyncs, seen.jumps) == (0, 0, 0, 0)
     assert len(packets) + seen.lost_packets == len(sent)
-
-
-def test_restarts_are_no_losses() -> None:
-    assert lost_and_jumps(0, 2 + MAX_GAP, 3 + MAX_GAP) == (0, 1)
-    assert lost_and_jumps(40_000, 0, 1, 2) == (0, 1)
-    assert lost_and_jumps(30, 0, 1, 2) == (0, 1)
 
 
 def test_commands_that_come_again_are_passed_on_again() -> None:
