@@ -8,18 +8,26 @@
 
 /* ---- arguments --------------------------------------------------------------------------------- */
 
-/* Raises "function: argument: …"; returns false. */
+/* Raises "function: …", or "function: argument: …" of one of them. */
+static void complain(const struct call *call, const struct argument *takes, PyObject *error, const char *format,
+                     va_list values)
+{
+    PyObject *text = PyUnicode_FromFormatV(format, values);
+
+    if (text)
+        PyErr_Format(error, "%s%s%s: %U", call->name, takes ? ": " : "", takes ? takes->name : "", text);
+    Py_XDECREF(text);
+}
+
+/* Of an argument; returns false. */
 static bool unfit(const struct call *call, const struct argument *takes, PyObject *error,
                   const char *format, ...)
 {
     va_list values;
 
     va_start(values, format);
-    PyObject *text = PyUnicode_FromFormatV(format, values);
+    complain(call, takes, error, format, values);
     va_end(values);
-    if (text)
-        PyErr_Format(error, "%s: %s: %U", call->name, takes->name, text);
-    Py_XDECREF(text);
     return false;
 }
 
@@ -41,11 +49,8 @@ PyObject *refuse(const struct call *call, const char *format, ...)
     va_list values;
 
     va_start(values, format);
-    PyObject *text = PyUnicode_FromFormatV(format, values);
+    complain(call, NULL, PyExc_ValueError, format, values);
     va_end(values);
-    if (text)
-        PyErr_Format(PyExc_ValueError, "%s: %U", call->name, text);
-    Py_XDECREF(text);
     return NULL;
 }
 

@@ -6,10 +6,172 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "passes.h"
+#include "vectors.h"
 
+#define LANES 8 /* sums that are kept apart, so that they can be added at once */
 #define CACHE_LINE 64 /* bytes: at its begin begin arrays, so that no eight values lie in two lines */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
+
+/* ---- passes -------------------------------------------------------------------------------------- */
+
+/* Over the levels of all codes, those that are listed, or all chips. Where many values are added, sums are in double,
+ * and in the same order on every processor. */
+
+VECTORS static double mean_of(const float *chips, size_t count)
+{
+    double sums[LANES] = {0}, sum = 0;
+    size_t i = 0;
+
+    for (; i + LANES <= count; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++)
+            sums[lane] += (double)chips[i + lane];
+    for (; i < count; i++)
+        sum += (double)chips[i];
+    for (size_t lane = 0; lane < LANES; lane++)
+        sum += sums[lane];
+    return sum / (double)count;
+}
+
+VECTORS static double product(size_t count, const float *restrict some, const float *restrict others)
+{
+    double sums[LANES] = {0}, sum = 0;
+    size_t i = 0;
+
+    for (; i + LANES <= count; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++)
+            sums[lane] += (double)some[i + lane] * (double)others[i + lane];
+    for (; i < count; i++)
+        sum += (double)some[i] * (double)others[i];
+    for (size_t lane = 0; lane < LANES; lane++)
+        sum += sums[lane];
+    return sum;
+}
+
+VECTORS static void flip(size_t count, const float *restrict chips, const float *restrict flips,
+                         float *restrict flipped)
+{
+    for (size_t i = 0; i < count; i++)
+        flipped[i] = chips[i] * flips[i];
+}
+
+/* Chips, which may be `left`, without the level. */
+VECTORS static void shift(size_t count, const float *chips, const float *restrict flips, float level, float *left)
+{
+    APART
+    for (size_t i = 0; i < count; i++)
+        left[i] = chips[i] - level * flips[i];
+}
+
+/* What words leave of chips: told are the words' in all places, onsager the share of what was left before. */
+VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
+                         const int32_t *restrict places, float onsager, const float *restrict flips, float level,
+                         float *restrict left)
+{
+    for (size_t i = 0; i < count; i++)
+        left[i] = chips[i] - told[places[i]] + onsager * left[i] - level * flips[i];
+}
+
+/* Means of |r| over the bits, scaled; sums: `step` values from bit to bit. */
+VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums, float scale,
+                                 float *restrict loud)
+{
+    for (size_t i = 0; i < rows; i += LANES) {
+        floats8 sum = {0};
+        for (size_t bit = 0; bit < bits; bit++)
+            sum += (floats8)(*(const ints8 *)(sums + bit * step + i) & INT32_MAX);
+        *(floats8 *)(loud + i) = sum * scale;
+    }
+}
+
+/* How the share of a word that is believed follows from its mean |r|; as _belief in detect.py. */
+struct odds {
+    float per, bits, half, odds, span;
+};
+
+INLINE float share_of(float loud, const struct odds *of)
+{
+    const float turn = 2 * 0.69314718f;
+    float u = of->per * loud;
+    float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
+    float share = 0.5f + (of->bits * (log_cosh - of->half) + of->odds) / of->span;
+
+    return share < 0 ? 0 : share > 1 ? 1 : share;
+}
+
+VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of,
+                            float *restrict belief)
+{
+    const struct odds odds = *of; /* the same for all, whatever is written */
+
+    for (size_t i = 0; i < rows; i++)
+        belief[i] = share_of(loud[i], &odds);
+}
+
+/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
+ * is a guess who has. */
+VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+{
+    const floats8 limit = (floats8){0} + least;
+    size_t count = 0;
+
+    for (size_t first = 0; first < rows; first += LANES) {
+        const ints8 above = *(const floats8 *)(values + first) > limit;
+        uint64_t pairs[LANES / 2];
+        memcpy(pairs, &above, sizeof pairs);
+        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
+        for (size_t i = 0; any && i < LANES; i++) {
+            codes[count] = (int32_t)(first + i);
+            count += values[first + i] > least;
+        }
+    }
+    return count;
+}
+
+/* The soft words of one bit. straight, squares: by how many levels they follow, and those of the bits. */
+VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise,
+                        const float *restrict swings, float *restrict words, float *restrict straight,
+                        float *restrict squares)
+{
+    for (size_t i = 0; i < count; i++) {
+        float said = rise * sums[codes[i]];
+        said = said < -1 ? -1 : said > 1 ? 1 : said;
+        straight[i] += fabsf(said) < 1 ? 1.0f : 0.0f;
+        squares[i] += said * said;
+        words[i] = swings[i] * said;
+    }
+}
+
+/* The hard words of one bit. */
+VECTORS static void say_hard(size_t count, const int32_t *restrict codes, const float *restrict sums,
+                             const float *restrict loud, float *restrict words)
+{
+    for (size_t i = 0; i < count; i++)
+        words[i] = copysignf(loud[codes[i]], sums[codes[i]]);
+}
+
+/* Sum of squares of the differences; INFINITY if any two have other signs, or are 0. */
+VECTORS static double distance(size_t count, const float *restrict some, const float *restrict others)
+{
+    double sums[LANES] = {0}, sum = 0;
+    int differ = 0;
+    size_t i = 0;
+
+    for (; i + LANES <= count; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++) {
+            float a = some[i + lane], b = others[i + lane];
+            differ |= !(a * b > 0);
+            sums[lane] += (double)(a - b) * (double)(a - b);
+        }
+    for (; i < count; i++) {
+        differ |= !(some[i] * others[i] > 0);
+        sum += (double)(some[i] - others[i]) * (double)(some[i] - others[i]);
+    }
+    for (size_t lane = 0; lane < LANES; lane++)
+        sum += sums[lane];
+    return differ ? INFINITY : sum;
+}
+
+/* ---- memory -------------------------------------------------------------------------------------- */
 
 static bool make_list(struct listed *list, const struct sparse_book *book)
 {
@@ -102,7 +264,7 @@ static void correlate(struct detector *detector)
         for (size_t i = 0; i < now->count; i++)
             sums[now->codes[i]] += order * words[i];
     }
-    passes_average_loud(book->rows, book->bits, detector->step, detector->sums, 1.0f / (order * (float)book->bits),
+    average_loud(book->rows, book->bits, detector->step, detector->sums, 1.0f / (order * (float)book->bits),
                         loud);
     for (size_t i = 0; i < detector->unused_count; i++)
         loud[detector->unused[i]] = 0;
@@ -126,7 +288,7 @@ static void list_believed(struct detector *detector, bool keeps)
     size_t old = 0;
 
     if (!keeps) {
-        next->count = passes_list_above(detector->book.rows, detector->belief, 0, next->codes);
+        next->count = list_above(detector->book.rows, detector->belief, 0, next->codes);
         return;
     }
     next->count = 0;
@@ -154,12 +316,12 @@ static void fade(const struct detector *detector, float damping)
 }
 
 /* Those who spoke in the frame before do as likely as not, whatever others do. */
-static void believe_carried(struct detector *detector, struct passes_odds odds)
+static void believe_carried(struct detector *detector, struct odds odds)
 {
     odds.odds = 0;
     for (size_t i = 0; i < detector->carried_count; i++) {
         size_t code = (size_t)detector->carried[i];
-        detector->belief[code] = fmaxf(detector->belief[code], passes_share(detector->loud[code], &odds));
+        detector->belief[code] = fmaxf(detector->belief[code], share_of(detector->loud[code], &odds));
     }
 }
 
@@ -171,11 +333,11 @@ static double soften(struct detector *detector, double noise, double odds, float
     struct listed *next = &detector->next;
     double per = rules->swing / noise, slopes = 0;
     float rise = (float)(rules->slope * per) / (float)book->order;
-    struct passes_odds of = {(float)per, (float)book->bits, (float)(rules->swing * per / 2), (float)odds,
+    struct odds of = {(float)per, (float)book->bits, (float)(rules->swing * per / 2), (float)odds,
                              (float)rules->log_odds};
     float *belief = detector->belief, *straight = detector->straight, *squares = detector->squares;
 
-    passes_believe(book->rows, detector->loud, &of, belief);
+    believe(book->rows, detector->loud, &of, belief);
     if (damping == 0)
         believe_carried(detector, of);
     for (size_t i = 0; i < detector->unused_count; i++)
@@ -188,7 +350,7 @@ static double soften(struct detector *detector, double noise, double odds, float
         straight[i] = squares[i] = 0;
     }
     for (size_t bit = 0; bit < book->bits; bit++)
-        passes_say(next->count, next->codes, detector_sums(detector, bit), rise, detector->swings,
+        say(next->count, next->codes, detector_sums(detector, bit), rise, detector->swings,
                    next->words + bit * book->rows, straight, squares);
     for (size_t i = 0; i < next->count; i++) {
         slopes += (double)belief[i] * (double)straight[i] * rules->slope;
@@ -206,9 +368,9 @@ static void harden(struct detector *detector, float least)
     const struct sparse_book *book = &detector->book;
     struct listed *next = &detector->next;
 
-    next->count = passes_list_above(book->rows, detector->loud, least, next->codes);
+    next->count = list_above(book->rows, detector->loud, least, next->codes);
     for (size_t bit = 0; bit < book->bits; bit++)
-        passes_say_hard(next->count, next->codes, detector_sums(detector, bit), detector->loud,
+        say_hard(next->count, next->codes, detector_sums(detector, bit), detector->loud,
                         next->words + bit * book->rows);
 }
 
@@ -221,7 +383,7 @@ static double change_of(const struct detector *detector)
     if (now->count != next->count || memcmp(now->codes, next->codes, now->count * sizeof *now->codes) != 0)
         return INFINITY;
     for (size_t at = 0; at < detector->book.bits * detector->book.rows; at += detector->book.rows)
-        change += passes_distance(now->count, next->words + at, now->words + at);
+        change += distance(now->count, next->words + at, now->words + at);
     return change / (double)detector->book.bits;
 }
 
@@ -244,12 +406,12 @@ static void take_off(struct detector *detector, double level, float onsager)
         transform_multiply(book->walsh, spread, told, 1);
         for (size_t i = 0; i < now->count; i++)
             spread[now->codes[i]] = 0;
-        passes_take(book->order, detector->chips + first, told, book->places + first, onsager, book->flips + first,
+        take(book->order, detector->chips + first, told, book->places + first, onsager, book->flips + first,
                     known, detector->left + first);
     }
     if (isnan(level)) {
-        detector->level = passes_product(chips, detector->left, book->flips) / (double)chips;
-        passes_shift(chips, detector->left, book->flips, (float)detector->level, detector->left);
+        detector->level = product(chips, detector->left, book->flips) / (double)chips;
+        shift(chips, detector->left, book->flips, (float)detector->level, detector->left);
     }
 }
 
@@ -261,7 +423,7 @@ static double power_left(struct detector *detector)
 
     for (size_t bit = 0; bit < book->bits; bit++) {
         const float *left = detector->left + bit * book->order;
-        detector->power[bit] = passes_product(book->order, left, left) / (double)book->order;
+        detector->power[bit] = product(book->order, left, left) / (double)book->order;
         total += detector->power[bit];
     }
     return total / (double)book->bits;
@@ -301,9 +463,9 @@ bool detector_find(struct detector *detector, const float *chips, double damping
     bool soft = true, were_hard = true, are_whole = true; /* of the words before */
 
     detector->now.count = detector->next.count = 0;
-    detector->level = passes_mean_of(chips, count);
-    passes_flip(count, chips, book->flips, detector->chips);
-    passes_shift(count, detector->chips, book->flips, (float)detector->level, detector->left);
+    detector->level = mean_of(chips, count);
+    flip(count, chips, book->flips, detector->chips);
+    shift(count, detector->chips, book->flips, (float)detector->level, detector->left);
     for (size_t turn = 0; turn < rules->turns; turn++) {
         correlate(detector);
         double power = power_left(detector), noise = power / (double)book->order;
@@ -368,7 +530,7 @@ void detector_detect(struct detector *detector, const float *chips, double dampi
     memset(found->heard, 0, book->nodes * sizeof *found->heard);
     for (size_t i = 0; i < detector->next.count; i++)
         found->heard[detector->nodes[detector->next.codes[i]]] = true;
-    passes_flip(book->bits * book->order, detector->left, book->flips, found->left);
+    flip(book->bits * book->order, detector->left, book->flips, found->left);
 }
 
 void detector_loudness(struct detector *detector, const float *chips, ptrdiff_t lateness, float *loudness)

@@ -56,7 +56,6 @@ struct stream {
     struct frame_edges edges;
     int64_t start, due, gap_begin, mark;
     bool is_asked; /* about the frame in progress */
-    size_t uses, marks, ended;
 
     struct frame_rest rest;
     double gap_count, gap_sum, gap_squares; /* not evaluated yet */
@@ -362,9 +361,6 @@ static void tell(struct stream *stream, enum frame_look look, bool final)
     stream->subject.look = look;
     stream->subject.final = final;
     stream->subject.start = stream->start;
-    stream->subject.marks = stream->marks;
-    stream->subject.uses = stream->uses;
-    stream->subject.ended = stream->ended;
     stream->subject.summed_up = false;
 }
 
@@ -387,12 +383,12 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
         settle(stream, start + (int64_t)stream->rules.silent_over, found->level, found->rest);
         return STREAM_SILENT;
     }
-    stream->uses += !stream->rules.frame.integrated;
+    stream->subject.uses += !stream->rules.frame.integrated;
     if (look == FRAME_NEEDS_MORE) {
         stream->due += (int64_t)found->more;
         return STREAM_GOES_ON;
     }
-    stream->ended += found->ended;
+    stream->subject.ended += found->ended;
     tell(stream, look, final);
     settle(stream, start + (int64_t)stream->timing.over, found->level, found->rest);
     return STREAM_HEARD;
@@ -402,7 +398,7 @@ static enum stream_event decided(struct stream *stream, enum frame_look look, bo
 static enum stream_event decide(struct stream *stream, int64_t end, bool final)
 {
     const struct stream_timing *timing = &stream->timing;
-    bool is_carried = timing->has_frame && stream->uses < timing->uses;
+    bool is_carried = timing->has_frame && stream->subject.uses < timing->uses;
     struct stream_subject *subject = &stream->subject;
     enum frame_look look = FRAME_SILENT;
 
@@ -430,7 +426,7 @@ static enum stream_event begin_frame(struct stream *stream)
     stream->subject.start = stream->start = stream->mark = stream->end;
     stream->subject.called = stream->now->called;
     stream->subject.turn = stream->now->turn;
-    stream->marks++;
+    stream->subject.marks++;
     stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
     if (stream->is_asked)
         return STREAM_MARK;
@@ -569,7 +565,7 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     stream->rest = (struct frame_rest){0};
     stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
     stream->timing = (struct stream_timing){.asks = true};
-    stream->uses = stream->marks = stream->ended = 0;
+    stream->subject.uses = stream->subject.marks = stream->subject.ended = 0;
     return stream->described = make_room(stream, rules->frame.size);
 }
 
@@ -679,7 +675,7 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
         pass_by(stream);
         return due < 0;
     }
-    stream->marks = stream->uses = stream->ended = 0;
+    stream->subject.marks = stream->subject.uses = stream->subject.ended = 0;
     if (due >= 0) {
         if (due <= stream->start || !make_room(stream, (size_t)(due - stream->start)))
             return false;

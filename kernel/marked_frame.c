@@ -201,26 +201,19 @@ static bool is_at_rest(const struct frame_rules *rules, const struct frame_timin
            (rules->frame.first || fabs(mean) <= rules->tail_level * sqrt(noise / size));
 }
 
-VECTORS static void integrated_chips(const float *restrict volts, size_t size, float level,
-                                     float *restrict chips)
-{
-    for (size_t i = 0; i < size; i++)
-        chips[i] = volts[i] - level;
-}
-
-static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
-                       const struct frame_edges *edges, double level, const float *volts,
-                       size_t count, float *chips)
+/* The chips of a frame, without flips. False where they are not within its samples. */
+VECTORS static bool find_chips(const struct frame_rules *rules, const struct frame_code *code,
+                               const struct frame_edges *edges, double level, const float *restrict volts,
+                               size_t count, float *restrict chips)
 {
     size_t size = rules->frame.bits * rules->frame.order;
 
-    if (rules->integrated)
-        integrated_chips(volts, size, (float)level, chips);
-    else if (!samples_chips(volts, count, level, &edges->all, edges->places, size, chips))
+    if (!rules->integrated && !samples_chips(volts, count, level, &edges->all, edges->places, size, chips))
         return false;
-    if (code->flips)
-        for (size_t i = 0; i < size; i++)
-            chips[i] *= code->flips[i];
+    for (size_t i = 0; rules->integrated && i < size; i++)
+        chips[i] = volts[i] - (float)level;
+    for (size_t i = 0; code->flips && i < size; i++)
+        chips[i] *= code->flips[i];
     return true;
 }
 

@@ -117,7 +117,7 @@ static struct owner *free_one(const struct call *call)
         struct owner *owner = free_one(call);                                                       \
         return owner ? function##_by(call, owner) : NULL;                                           \
     }                                                                                               \
-    static PyObject *function##_by(struct call *call, struct owner *owner)
+    static PyObject *function##_by(__attribute__((unused)) struct call *call, struct owner *owner)
 
 static void release(Py_buffer *buffer)
 {

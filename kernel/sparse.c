@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "passes.h"
+#include "vectors.h"
 
 struct sparse {
     struct detector *detector;
@@ -149,6 +149,21 @@ static bool words_explain(const struct sparse *sparse, double noise)
            most < noise * (1 + rules->chance_of_bit) + more && are_told_apart(sparse, noise);
 }
 
+VECTORS static void add_squares(size_t rows, const float *restrict sums, float *restrict squares)
+{
+    for (size_t i = 0; i < rows; i++)
+        squares[i] += sums[i] * sums[i];
+}
+
+VECTORS static bool any_above(size_t rows, const float *values, float most)
+{
+    int any = 0;
+
+    for (size_t i = 0; i < rows; i++)
+        any |= values[i] > most;
+    return any;
+}
+
 /* Whether the row of anyone who did not speak holds more than noise (V², of a level); see rises in amplitude.py. */
 static bool silence_rises(struct sparse *sparse, double noise)
 {
@@ -161,16 +176,16 @@ static bool silence_rises(struct sparse *sparse, double noise)
         loud[detector->next.codes[i]] = 0;
     /* The sum of squares is no more than the square of the sum; but for rounding. */
     float least = 0.999f * sqrtf(most) / (float)book->bits;
-    if (!passes_any_above(book->rows, loud, least))
+    if (!any_above(book->rows, loud, least))
         return false;
     memset(squares, 0, book->rows * sizeof *squares);
     for (size_t bit = 0; bit < book->bits; bit++)
-        passes_add_squares(book->rows, detector_sums(detector, bit), squares);
+        add_squares(book->rows, detector_sums(detector, bit), squares);
     for (size_t i = 0; i < detector->unused_count; i++)
         squares[detector->unused[i]] = 0;
     for (size_t i = 0; i < detector->next.count; i++)
         squares[detector->next.codes[i]] = 0;
-    return passes_any_above(book->rows, squares, most * order2);
+    return any_above(book->rows, squares, most * order2);
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------- */

@@ -24,6 +24,7 @@ from test.support.independent_line import SILENT, Digitizer, Floats, Ints, Line,
 from .tally import Tally
 from .words import DAMAGED, LATE, LOST, REPEATED, TIMINGS, play
 
+THRESHOLDS = ContactThresholds(1000, 500)
 LIKE = 4
 """Frames for one of a condition of the line: claims of touch are few."""
 LEAST_KPA, MOST_KPA = 5.0, 60.0
@@ -102,10 +103,10 @@ class TouchCondition:
         starts = np.array([truth.start_chips for truth in recording.frames])
         tracker: ContactTracker | None = None
         stale, claims, unclaimed, complaints = 0, 0, 0, list[str]()
-        for frame, _, layout in play(
+        for frame, pipeline in play(
             recording, lost=self.lost, seed=seed, how=self.how, nodes_repeat=talk.repeats
         ):
-            tracker = tracker or ContactTracker(layout, ContactThresholds(1000, 500))
+            tracker = tracker or ContactTracker(pipeline.config.layout, THRESHOLDS)
             contacts, readings = tracker.update(frame.readings, frame.t_middle), frame.readings
             number = int(np.argmin(np.abs(starts - frame.t_start / self.skin.chip_s)))
             truth_pa = 1e3 * pressures_kpa[number]

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.places.layout import Layout
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words
 from test.support.independent_line import (
@@ -87,8 +86,10 @@ def decode(
 ) -> list[Decoded]:
     """What the driver makes of a recording; see play."""
     chip_s = recording.skin.chip_s
-    played = play(recording, learnt, lost, seed)
-    return [Decoded(frame.t_start / chip_s, frame.words, bad) for frame, bad, _ in played]
+    return [
+        Decoded(frame.t_start / chip_s, frame.words, pipeline.health.invalid.copy())
+        for frame, pipeline in play(recording, learnt, lost, seed)
+    ]
 
 
 def play(
@@ -97,9 +98,9 @@ def play(
     lost: float = 0.0,
     seed: int = 0,
     how: str = LOST,
-    **parameters: bool,
-) -> Iterator[tuple[TactileFrame, Bools, Layout]]:
-    """The driver's frames of a recording, which nodes count as broken, and the taxels' layout.
+    **parameters: float,
+) -> Iterator[tuple[TactileFrame, Pipeline]]:
+    """The driver's frames of a recording, one by one, and what makes them.
 
     lost: share of the packets that do not arrive as they should, drawn by the seed. how: see
     arrivals. parameters: of the driver.
@@ -110,10 +111,8 @@ def play(
     if pipeline.problem:
         raise ValueError(pipeline.problem)
     for t_host, data in arrivals(packets(recording, writer), lost, how, seed):
-        for frame in pipeline.feed(data, t_host):
-            yield frame, pipeline.health.invalid.copy(), config.layout
-    for frame in pipeline.flush():
-        yield frame, pipeline.health.invalid, config.layout
+        yield from ((frame, pipeline) for frame in pipeline.feed(data, t_host))
+    yield from ((frame, pipeline) for frame in pipeline.flush())
 
 
 def arrivals(

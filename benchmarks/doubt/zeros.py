@@ -16,21 +16,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.status import Status
-from tactile_cdma.wire.packets import PacketWriter
 from test.support.independent_line import Digitizer, Floats, Ints, Line, Skin, Talk, render
 
-from ..line_packets import introduction, packets
 from .tally import Tally
-from .words import config_of
+from .words import play
 
 TARED = 100
 """Frame after which the skin is tared: a tare takes a second."""
 HELD = 20
 """Frames of every load after that."""
-CONTACT_PA, RELEASE_PA = 1000.0, 500.0
+CONTACT_PA = 1000.0
+THRESHOLDS = ContactThresholds(CONTACT_PA, 500.0)
 SLACK_KPA = 2.0
 """What more or less is no zero, kPa: a contact, and two counts of the paper's second stage."""
 V_PER_KPA = 0.033, 0.0059
@@ -88,30 +86,27 @@ class ZeroCondition:
         truth_kpa = talk.pressures_kpa(self.skin)
         digitizer = Digitizer(integrated=True, samples_per_chip=8)
         recording = render(self.skin, talk, Line(), digitizer, len(truth_kpa), seeds)
-        config, writer = config_of(recording, v0_v=self.v0_v), PacketWriter()
-        pipeline = Pipeline(config, background=False)
-        pipeline.feed(writer.encode(introduction(config, digitizer)), 0.0)
-        tracker = ContactTracker(config.layout, ContactThresholds(CONTACT_PA, RELEASE_PA))
+        tracker: ContactTracker | None = None
         zero_kpa = np.zeros(self.skin.nodes)
         claims = false = unclaimed = 0
         complaints = list[str]()
-        for _, t_host, data in packets(recording, writer):
-            for frame in pipeline.feed(data, t_host):
-                number, readings = frame.sequence, frame.readings
-                contacts = tracker.update(readings, frame.t_middle)
-                off = np.abs(truth_kpa[number] - zero_kpa) > SLACK_KPA
-                plain = readings.status & ~np.uint8(Status.SILENT) == 0
-                zeros = plain & (np.abs(readings.pressure_pa) <= CONTACT_PA)
-                wrong = int(np.count_nonzero(zeros & off)) + (contacts.untouched and off.any())
-                claims += int(np.count_nonzero(zeros)) + contacts.untouched
-                unclaimed += not (len(contacts) or contacts.untouched)
-                false += wrong
-                if wrong:
-                    loads_kpa = np.unique(truth_kpa[number][off])
-                    complaints.append(f"  frame {number}: {loads_kpa} kPa, {contacts.untouched=}")
-                if self.is_tared and number == TARED:
-                    pipeline.taxels.tare(CONTACT_PA, force=True)
-                    zero_kpa = truth_kpa[number]
+        for frame, pipeline in play(recording, v0_v=self.v0_v):
+            tracker = tracker or ContactTracker(pipeline.config.layout, THRESHOLDS)
+            number, readings = frame.sequence, frame.readings
+            contacts = tracker.update(readings, frame.t_middle)
+            off = np.abs(truth_kpa[number] - zero_kpa) > SLACK_KPA
+            plain = readings.status & ~np.uint8(Status.SILENT) == 0
+            zeros = plain & (np.abs(readings.pressure_pa) <= CONTACT_PA)
+            wrong = int(np.count_nonzero(zeros & off)) + (contacts.untouched and off.any())
+            claims += int(np.count_nonzero(zeros)) + contacts.untouched
+            unclaimed += not (len(contacts) or contacts.untouched)
+            false += wrong
+            if wrong:
+                loads_kpa = np.unique(truth_kpa[number][off])
+                complaints.append(f"  frame {number}: {loads_kpa} kPa, {contacts.untouched=}")
+            if self.is_tared and number == TARED:
+                pipeline.taxels.tare(CONTACT_PA, force=True)
+                zero_kpa = truth_kpa[number]
         return Tally(claims=claims, false_zeros=false, unclaimed=unclaimed), complaints
 
 

@@ -96,8 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _compare(*arguments.compare)
     if arguments.update:
         arguments.output = arguments.output or arguments.update
-    _check_options(arguments)
-    loads = _checked_files(arguments)
+    loads = _checked(arguments)
     known = read_any(arguments.update).made_for if arguments.update else {}
     values = {**known, **given(arguments), **NODE_ORDER}
     if arguments.skin is not None:
@@ -175,8 +174,15 @@ def _compare(path: Path, other_path: Path) -> int:
     return 0
 
 
-def _checked_files(arguments: argparse.Namespace) -> Path:
+def _checked(arguments: argparse.Namespace) -> Path:
     """The file of loads. Options and files that cannot be meant are refused before anything."""
+    if arguments.output is None:
+        raise CalibrationError("-o is missing: the calibration file to write, or --update")
+    if arguments.port and arguments.capture:
+        raise CalibrationError("--port and --capture: loads come from one of the two")
+    for source, names in OPTIONS_OF.items():
+        if not getattr(arguments, source):
+            refuse_given(arguments, names, f"goes with --{source} only", CalibrationError)
     output, loads = arguments.output, arguments.loads
     if loads is None:
         if not arguments.port:
@@ -201,17 +207,6 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
         raise CalibrationError(f"{path}: exists already; --force overwrites it")
     if not path.parent.is_dir():
         raise CalibrationError(f"{path}: there is no such folder")
-
-
-def _check_options(arguments: argparse.Namespace) -> None:
-    """Raise CalibrationError for options that are missing or do not go with each other."""
-    if arguments.output is None:
-        raise CalibrationError("-o is missing: the calibration file to write, or --update")
-    if arguments.port and arguments.capture:
-        raise CalibrationError("--port and --capture: loads come from one of the two")
-    for source, names in OPTIONS_OF.items():
-        if not getattr(arguments, source):
-            refuse_given(arguments, names, f"goes with --{source} only", CalibrationError)
 
 
 def _beside_capture(

@@ -71,9 +71,8 @@ def make_parser() -> argparse.ArgumentParser:
     """The parser of all subcommands; what it parses has run(arguments), and parser for errors."""
     parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
-    parser.add_argument(
-        "-v", "--verbose", action="store_true", help="log what is read and found on stderr"
-    )
+    text = "log what is read and found on stderr"
+    parser.add_argument("-v", "--verbose", action="store_true", help=text)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, (module, text) in SUBCOMMANDS.items():
         subcommand = commands.add_parser(name, help=text)

@@ -185,7 +185,10 @@ def _rule(root: Path) -> Path | None:
 
 def port_takers(root: Path) -> Iterator[Check]:
     """Programs that open or take away new ports: of modems, and of Braille displays."""
-    running = set(_programs(root))
+    running = set[str]()
+    for comm in (root / "proc").glob("[0-9]*/comm"):
+        with suppress(OSError):  # ended meanwhile
+            running.add(comm.read_text(encoding="utf-8", errors="replace").strip())
     if "ModemManager" in running and not _rule(root):
         yield warning(
             "ModemManager",
@@ -199,12 +202,6 @@ def port_takers(root: Path) -> Iterator[Check]:
             "it takes UART adapters (CH340, CP210x, FTDI) for Braille displays, and their "
             "/dev/ttyUSB… away: remove it (sudo apt remove brltty) where there is no such display",
         )
-
-
-def _programs(root: Path) -> Iterator[str]:
-    for comm in (root / "proc").glob("[0-9]*/comm"):
-        with suppress(OSError):  # ended meanwhile
-            yield comm.read_text(encoding="utf-8", errors="replace").strip()
 
 
 def shared_memory(folder: Path) -> Iterator[Check]:
@@ -267,15 +264,10 @@ def ros() -> Iterator[Check]:
             "does a VPN or a firewall hold back UDP?",
         )
         return
-    yield from _reported(run.stdout)
-    if run.returncode:
-        last = run.stderr.strip().splitlines()[-1:] or [f"exit code {run.returncode}"]
-        yield problem("ROS 2", f"its examination failed: {last[0]}")
-
-
-def _reported(text: str) -> Iterator[Check]:
-    """Checks as JSON, one per line; other lines are the middleware's and are skipped."""
-    for entry in text.splitlines():
+    for entry in run.stdout.splitlines():  # a check as JSON, or what the middleware says
         with suppress(ValueError, KeyError, TypeError):
             values = json.loads(entry)
             yield Check(Grade(values["verdict"]), values["subject"], values["text"])
+    if run.returncode:
+        last = run.stderr.strip().splitlines()[-1:] or [f"exit code {run.returncode}"]
+        yield problem("ROS 2", f"its examination failed: {last[0]}")

@@ -87,7 +87,13 @@ def judge(
     decoded = _decoded(chunks, config, None)
     yield from _rate(decoded, config)
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
-    yield from _range(clipped)
+    if clipped:
+        what = warning if clipped < CLIPPED_SHARE else problem
+        yield what(
+            "range",
+            f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
+            "(make amplifier), or row signs (sign_seed)",
+        )
     if not decoded.active.any():
         words = [frame.words for frame in decoded.frames]
         unclear = sum(bool((each.active | each.doubtful).any()) for each in words)
@@ -209,16 +215,6 @@ def _rate(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
         yield warning("frames", f"{text}: is the link, or this computer, too slow for the samples?")
     else:
         yield ok("frames", text)
-
-
-def _range(clipped: float) -> Iterator[Check]:
-    if clipped:
-        what = warning if clipped < CLIPPED_SHARE else problem
-        yield what(
-            "range",
-            f"{clipped:.1%} of the samples at a rail of the digitizer: less gain "
-            "(make amplifier), or row signs (sign_seed)",
-        )
 
 
 def _noise(decoded: DecodedStream) -> Iterator[Check]:

@@ -11,15 +11,19 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.arrays import Floats, Indices
+from ..base.arrays import Floats, Floats32, Indices
 from ..base.errors import SpecError
 from .adjacency import around, cells, connected, on_grid, polygon_areas_m2, table
-from .layout_shapes import Pitch, Surface, across_and_down, plane
+from .layout_shapes import Pitch, Surface, across_and_down, plane, tangents
 
 COVER_PITCHES = 0.75
 """Radius of a listed taxel in pictures, in pitches: above √½, so that squares leave no gaps."""
 MAX_CELLS = 1 << 18
 """Most cells in an irregular skin's raster: 4, of half a pitch, for each of 65,535 taxels."""
+CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1))
+"""Corners of a taxel's two triangles, in half edges right and up; anticlockwise from outside."""
+MOST_SQUARES = 256
+"""Taxels up to which markers have squares, 240 bytes each; chosen: ~/points takes a sixth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +172,18 @@ class Layout(Surface):
         outlines = cells(self.positions_m, self.normals, self.neighbours, self.pitch_m)
         scale = np.sqrt(self.areas_m2 / polygon_areas_m2(outlines))
         return [outline * share for outline, share in zip(outlines, scale, strict=True)]
+
+    @property
+    def squares_m(self) -> Floats32:
+        """Two triangles per taxel, (t, 6, 3), corners in m, anticlockwise seen from outside.
+
+        Each has its taxel's area and the shape of its cell. Neighbouring ones meet on a plane, are
+        tangent to a cylinder, and overlap slightly one way on a sphere, whose cells are narrower.
+        """
+        right, up = tangents(self.normals)
+        x, y = (self.edges_m[:, None] / 2 * CORNERS).transpose(2, 0, 1)[..., None]
+        corners_m = x * right[:, None] + y * up[:, None]
+        return np.asarray(self.positions_m[:, None] + corners_m, dtype=np.float32)
 
     @cached_property
     def raster(self) -> NDArray[np.int32]:

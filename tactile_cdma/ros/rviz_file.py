@@ -16,8 +16,7 @@ from ..base.arrays import Floats
 from ..config.body_file import NODE_NAME, Body, Patch
 from ..config.parameters import DEFAULTS
 from ..config.skin_config import SkinConfig
-from ..places.layout import Layout
-from ..places.mesh import MOST_SQUARES
+from ..places.layout import MOST_SQUARES, Layout
 from ..places.poses import Pose
 
 SKIN_SIZES = 1.65

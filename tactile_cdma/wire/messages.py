@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
@@ -541,24 +542,13 @@ def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
 WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 """Layout of every message's bytes; of Samples, of what comes before the samples."""
 PACKETS: dict[int, type[Packet]] = {
-    PacketType.INFO: Info,
-    PacketType.SAMPLES: Samples,
-    PacketType.PACKED: Packed,
-    PacketType.QUIET: Quiet,
-    PacketType.STATUS: Status,
-    PacketType.ACK: Ack,
-    PacketType.GET_INFO: GetInfo,
-    PacketType.START: Start,
-    PacketType.STOP: Stop,
-    PacketType.CONFIGURE: Configure,
-    PacketType.ROLL_CALL: RollCall,
-    PacketType.PACK: Pack,
-    PacketType.TOUCH: Touch,
-    PacketType.BOOTSEL: Bootsel,
-    PacketType.GROUPS: Groups,
-    PacketType.NUMBER: Number,
+    PacketType[re.sub("(?<=[a-z])(?=[A-Z])", "_", kind.__name__).upper()]: kind
+    for kind in (
+        *(Info, Samples, Packed, Quiet, Status, Ack, GetInfo, Start, Stop, Configure, RollCall),
+        *(Pack, Touch, Bootsel, Groups, Number),
+    )
 }
-"""Packets by the first byte of their body."""
+"""Packets by the first byte of their body: the PacketType that has the name of the class."""
 for _type, _kind in PACKETS.items():
     _kind.TYPE = PacketType(_type)
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")

@@ -21,7 +21,6 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, WrenchStamped
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -30,11 +29,11 @@ from tactile_cdma.base.errors import TactileError
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.msg import TactileContact, TactileContacts
 from tactile_cdma.ros.body.node import BodyNode
-from tactile_cdma.ros.driver.node import SkinNode
+from tactile_cdma.ros.driver.patches import made
 from tactile_cdma.views.cloud import BODY_POINT
 from test.support.programs import run_python
 from test.support.scripts import body_commands
-from test.support.skin_client import xyz
+from test.support.skin_client import node_with, xyz
 from test.support.spinning import spinning
 from test.support.waiting import PATIENCE_S, wait_for
 
@@ -82,15 +81,7 @@ class Body:
         path = body_file(folder)
         *drivers, gatherer = commands(path)
         self.processes = [subprocess.Popen(command) for command in (*drivers[:PROCESSES], gatherer)]
-        self.drivers = [
-            SkinNode(
-                namespace=patch.name,
-                parameter_overrides=[
-                    Parameter(name, value=value) for name, value in patch.parameters.items()
-                ],
-            )
-            for patch in read_body(path).patches[PROCESSES:]
-        ]
+        self.drivers = [made(patch) for patch in read_body(path).patches[PROCESSES:]]
         self.client = rclpy.create_node("client")
         self.contacts: list[TactileContacts] = []
         self.diagnostics: list[DiagnosticStatus] = []
@@ -390,6 +381,5 @@ def test_a_body_of_five_patches(body: Body, tmp_path: Path) -> None:
     ],
 )
 def test_wrong_parameters_are_refused(parameters: dict[str, Any], message: str) -> None:
-    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     with pytest.raises(TactileError, match=message):
-        BodyNode(parameter_overrides=overrides)
+        node_with(BodyNode, **parameters)

@@ -21,7 +21,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock as RosClock
 from sensor_msgs.msg import PointCloud2
@@ -42,6 +41,7 @@ from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.qos import LATCHED
 from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.views.cloud import BODY_POINT
+from test.support.skin_client import node_with
 from test.support.waiting import PATIENCE_S, wait_for
 from torture.hosts.rig import WrongClock
 
@@ -92,9 +92,7 @@ class World:
     def __init__(self, **more: object) -> None:
         """more: parameters of the body's node."""
         given = {"patches": ["a/skin", "b/skin"], "stale_after_s": STALE_AFTER_S, **more}
-        self.body = BodyNode(
-            parameter_overrides=[Parameter(name, value=value) for name, value in given.items()]
-        )
+        self.body = node_with(BodyNode, **given)
         self._client = rclpy.create_node("client")
         self.clock = self._client.create_publisher(RosClock, "/clock", 10)
         self.a, self.b = Patch(self._client, "a"), Patch(self._client, "b")

@@ -25,7 +25,7 @@ from tactile_cdma.ros.driver.patches import PatchesNode
 from tactile_cdma.ros.driver.stamps import Stamps
 from tactile_cdma.ros.viewers.body_view import BodyViewer
 from tactile_cdma.ros.viewers.view import Viewer
-from test.support.skin_client import Client, wait_sending
+from test.support.skin_client import Client, node_with, wait_sending
 from test.support.spinning import as_its_process, spinning
 from test.support.waiting import wait_for
 
@@ -34,13 +34,12 @@ OFFERED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def skin() -> SkinNode:
-    given = {"port": "sim://?scene=external", "state_folder": "/nowhere"}
-    return SkinNode(parameter_overrides=[Parameter(n, value=v) for n, v in given.items()])
+    return node_with(SkinNode, port="sim://?scene=external", state_folder="/nowhere")
 
 
 def body() -> BodyNode:
     """Subscribed to all that it needs where everything of it is asked for."""
-    node = BodyNode(parameter_overrides=[Parameter("patches", value=["/palm/skin"])])
+    node = node_with(BodyNode, patches=["/palm/skin"])
     [feed] = node._feeds.values()
     feed.follow(True, True, True)
     node._transforms.follow(True)

@@ -13,7 +13,6 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Point32, TransformStamped, Vector3
-from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
@@ -26,6 +25,7 @@ from tactile_cdma.ros.common.touches import Touches
 from tactile_cdma.ros.viewers.body_view import BodyViewer, line
 from tactile_cdma.ros.viewers.view import Viewer, draw, in_use
 from tactile_cdma.views.terminal import Look, Numbers
+from test.support.skin_client import node_with
 from test.support.spinning import living
 from torture.load.hostile import lie
 
@@ -129,7 +129,7 @@ def test_the_lines_of_a_body_are_printable_whatever_they_are_of() -> None:
 
 
 def test_a_body_goes_on_and_never_claims_touched_and_untouched() -> None:
-    body = BodyNode(parameter_overrides=[Parameter("patches", value=["palm/skin"])])
+    body = node_with(BodyNode, patches=["palm/skin"])
     [feed] = body._feeds.values()
     taken: list[tuple[Callable[[Any], object], Any]] = [
         (lambda message: feed._take_contacts(serialize_message(message), RECEIVED), CONTACTS),

@@ -7,25 +7,19 @@ from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
 from rosgraph_msgs.msg import Clock
 
 from tactile_cdma.rest.rest_keeper import RestKeeper
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.common.failures import FAILURES
 from tactile_cdma.ros.driver.node import SkinNode
-from test.support.skin_client import Client, wait_sending
+from test.support.skin_client import Client, node_with, wait_sending
 from test.support.spinning import as_its_process, spinning
 from test.support.waiting import wait_for
 
 NODES = {
-    "/skin": lambda: SkinNode(
-        parameter_overrides=[
-            RosParameter("port", value="sim://?scene=idle"),
-            RosParameter("state_folder", value="/nowhere"),
-        ]
-    ),
-    "/body": lambda: BodyNode(parameter_overrides=[RosParameter("patches", value=["/skin"])]),
+    "/skin": lambda: node_with(SkinNode, port="sim://?scene=idle", state_folder="/nowhere"),
+    "/body": lambda: node_with(BodyNode, patches=["/skin"]),
 }
 
 

@@ -33,7 +33,7 @@ from tactile_cdma.ros.viewers.view import Viewer
 from tactile_cdma.wire.port import Port
 from test.support.boards import Board, plugged
 from test.support.mute_host import mute_host
-from test.support.skin_client import running
+from test.support.skin_client import node_with, running
 from test.support.waiting import wait_for
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"
@@ -273,16 +273,13 @@ class Unstarted(SkinNode):
         raise ArithmeticError
 
 
-NO_BOOL = Parameter("start_type_description_service", value="x")  # the last that rclpy looks at
-
-
 @pytest.mark.parametrize(
     "make",
     [
         Unstarted,
         lambda: SkinNode(parameter_overrides=[Parameter("port")]),
         BodyNode,
-        lambda: BodyNode(parameter_overrides=[NO_BOOL]),
+        lambda: node_with(BodyNode, start_type_description_service="what rclpy looks at last"),
         lambda: PatchesNode([Patch("palm", None, {}, {})]),
         lambda: Viewer("a b/tactile"),
         lambda: BodyViewer("a b"),
@@ -314,7 +311,7 @@ def test_transitions_work_by_call_too_and_a_node_may_go_in_any_state() -> None:
         ["configure", "activate", "deactivate"],
         ["configure", "activate", "shutdown"],
     ):
-        node = SkinNode(parameter_overrides=[Parameter("autostart", value=False)])
+        node = node_with(SkinNode, autostart=False)
         for step in steps:
             assert getattr(node, f"trigger_{step}")() == TransitionCallbackReturn.SUCCESS
         impossible = "cleanup" if steps[-1:] == ["activate"] else "deactivate"

@@ -8,9 +8,8 @@ from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_cdma.messages.cdr import Heading
-from tactile_cdma.places.layout import Layout
+from tactile_cdma.places.layout import MOST_SQUARES, Layout
 from tactile_cdma.places.layout_shapes import cylinder
-from tactile_cdma.places.mesh import MOST_SQUARES, taxel_squares
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
@@ -76,7 +75,7 @@ def test_the_surface_has_a_coloured_square_for_every_taxel_with_a_node() -> None
     middles = corners[:, [0, 1, 2, 5]].mean(axis=1)
     depth_m = SUNK_PITCHES * PITCH_M
     assert np.allclose(CUFF.positions_m[:23] - depth_m * CUFF.normals[:23], middles, atol=1e-7)
-    full = taxel_squares(CUFF)[:23]
+    full = CUFF.squares_m[:23]
     shares = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     shares /= np.linalg.norm(full[:, 1] - full[:, 0], axis=1)
     assert np.allclose(shares, np.where(np.arange(23) == 8, UNREAD_SHARE, SQUARE_SHARE))

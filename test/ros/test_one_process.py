@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 
 from tactile_cdma.config.body_file import read_body
@@ -22,6 +21,7 @@ from tactile_cdma.ros.common.qos import PICTURE, QUEUE
 from tactile_cdma.ros.driver import patches as patches_module
 from tactile_cdma.ros.driver.patches import PatchesNode
 from test.support.scripts import body_commands
+from test.support.skin_client import node_with
 from test.support.spinning import as_its_process, spinning
 from test.support.waiting import wait_for
 
@@ -66,12 +66,7 @@ def test_a_patch_that_fails_takes_no_other_with_it(
         subscribe(TactileArray, f"/{name}/skin/tactile", kept.append)
     subscribe(TactileBody, "/body/tactile", bodies.append)
     client.create_subscription(DiagnosticArray, "/diagnostics", diagnosed, 10)
-    body = BodyNode(
-        parameter_overrides=[
-            Parameter("body_file", value=str(tmp_path / "body.yaml")),
-            Parameter("stale_after_s", value=1.0),
-        ]
-    )
+    body = node_with(BodyNode, body_file=str(tmp_path / "body.yaml"), stale_after_s=1.0)
     (tmp_path / "wrong.yaml").write_text("nothing: [that ROS takes")  # changed since
     host, turns, turns_at = PatchesNode(patches), count(), list[int]()
     host.create_timer(1e-3, lambda: next(turns))

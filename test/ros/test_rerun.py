@@ -17,7 +17,6 @@ from pyarrow.types import is_temporal
 from rerun.chunk import RrdReader
 
 from tactile_cdma.places.layout_file import Wiring, read_layout
-from tactile_cdma.places.mesh import taxel_squares
 from tactile_cdma.ros.viewers.patches import OLD_S
 from tactile_cdma.ros.viewers.rerun_view import RerunView
 from tactile_cdma.views.heatmap import NO_READING_RGB, colours
@@ -41,7 +40,7 @@ def test_what_is_saved_is_what_was_published(tmp_path: Path) -> None:
     saved = columns_of(file)
     layout = read_layout(LAYOUT, Wiring(nodes=72))
     [corners_m] = saved["/skin/surface", "Mesh3D:vertex_positions"]
-    np.testing.assert_allclose(np.reshape(corners_m, (-1, 6, 3)), taxel_squares(layout), atol=1e-7)
+    np.testing.assert_allclose(np.reshape(corners_m, (-1, 6, 3)), layout.squares_m, atol=1e-7)
     [place_m] = saved["/skin", "Transform3D:translation"]
     np.testing.assert_allclose(place_m, [[0.0, 0.5, 0.0]])
     # Every peak of the curve was published, and they are in step with the frames' stamps.

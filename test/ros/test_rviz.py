@@ -28,8 +28,7 @@ from rclpy.qos import (
 from tactile_cdma.config.body_file import read_body
 from tactile_cdma.config.parameters import BY_NAME, DEFAULTS
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.places.layout import Layout
-from tactile_cdma.places.mesh import MOST_SQUARES
+from tactile_cdma.places.layout import MOST_SQUARES, Layout
 from tactile_cdma.places.poses import Pose
 from tactile_cdma.ros.body.node import BodyNode
 from tactile_cdma.ros.rviz_file import body_view, skin_view

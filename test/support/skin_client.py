@@ -21,7 +21,7 @@ from tactile_cdma.msg import TactileArray, TactileSkinInfo
 from tactile_cdma.ros.common.qos import LATCHED, QUEUE
 from tactile_cdma.ros.driver.node import SkinNode
 
-from .spinning import spinning
+from .spinning import N, spinning
 from .waiting import PATIENCE_S, holds, wait_for
 
 
@@ -120,12 +120,17 @@ def wait_sending(sent: Sequence[tuple[Publisher, Any]], condition: Callable[[], 
     wait_for(held)
 
 
+def node_with(make: Callable[..., N], **parameters: Any) -> N:
+    """A node with these parameters."""
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    return make(parameter_overrides=overrides)
+
+
 @contextmanager
 def running(
     make: Callable[..., SkinNode] = SkinNode, **parameters: Any
 ) -> Iterator[tuple[SkinNode, Client]]:
     """A driver node and a client, each spinning in a thread of its own."""
-    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-    node, client = make(parameter_overrides=overrides), Client()
+    node, client = node_with(make, **parameters), Client()
     with spinning([node], [client]):
         yield node, client

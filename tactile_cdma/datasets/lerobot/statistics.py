@@ -13,16 +13,17 @@ from ...base.arrays import Bools
 class Statistics:
     """Minimum, maximum, mean and standard deviation of one feature, per element.
 
-    shape: of the feature. pooled: one value for all elements, so that a taxel that nothing ever
-    touched is not scaled up to noise. not_finite: elements that were NaN or infinite.
+    shape: of the feature; of an axis that is pooled, a value may have more elements. pooled: axes
+    along which elements share one statistic, so that a taxel that nothing ever touched is not
+    scaled up to noise. not_finite: elements that were NaN or infinite.
 
     Summed are differences to the first value, pooled to the mean of the first ones: the square of a
     Unix time in ns has 37 digits, of which float64 keeps 16.
     """
 
-    def __init__(self, shape: tuple[int, ...], pooled: bool = False) -> None:
+    def __init__(self, shape: tuple[int, ...], pooled: tuple[int, ...] = ()) -> None:
         self._shape, self._pooled = shape, pooled
-        kept = () if pooled else shape
+        kept = tuple(1 if axis in pooled else size for axis, size in enumerate(shape))
         self._count, self._origin = np.zeros(kept), np.full(kept, np.nan)
         self._sum, self._squares = np.zeros(kept), np.zeros(kept)
         self._low, self._high = np.full(kept, np.inf), np.full(kept, -np.inf)
@@ -38,17 +39,17 @@ class Statistics:
         self.not_finite += int(np.count_nonzero(~kept))
         if valid is not None:
             kept &= valid
-        axes = tuple(range(values.ndim)) if self._pooled else ()
-        count = kept.sum(axis=axes)
-        first = np.where(kept, values, 0.0).sum(axis=axes) / np.maximum(count, 1)
+        along: dict[str, Any] = {"axis": self._pooled, "keepdims": True}
+        count = kept.sum(**along)
+        first = np.where(kept, values, 0.0).sum(**along) / np.maximum(count, 1)
         self._origin = np.where(np.isnan(self._origin) & (count > 0), first, self._origin)
         differences = np.where(kept, values - self._origin, 0.0)
         self._count += count
-        self._sum += differences.sum(axis=axes)
-        self._squares += np.square(differences).sum(axis=axes)
+        self._sum += differences.sum(**along)
+        self._squares += np.square(differences).sum(**along)
         low, high = (np.where(kept, values, limit) for limit in (np.inf, -np.inf))
-        self._low = np.minimum(self._low, low.min(axis=axes))
-        self._high = np.maximum(self._high, high.max(axis=axes))
+        self._low = np.minimum(self._low, low.min(**along))
+        self._high = np.maximum(self._high, high.max(**along))
 
     def content(self) -> dict[str, Any]:
         """As in meta/stats.json; zeros where there was no value."""
@@ -74,22 +75,3 @@ def mask_content(shape: tuple[int, ...], count: int) -> dict[str, Any]:
     """
     zeros, ones = np.zeros(shape).tolist(), np.ones(shape).tolist()
     return {"min": zeros, "max": ones, "mean": zeros, "std": ones, "count": [count]}
-
-
-class ImageStatistics:
-    """The same of a camera, per colour over all pixels, scaled to 0…1."""
-
-    def __init__(self) -> None:
-        self._images = 0
-        self._each = [Statistics((1, 1), pooled=True) for _ in range(3)]
-
-    def add(self, pixels: NDArray[np.uint8]) -> None:
-        """(height, width, 3) one image."""
-        self._images += 1
-        for colour, statistics in enumerate(self._each):
-            statistics.add(pixels[::4, ::4, colour] / 255.0)  # every sixteenth pixel is enough
-
-    def content(self) -> dict[str, Any]:
-        """As in meta/stats.json."""
-        each = [statistics.content() for statistics in self._each]
-        return {name: [one[name] for one in each] for name in each[0]} | {"count": [self._images]}

@@ -22,7 +22,7 @@ from ..parquet_table import PNG_OR_JPEG, ParquetTable, pyarrow
 from ..sources.images import decoded
 from . import INFO
 from .features import Feature
-from .statistics import ImageStatistics, Statistics, mask_content
+from .statistics import Statistics, mask_content
 
 VERSION = "v3.0"
 FILE_MB, CHUNK_FILES = 100, 1000
@@ -48,11 +48,7 @@ class DatasetWriter:
         self._features = (*features, *COUNTERS)
         self._arrow = pyarrow()
         self._statistics = {
-            feature.name: ImageStatistics()
-            if feature.dtype == PNG_OR_JPEG
-            else Statistics(feature.shape, feature.pooled)
-            for feature in self._features
-            if not feature.mask
+            feature.name: _statistics(feature) for feature in self._features if not feature.mask
         }
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
@@ -79,11 +75,7 @@ class DatasetWriter:
     @property
     def not_finite(self) -> dict[str, int]:
         """How many elements of a feature were NaN or infinite, where there were some."""
-        return {
-            name: one.not_finite
-            for name, one in self._statistics.items()
-            if isinstance(one, Statistics) and one.not_finite
-        }
+        return {name: one.not_finite for name, one in self._statistics.items() if one.not_finite}
 
     def begin(self, task: str) -> None:
         """Begin an episode; it has to get a row."""
@@ -141,13 +133,9 @@ class DatasetWriter:
             "features": {feature.name: feature.content() for feature in self._features},
         }
         self.write_json(INFO, info)
-        statistics = {
-            feature.name: mask_content(feature.shape, self.frames)
-            if feature.mask
-            else self._statistics[feature.name].content()
-            for feature in self._features
-        }
-        self.write_json("meta/stats.json", statistics)
+        self.write_json(
+            "meta/stats.json", {feature.name: self._content(feature) for feature in self._features}
+        )
         self._write_tasks()
         path = self._folder / EPISODES
         path.parent.mkdir(parents=True)
@@ -159,10 +147,19 @@ class DatasetWriter:
 
     def _observe(self, row: Mapping[str, Any]) -> None:
         for name, statistics in self._statistics.items():
-            if isinstance(statistics, Statistics):
+            if not isinstance(row[name], bytes):
                 statistics.add(row[name], row.get(f"{name}.valid"))
-            elif not self.frames % self._fps:  # an image per second is enough
-                statistics.add(decoded(row[name], name))
+            elif not self.frames % self._fps:  # an image per second is enough, and a 16th of it
+                statistics.add(decoded(row[name], name)[::4, ::4].T / 255.0)
+
+    def _content(self, feature: Feature) -> dict[str, Any]:
+        """What meta/stats.json says of a feature."""
+        if feature.mask:
+            return mask_content(feature.shape, self.frames)
+        content = self._statistics[feature.name].content()
+        if feature.dtype == PNG_OR_JPEG:
+            content["count"] = [-(-self.frames // self._fps)]  # images, not pixels
+        return content
 
     def _next_file(self) -> None:
         self._open.close()
@@ -178,8 +175,14 @@ class DatasetWriter:
         library = self._arrow
         table = library.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
         types = ("task_index", "int64", "int64"), ("task", "unicode", "object")
-        keys = "name", "field_name", "pandas_type", "numpy_type", "metadata"
-        columns = [dict(zip(keys, (name, name, *its, None), strict=True)) for name, *its in types]
+        keys = "name", "field_name", "metadata", "pandas_type", "numpy_type"
+        columns = [dict(zip(keys, (name, name, None, *its), strict=True)) for name, *its in types]
         described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
         table = table.replace_schema_metadata({"pandas": json.dumps(described)})
         library.parquet.write_table(table, self._folder / "meta/tasks.parquet")
+
+
+def _statistics(feature: Feature) -> Statistics:
+    if feature.dtype == PNG_OR_JPEG:  # per colour, scaled to 0…1
+        return Statistics((3, 1, 1), pooled=(1, 2))
+    return Statistics(feature.shape, tuple(range(len(feature.shape))) if feature.pooled else ())

@@ -16,8 +16,7 @@ from visualization_msgs.msg import Marker
 
 from ...base.arrays import Bools, Floats, Floats32
 from ...messages.cdr import PADDING, CdrWriter, Heading, string
-from ...places.layout import Layout
-from ...places.mesh import CORNERS, MOST_SQUARES, taxel_squares
+from ...places.layout import CORNERS, MOST_SQUARES, Layout
 from ...readings.contact import Contacts
 from ...readings.taxels import Coverage
 from ...views.heatmap import GAMMA, SCALE_RGB, scale_steps
@@ -182,7 +181,7 @@ def _squares(layout: Layout, share: float) -> Floats:
     """(t, 6, 3) corners of squares a little below the taxels. share: of their edge."""
     places_m = layout.positions_m[:, None].astype("<f8")
     sunk_m = SUNK_PITCHES * layout.pitch_m * layout.normals[:, None]
-    return np.asarray(places_m + share * (taxel_squares(layout) - places_m) - sunk_m)
+    return np.asarray(places_m + share * (layout.squares_m - places_m) - sunk_m)
 
 
 def _blind(coverage: Coverage) -> str:

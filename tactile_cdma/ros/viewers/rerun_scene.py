@@ -25,7 +25,6 @@ from tactile_cdma.msg import TactileArray, TactileContacts, TactileSkinInfo
 
 from ...base.errors import MessageError
 from ...places.layout import Layout
-from ...places.mesh import taxel_squares
 from ...places.poses import Pose
 from ...readings.status import is_certain
 from ...views.heatmap import GAMMA, colours, heatmap
@@ -98,7 +97,7 @@ class PatchScene:
         self._pressure_pa = None
         self.frame_id = message.header.frame_id
         self._extent_m = float(np.ptp(layout.positions_m, axis=0).max()) + layout.pitch_m
-        corners_m = taxel_squares(layout)[layout.nodes > 0].reshape(-1, 3)
+        corners_m = layout.squares_m[layout.nodes > 0].reshape(-1, 3)
         # Without normals there is no shading, which would change the colours of the scale.
         triangles = np.arange(len(corners_m)).reshape(-1, 3)
         surface = rr.Mesh3D(vertex_positions=corners_m, triangle_indices=triangles)

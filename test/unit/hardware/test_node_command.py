@@ -138,6 +138,7 @@ def test_nodes_too_silent_for_the_driver_are_warned_of(
         ("--node 1 --hex a.hex --mcu attiny85", "no room for a memory there"),
         ("--node 1 --hex a.hex --image file", "file: the Intel HEX text has no end record"),
         ("--node 1 --hex a.hex --image no", "no: No such file"),
+        ("--node 1 --hex a.hex --image large", "large: is larger than 1 MB"),
         ("--node all -o d --programmer usbasp", "--node is all"),
         ("--node 1 -o a.hex --timing gap", "timing is 'gap'"),  # it would hear no pulse
         ("--node 1 -o a.hex --bits 12", "bits is 12"),
@@ -152,6 +153,7 @@ def test_mistakes_are_one_clear_error(
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
     Path("file.hex").write_text("words")
+    Path("large").write_bytes(bytes(1 + (1 << 20)))
     Path("blank.bin").write_bytes(b"\xff" * 1024)
     before = sorted(Path().iterdir())
     assert message in refused("node", *arguments.split())

@@ -16,7 +16,6 @@ from tactile_cdma.base.errors import SpecError
 from tactile_cdma.places.adjacency import cells, polygon_areas_m2
 from tactile_cdma.places.layout import MAX_CELLS, Layout
 from tactile_cdma.places.layout_shapes import Surface, cylinder, plane, sphere, tangents
-from tactile_cdma.places.mesh import taxel_squares
 from tactile_cdma.places.proximity import usual_distance_m
 from tactile_cdma.views.heatmap import NO_TAXEL_RGB, heatmap
 from test.support.examples import examples
@@ -292,7 +291,7 @@ def triangles(squares: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
 def test_two_triangles_have_the_area_of_their_taxel_and_look_outwards(surface: Surface) -> None:
-    twice = triangles(taxel_squares(on(surface)))
+    twice = triangles(on(surface).squares_m)
     assert np.allclose(
         twice.sum(axis=1) / 2, surface.normals * surface.areas_m2[:, None], atol=1e-10
     )
@@ -302,7 +301,7 @@ def test_two_triangles_have_the_area_of_their_taxel_and_look_outwards(surface: S
 
 @pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
 def test_squares_lie_about_their_taxel_in_the_tangent_plane(surface: Surface) -> None:
-    squares = taxel_squares(on(surface))
+    squares = on(surface).squares_m
     arms = squares - surface.positions_m[:, None]
     assert np.allclose((arms * surface.normals[:, None]).sum(axis=2), 0, atol=1e-8)
     half_diagonals = np.sqrt(surface.areas_m2 / 2)[:, None]
@@ -310,7 +309,7 @@ def test_squares_lie_about_their_taxel_in_the_tangent_plane(surface: Surface) ->
 
 
 def test_squares_of_a_plane_cover_it_without_a_gap() -> None:
-    corners = np.unique(taxel_squares(on(SURFACES["plane"]))[..., :2].round(7), axis=None)
+    corners = np.unique(on(SURFACES["plane"]).squares_m[..., :2].round(7), axis=None)
     lines = {round(float(x), 4) for x in corners}
     edges = {round((i - n / 2) * PITCH_M, 4) for n in (5, 8) for i in range(n + 1)}
     assert lines == edges
