@@ -152,13 +152,8 @@ class BagMaker:
                 fields: dict[str, Any] = {"format": "rgb8; png compressed rgb8"}
             else:
                 kind, data = "sensor_msgs/msg/Image", pixels[:, :, ::-1].tobytes()
-                fields = {
-                    "height": 6,
-                    "width": 8,
-                    "encoding": "bgr8",
-                    "is_bigendian": 0,
-                    "step": 24,
-                }
+                fields = {"height": 6, "width": 8, "step": 24}
+                fields |= {"encoding": "bgr8", "is_bigendian": 0}
             fields |= {"header": header, "data": np.frombuffer(data, dtype=np.uint8)}
             self.add(t_s + 0.04, topic, kind, **fields)
         return self
@@ -192,20 +187,11 @@ class BagMaker:
             t_s = (i + 0.5) * PERIOD_S
             known = t_s >= 1.0
             value = -t_s if known else np.nan
-            wrench = self.make(
-                "geometry_msgs/msg/Wrench",
-                force=vector(0.0, 0.0, value),
-                torque=vector(value, 0.0, 0.0),
-            )
+            force, torque = vector(0.0, 0.0, value), vector(value, 0.0, 0.0)
+            wrench = self.make("geometry_msgs/msg/Wrench", force=force, torque=torque)
             place = dict.fromkeys("xyz", 0.01 if known else np.nan)
-            header = self.header(t_s)
-            self.add(
-                t_s + 0.004,
-                f"{node}/wrench",
-                "geometry_msgs/msg/WrenchStamped",
-                header=header,
-                wrench=wrench,
-            )
+            header, stamped = self.header(t_s), "geometry_msgs/msg/WrenchStamped"
+            self.add(t_s + 0.004, f"{node}/wrench", stamped, header=header, wrench=wrench)
             self.add(
                 t_s + 0.004,
                 f"{node}/contacts",

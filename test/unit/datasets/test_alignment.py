@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,10 @@ def rows_of(aligner: Aligner, samples: Sequence[Sample]) -> list[Row]:
     return rows + list(aligner.finish())
 
 
+def in_order(*streams: Sequence[Sample]) -> list[Sample]:
+    return sorted((sample for one in streams for sample in one), key=lambda sample: sample.seen_ns)
+
+
 def number(row: Row, key: str = "state") -> float:
     value = row.values[key]
     assert isinstance(value, np.ndarray)
@@ -62,22 +67,17 @@ def test_a_row_holds_the_newest_value_up_to_its_tick(
 ) -> None:
     """Messages that are recorded late, and out of order, change nothing."""
     stamps_ms = sorted(stamps_ms)
-    samples = [
-        state(stamp, stamp + delay, stamp)
-        for stamp, delay in zip(stamps_ms, delays_ms, strict=False)
-    ]
-    samples.sort(key=lambda sample: sample.seen_ns)
+    late_ms = zip(stamps_ms, delays_ms, strict=False)
+    samples = [state(stamp, stamp + delay, stamp) for stamp, delay in late_ms]
     # Another stream passes each tick only when all of these have been recorded.
     beat = [state(t, t + 301, 0.0, "beat") for t in range(0, 3400, 100)]
-    merged = sorted(samples + beat, key=lambda sample: sample.seen_ns)
+    merged = in_order(samples, beat)
     streams = {key: stream(key) for key in ("state", "beat")}
     aligner = Aligner(streams, {}, [Episode(0, 3000 * MS, "")], fps)
     rows = rows_of(aligner, merged)
     assert not any(aligner.late.values())
-    begin_ns = merged[0].stamp_ns
-    expected_ticks = []
-    while (tick := begin_ns + round((len(expected_ticks) + 1) * NANO / fps)) <= 3000 * MS:
-        expected_ticks.append(tick)
+    ticks = (merged[0].stamp_ns + round(i * NANO / fps) for i in count(1))
+    expected_ticks = list(takewhile(lambda tick: tick <= 3000 * MS, ticks))
     assert [row.tick.time_ns for row in rows] == expected_ticks
     for row in rows:
         before = bisect_right(stamps_ms, row.tick.time_ns / MS)
@@ -94,11 +94,10 @@ def test_ticks_are_a_topic_s_stamps_where_it_is_the_clock() -> None:
     images = SampleStream("camera", Kind.IMAGE, "camera", (6, 8, 3))
     streams = {"state": stream("state"), "camera": images}
     episodes = [Episode(0, 70 * MS, ""), Episode(100 * MS, FOREVER_NS, "")]
-    merged = sorted(samples + frames, key=lambda sample: sample.seen_ns)
-    rows = rows_of(Aligner(streams, {}, episodes, 30, clock="camera"), merged)
-    assert [(row.tick.time_ns // MS, row.tick.episode) for row in rows] == [
-        *((33, 0), (66, 0), (101, 1), (133, 1))
-    ]
+    aligner = Aligner(streams, {}, episodes, 30, clock="camera")
+    rows = rows_of(aligner, in_order(samples, frames))
+    ticks = [(row.tick.time_ns // MS, row.tick.episode) for row in rows]
+    assert ticks == [(33, 0), (66, 0), (101, 1), (133, 1)]
     assert [number(row) for row in rows] == [30, 60, 100, 130]
 
 
@@ -137,10 +136,6 @@ def skin_samples(begin_ms: float, end_ms: float, period_ms: float = PERIOD_MS) -
     return [
         Sample("skin", round(t * MS), round((t + 6) * MS), skin_frame(felt(t), 1.0)) for t in stamps
     ]
-
-
-def in_order(*streams: Sequence[Sample]) -> list[Sample]:
-    return sorted((sample for one in streams for sample in one), key=lambda sample: sample.seen_ns)
 
 
 def skin_taken(mode: str, slots: int = 1, policy: str = DROP) -> dict[str, TouchStream]:
@@ -229,10 +224,8 @@ def test_a_clock_that_comes_too_late_makes_no_row_of_what_is_newer() -> None:
     streams = {"clock": stream("clock"), "state": stream("state")}
     aligner = Aligner(streams, {}, ALWAYS, 10, "clock")
     rows = rows_of(aligner, in_order(clock, late, again, beat))
-    assert [row.tick.time_ns // MS for row in rows] == [
-        *range(0, 1000, 100),
-        *range(7000, 7400, 100),
-    ]
+    ticks_ms = [row.tick.time_ns // MS for row in rows]
+    assert ticks_ms == [*range(0, 1000, 100), *range(7000, 7400, 100)]
     assert all(number(row) == row.tick.time_ns / MS for row in rows)
     assert aligner.late == {"clock": 2, "state": 0}
 
@@ -357,9 +350,8 @@ def test_episodes_are_intervals_or_between_marks() -> None:
 
     whole = find_episodes(_Marked(), "press")  # type: ignore[arg-type]
     assert [(e.begin_ns, e.end_ns) for e in whole] == [(0, FOREVER_NS)]
-    assert found(_Marked(), intervals=[(20.0, 30.0), (1.5, 3.0)]) == [
-        *((101.5, 103.0, "press"), (120.0, 130.0, "press"))
-    ]
+    two = found(_Marked(), intervals=[(20.0, 30.0), (1.5, 3.0)])
+    assert two == [(101.5, 103.0, "press"), (120.0, 130.0, "press")]
     flags = _Marked(*((110, _Message(True)), (120, _Message(False)), (130, _Message(True))))
     assert found(flags, marks="/record") == [(110, 120, "press"), (130, 200, "press")]
     assert found(flags, marks="/record", end_s=15.0) == [(110, 115, "press")]
