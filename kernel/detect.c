@@ -325,7 +325,7 @@ static void believe_carried(struct detector *detector, struct odds odds)
     }
 }
 
-/* As _soft_words; returns the mean sum of derivatives. damping: also says that what earlier frames told is not used. */
+/* As _soft_bits; returns the mean sum of derivatives. damping: also says that what earlier frames told is not used. */
 static double soften(struct detector *detector, double noise, double odds, float damping)
 {
     const struct sparse_book *book = &detector->book;

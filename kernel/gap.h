@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The next frame of a stream without marks, where the raster says where it is: GapTiming._look in
+/* The next frame of a stream without marks, where the raster says where it is: GapTiming._searched in
  * tactile_cdma/framing as far as nothing is doubtful. In C, and in one call, because this is nearly every frame of
  * such a stream, and numpy and Python take ten times as long for it. Whatever is not so clear is left to them. */
 #ifndef TACTILE_GAP_H

@@ -51,7 +51,7 @@ VECTORS static double votes_of(float *off, size_t size, const struct judge_votes
     return sum;
 }
 
-/* Those of a line on which even the best candidate leaves `off` over; see _Votes.of in judge.py. */
+/* Those of a line on which even the best candidate leaves `off` over; see _votes_of in judge.py. */
 VECTORS static struct judge_votes votes_by(const struct judge_limits *limits, const float *levels, float *off,
                                    size_t count, double noise)
 {

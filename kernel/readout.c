@@ -98,7 +98,7 @@ static bool is_disturbed(const struct readout *readout, const struct readout_fra
     return disturbed;
 }
 
-/* Adds the words of nodes to their sums: numpy_count in health.py, of nodes that are not suspect. some: which; NULL:
+/* Adds the words of nodes to their sums: count in health.py, of nodes that are not suspect. some: which; NULL:
  * the first ones. */
 INLINE void count_these(const int32_t *some, size_t number, const struct readout_frame *out,
                         const struct readout_settings *settings, float *restrict sums)

@@ -64,7 +64,7 @@ VECTORS static float highest(size_t nodes, const float *amplitude)
     return loudest;
 }
 
-/* Whether any word is faint: find_active in decode.py. loudest: of all amplitudes. */
+/* Whether any word is faint: _find_active in decode.py. loudest: of all amplitudes. */
 VECTORS static bool find_active(size_t nodes, const float *restrict amplitude, float loudest,
                                 const float *restrict squares, const float *restrict expected,
                                 const struct words_reading *reading, float per_noise,
@@ -144,7 +144,7 @@ INLINE bool decide_by(const bool parity, size_t nodes, const struct words_measur
     return any_uneven;
 }
 
-/* Whether any word is uneven: decide in decode.py. */
+/* Whether any word is uneven: _decide in decode.py. */
 VECTORS static bool decide(size_t nodes, const struct words_measures *measures, const uint8_t *active,
                            const float *expected, const int32_t *sign_mask, float per_noise,
                            unsigned bits, bool parity, float most_square,
@@ -243,7 +243,7 @@ VECTORS static double frame_power(const struct words_frame *frame, const float *
 }
 
 /* The loudest word's amplitude, and through `usual` that of a sound node: see usual_amplitude in
- * decode.py. NaN if any is. */
+ * amplitude.py. NaN if any is. */
 static float loudest_of(const float *mean, size_t nodes, float loudest_share, float *usual)
 {
     float first = -INFINITY, second = -INFINITY, third = -INFINITY; /* loudest ones */

@@ -42,8 +42,8 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
-/* What the bit of which words leave the most leaves more than the others, V²: as WordFit._most_left; amplitude: (n,)
- * V, of the words. */
+/* What the bit of which words leave the most leaves more than the others, V²: see WordFit.is_clear. amplitude: (n,) V,
+ * of the words. */
 double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude);
 
 /* Noise of one correlation, V RMS: of `count` spare rows from `spare` on, or of the words where fewer
@@ -53,7 +53,7 @@ double words_noise(const struct words_frame *frame, const float *rows, size_t sp
 /* What words are read by, besides: see decode.py. a_chip, few, few_share: lateness.py. */
 struct words_reading {
     float threshold, faint_share, sound_share, most_square, a_chip, few_share, tone_share, moved_share;
-    /* A silent row's squares over expected² and noise², and expected over noise: see find_active. */
+    /* A silent row's squares over expected² and noise², and expected over noise: see _find_active. */
     float least_squares, loud_squares, hiding_rho;
     size_t few;
     bool parity;
@@ -67,7 +67,7 @@ enum words_look {
     WORDS_ARE_PLAIN,
 };
 
-/* The words of a frame, as decode_in_stages in decode.py reads them. per_noise: 1/V. rows: (k, N).
+/* The words of a frame, as decode in decode.py reads them. per_noise: 1/V. rows: (k, N).
  * offset: (k, N), rows of an offset of 1 V in scrambled chips; NULL where they are not. expected: (n,) V,
  * written to unless least_usual (V, of the usual amplitude) is NaN. */
 enum words_look words_read(const struct words_frame *frame, const struct words_reading *reading,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The driver's compiled kernel (../kernel): arbitrary bytes through its scanner and a reference reader,
+/* The driver's compiled kernel (kernel/): arbitrary bytes through its scanner and a reference reader,
  * whole numbers through its transforms and sums without any trick, any levels read as words, and frames
  * looked for without marks. What follows a stream has a harness of its own, fuzz_stream.c. */
 #include "contacts.h"

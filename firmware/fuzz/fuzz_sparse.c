@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The driver's detection of sparse codes (../kernel/detect.h, sparse.h) on frames of known words, and whatever the input
+/* The driver's detection of sparse codes (kernel/detect.h, sparse.h) on frames of known words, and whatever the input
  * adds to them, any level or none. What is claimed to be taken off, and left over, must add up to the chips in plain
  * sums; few words on an undisturbed line must be those that were sent. */
 #include "fuzz.h"

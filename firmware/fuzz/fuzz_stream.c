@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The driver's compiled stream (../kernel/frame_stream.h): packets as a digitizer sends them, more or
+/* The driver's compiled stream (kernel/frame_stream.h): packets as a digitizer sends them, more or
  * less, in pieces, with any answers to what it asks. A model of what was sent says which frames there
  * are, which samples they have, and when they must be decided. */
 #include "reference.h"

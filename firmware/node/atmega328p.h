@@ -187,7 +187,7 @@ static BOARD_INLINE uint16_t board_ticks_since(uint16_t then)
 
 #define BOARD_SPIN_TICKS 40
 #define BOARD_SPIN_LEAST 30 /* … without board_spin_most: 15, and to compare */
-/* Waits until board_spin_last has its last cycles left. */
+/* Waits until BOARD_SPIN_LAST has its last cycles left. */
 static BOARD_INLINE void board_spin_most(uint16_t at)
 {
     while (board_ticks_until(at) > 4 * BOARD_SPIN_TICKS)

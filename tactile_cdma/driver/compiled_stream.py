@@ -143,7 +143,7 @@ class CompiledStream:
         elif kind == _DOUBT:
             frame = self._decide(*about)
         elif kind == _BLOCK:
-            self._look(*about)
+            self._feed(*about)
             frame = self._frames.popleft() if self._frames else None
         elif kind == _NEEDS_BYTES and self._ending:
             self._conclude()
@@ -253,7 +253,7 @@ class CompiledStream:
                 self._reason = reason
         return verdict.frame.in_turn(turn) if verdict.frame else None
 
-    def _look(self, start: int, volts: memoryview) -> None:
+    def _feed(self, start: int, volts: memoryview) -> None:
         """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing

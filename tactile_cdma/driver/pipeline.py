@@ -256,6 +256,7 @@ class Pipeline:
             read = taxels.read(levels, config.spec, config.active_share, t_device, self.health)
             if read is not None:
                 return read
+        self.decisions.words_in_python += 1
         words = self._words(heard, levels)
         return words, taxels.update(words, t_device, self.health)
 

@@ -35,11 +35,13 @@ NUMPY = "numpy"
 class Decisions:
     """Where frames were decided, accepted or not; every number only grows.
 
-    compiled: in the kernel. in_python: by the reason why not there.
+    compiled: in the kernel. in_python: by the reason why not there. words_in_python: frames whose
+    words were read there, wherever it was decided that they are frames.
     """
 
     compiled: int = 0
     in_python: Counter[str] = field(default_factory=Counter)
+    words_in_python: int = 0
 
     @property
     def total(self) -> int:
@@ -58,7 +60,11 @@ class Decisions:
     def since(self, before: Decisions) -> Decisions:
         """Those since a moment; `before` is what this method gave then for none before."""
         in_python = self.in_python.copy()  # whose reasons stay, while another thread adds some
-        return Decisions(self.compiled - before.compiled, in_python - before.in_python)
+        return Decisions(
+            self.compiled - before.compiled,
+            in_python - before.in_python,
+            self.words_in_python - before.words_in_python,
+        )
 
 
 class Event(NamedTuple):

@@ -14,7 +14,7 @@ from .calibration import Curves
 MOVING_LSB = 2.5
 """A node moves if its voltage changed by more within the last second, LSB: codes that flicker
 between neighbours differ by 1 or 2."""
-_MOST_NAMES = 8
+_NAMED = 8
 """Nodes named in a refusal: as many as a person reads."""
 
 
@@ -77,11 +77,11 @@ def take_tare(
              1e3 * before_v, "mV", before_v, "check their sensors" + otherwise),
         ):  # fmt: skip
             if nodes.any():
-                worst = np.flatnonzero(nodes)
-                worst = worst[np.argsort(-ranks[worst], kind="stable")]
-                named = [f"{_name(i, layout)} {amounts[i]:.2f} {unit}" for i in worst.tolist()]
-                text = f"not tared, {state}: {listed(named, most=_MOST_NAMES)}; {remedy}"
-                raise RestError(text, reason)
+                own = np.flatnonzero(nodes)
+                worst = own[np.argsort(-ranks[own], kind="stable")].tolist()
+                said = {i: f"{_name(i, layout)} {amounts[i]:.2f} {unit}" for i in worst[:_NAMED]}
+                names = listed(worst, most=_NAMED, show=said.__getitem__)
+                raise RestError(f"not tared, {state}: {names}; {remedy}", reason)
     excess_v, last_v = curves.sign * before_v, baseline.rest_v
     baseline.drift_v = baseline.drift_v - excess_v
     if force or not baseline.tared:

@@ -2,7 +2,7 @@
 
 /* Makes the vectors' packets from the generated header alone and compares.
  *
- * vectors.inc, written by test_header.py from firmware/vectors/protocol.json, holds one CHECK per
+ * vectors.inc, written by test_core_packets.py from firmware/vectors/protocol.json, holds one CHECK per
  * packet. COBS and CRC-32 are written here by docs/protocol.md, so that they check it, too.
  */
 #include <stdio.h>

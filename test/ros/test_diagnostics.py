@@ -194,6 +194,7 @@ def test_why_frames_are_decided_in_python_is_told_while_they_are() -> None:
         wait_for(lambda: client.value("stream", "why in Python").startswith("clipped "))
         assert float(client.value("stream", "decided in Python (%)")) > 90
         assert int(client.value("stream", "decided in Python")) > 0
+        assert int(client.value("stream", "words read in Python")) > 0
     with hurrying(port="sim://?scene=idle&heartbeat=0") as (_, client):
         wait_for(lambda: int(client.value("stream", "decided by the kernel") or 0) > 40)
         wait_for(lambda: client.value("stream", "decided in Python (%)") == "0.0")

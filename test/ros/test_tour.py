@@ -102,3 +102,22 @@ def test_what_else_the_tour_names_is_there() -> None:
         owner, _, method = name.rpartition(".")
         assert re.search(rf"\b{method}\b", text), name
         assert not owner or re.search(rf"class {owner}\b", text), name
+
+
+def test_what_comments_in_c_name_of_python_is_there() -> None:
+    texts: dict[str, str] = {}
+    for path in PACKAGE.rglob("*.py"):
+        texts[path.name] = texts.get(path.name, "") + path.read_text()
+    kernel = "".join(path.read_text() for path in KERNEL.glob("*.[ch]"))
+    named: set[tuple[str, str]] = set()
+    for comment in re.findall(r"/\*.*?\*/", kernel, re.DOTALL):
+        flat = re.sub(r"\n \* ", " ", comment)
+        named |= set(re.findall(r"\b(?!as |does )(\w+)`? in (?:\w+/)*(\w+\.py)", flat))
+        named |= {(name, "") for name in re.findall(r"\b[A-Z]\w+\.(?!py\b)[a-z_]\w+", flat)}
+    assert len(named) > 50
+    for name, file in named:
+        owner, _, method = name.rpartition(".")
+        text = texts.get(file) or "".join(texts.values())
+        made = rf"\b(?:def|class) {method}\b|^ *{method}\b.*[:=]"
+        assert re.search(made, text, re.MULTILINE), name
+        assert not owner or re.search(rf"class {owner}\b", text), name

@@ -213,11 +213,11 @@ class GapTiming(Timing):
                 return []
         if look and look.is_sound:
             return self._take_sound(look, candidates[0])
-        found = self._look(volts, candidates, raw, final, look)
+        found = self._searched(volts, candidates, raw, final, look)
         if isinstance(found, _Failure):
             for other in (without_impulses(volts), raw):  # hum may have ended
                 if isinstance(found, _Failure) and other is not volts:
-                    calmer = self._look(other, self._search.gaps(other, self._gap), raw, final)
+                    calmer = self._searched(other, self._search.gaps(other, self._gap), raw, final)
                     found = found if isinstance(calmer, _Failure) else calmer
         if not isinstance(found, _Failure):
             return found
@@ -231,7 +231,7 @@ class GapTiming(Timing):
         self._skip_to(self._cursor + max(self._search.bit, math.ceil(found.pause)))
         return []
 
-    def _look(
+    def _searched(
         self,
         volts: Floats,
         candidates: list[Gap],

@@ -162,6 +162,7 @@ def _decision_values(totals: Decisions, rises: Decisions) -> Values:
         "decided in Python": totals.in_python.total(),
         "decided in Python (%)": f"{100 * rises.python_share:.1f}",
         "why in Python": rises.reasons,
+        "words read in Python": totals.words_in_python,
     }
 
 

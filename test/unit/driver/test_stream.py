@@ -161,7 +161,7 @@ def test_words_of_a_sound_skin_are_read_in_one_call(
     pipeline = Pipeline(config)
     frames = pipeline.feed(sent(tuple(parameters.items()), f"sim://?seed=1&{options}"), 0.0)
     assert sum(frame.words.active.any() for frame in frames) > 20
-    assert not looked
+    assert not looked and not pipeline.decisions.words_in_python
 
 
 @pytest.mark.parametrize(
@@ -180,6 +180,7 @@ def test_why_frames_are_decided_in_python_is_told(
     outcome(pipeline, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 60), 997)
     assert pipeline.decisions.in_python.most_common(1)[0][0] == reason
     assert pipeline.decisions.python_share > 0.9
+    assert (pipeline.decisions.words_in_python > 50) == (reason == "clipped")
 
 
 def test_decisions_are_counted_from_any_moment() -> None:

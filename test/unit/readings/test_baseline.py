@@ -5,6 +5,7 @@
 import re
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from tactile_cdma.base.errors import RestError
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver import checkup
 from tactile_cdma.driver.pipeline import Pipeline
+from tactile_cdma.readings import tare
 from tactile_cdma.readings.baseline import LOOKS
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.readings.contact import ContactTracker
@@ -185,7 +187,10 @@ def test_a_node_that_moves_where_no_pressure_reaches_is_named_with_how_far() -> 
     assert re.search(r"moving: node 4 \(row 1, column 0\) 16\.11 mV; wait", patch.refusal())
 
 
-def test_many_nodes_are_not_all_named() -> None:
+def test_many_nodes_are_not_all_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor looked for on the skin: of 65,535 that takes half a second, for which frames wait."""
+    name = Mock(wraps=tare._name)
+    monkeypatch.setattr(tare, "_name", name)
     config = SkinConfig.of({"nodes": 12, "rows": 1, "columns": 12})
     taxels = Pipeline(config).taxels
     voltage_v = np.full(12, 2.0, np.float32)
@@ -196,6 +201,7 @@ def test_many_nodes_are_not_all_named() -> None:
     ) as refused:
         taxels.tare(1000.0)
     assert "node 9" not in str(refused.value)
+    assert name.call_count == 8
 
 
 def test_nodes_without_a_reading_keep_their_tare_and_are_named() -> None:
