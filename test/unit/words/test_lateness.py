@@ -133,3 +133,18 @@ def test_an_unknown_offset_of_scrambled_chips_is_nobody_out_of_place(late: int) 
     amplitude = np.abs(levels.values).mean(axis=0)
     found = out_of_place(levels, amplitude, everybody >= 0, DEFAULT_AMPLITUDE_V, spec)
     assert (found is None) == (not late)
+
+
+@pytest.mark.parametrize("other", [0.0, 0.4])
+def test_a_few_words_late_by_a_part_of_a_chip_are_all_doubtful(other: float) -> None:
+    """The delay of the other one, chips: both may lack what is on another's row."""
+    everybody = np.arange(SPEC.nodes)
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        codes, nodes = rng.integers(0, 1024, 16), rng.choice(16, 2, replace=False)
+        chips = rng.normal(0, 1e-3, SPEC.chips)
+        for node, by in zip(nodes, (0.4, other), strict=True):
+            word = line_chips(SPEC, codes, everybody == node).ravel()
+            chips += (1 - by) * word + by * np.append(0, word[:-1])
+        words = read_chips(chips.reshape(SPEC.line_bits, SPEC.order), SPEC)
+        assert words.doubtful[nodes].all()
