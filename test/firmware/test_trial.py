@@ -107,3 +107,4 @@ def test_first_node_of_every_skin_that_can_be_built_is_heard(file: str, first: i
     assert trial.frames >= frames
     heard = trial.frames * config.spec.nodes - trial.silent
     assert 2 * first <= heard <= 3 * first
+    assert trial.wrong >= trial.frames * (config.spec.nodes - first)  # as is what is missing

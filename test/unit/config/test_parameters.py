@@ -99,6 +99,7 @@ def test_the_shipped_file_is_the_default_configuration() -> None:
         ({"nodes": "16"}, "nodes must be an integer, got '16'"),
         ({"nodes": True}, "nodes must be an integer"),
         ({"bits": 10.0}, "bits must be an integer"),
+        ({"parity": 2}, "parity must be true or false, got 2"),
         ({"chip_us": -1.0}, "chip_us is -1 µs; it must lie within 0.01…1e.06 µs"),
         ({"chip_us": float("nan")}, "chip_us is nan"),
         ({"drive": "uni"}, "drive is 'uni'; it must be one of bipolar, unipolar"),

@@ -306,6 +306,7 @@ def test_squares_lie_about_their_taxel_in_the_tangent_plane(surface: Surface) ->
     assert np.allclose((arms * surface.normals[:, None]).sum(axis=2), 0, atol=1e-8)
     half_diagonals = np.sqrt(surface.areas_m2 / 2)[:, None]
     assert np.allclose(np.linalg.norm(arms, axis=2), half_diagonals, rtol=1e-4)
+    assert np.allclose(arms.sum(axis=1), 0, atol=1e-8), "its triangles share a diagonal, no more"
 
 
 def test_squares_of_a_plane_cover_it_without_a_gap() -> None:
