@@ -28,7 +28,7 @@ LEVEL = 0.005
 OUTLIER = 4.5
 """Residual beyond which a point is an outlier, σ: seven of a million normal ones are."""
 KNEE_EVIDENCE = 20.0
-"""Drop of the sum of squares, σ², that proves a knee; by chance with 5e-5 (χ² of 2 degrees)."""
+"""Drop of the sum of squares, σ², that proves a knee: noise makes it in 5e-5 (χ², 2 degrees)."""
 EXPONENTS, MOST_END = (0.2, 20.0), 9.0
 """Of a power law, and of |ln(V/(supply − V))| under the largest load. Chosen: sensors have 0.4 to 2
 or so; beyond, corners are closer to each other than a calibration file tells apart."""

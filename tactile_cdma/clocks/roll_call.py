@@ -34,7 +34,7 @@ LARGEST_RATE_ERROR = 0.02
 HEARD = 4.0
 """ρ from which on a node counts as heard; the best of 10⁴ candidates in noise alone has 2."""
 MAX_LEFT = 0.15
-"""Power beyond noise that a lone node may leave over, of its own. Chosen, as limits.misfit."""
+"""Power beyond noise that a lone node may leave, relative to its own. Chosen, as limits.misfit."""
 _PIECE = 16
 """Chips that are correlated at one displacement: at LARGEST_RATE_ERROR they drift by 0.32 chip."""
 _WIDEST, _FINEST = 0.087, 0.004

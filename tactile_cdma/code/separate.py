@@ -16,7 +16,7 @@ from .amplitude import ACTIVE_SHARE, LOUDEST_FLOOR
 from .frame import UNIPOLAR, FrameSpec
 
 SPOKEN_OVER = 2.2
-"""Mean |r| over the deviation of |r| of a word that was spoken. Chosen: noise, folded, has 1.3."""
+"""Mean |r| over its deviation, above which a word was spoken. Chosen: noise, folded, has 1.3."""
 
 
 @stage

@@ -10,9 +10,9 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -32,8 +32,6 @@ placed to a twelfth of a taxel's edge, or better."""
 _STEEP, _MAP_STEPS = 0.2, 3
 """Least slope of a line to a height map's plane, and how often the place where it meets the map is
 looked up; chosen: lines are steep, and the faces of objects that touch a skin are not."""
-_LENGTHS: dict[Any, Any] = {float: 0.0, Sequence[float]: (0.0,) * 3}
-"""Types of the fields that are lengths, and what a value is like."""
 Spans = tuple[Any, Any]
 """Where lines enter and leave an object, each (m,), m along the line: +∞ and −∞ where they miss."""
 Axis = tuple[Any, Any]
@@ -46,10 +44,12 @@ class Indenter(ABC):
     """A rigid object pressed into a skin; poses are in the skin's frame.
 
     position_m: of its origin, m. orientation_xyzw: quaternion, as in ROS messages.
-    stiffness_pa_per_m: pressure per depth, Pa/m, of cover and object together. A subclass's own
-    fields that are a number, or a sequence, which then is of three, are lengths, m.
+    stiffness_pa_per_m: pressure per depth, Pa/m, of cover and object together.
     Raises ParameterError for values that are no pose, size or stiffness.
     """
+
+    LENGTHS: ClassVar[dict[str, int]] = {}
+    """Fields that are lengths, m, each with the number of its values."""
 
     position_m: Sequence[float]
     orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
@@ -57,10 +57,10 @@ class Indenter(ABC):
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
-        own = [each for each in fields(self)[len(fields(Indenter)) :] if each.type in _LENGTHS]
-        amounts = [("stiffness_pa_per_m", 0.0, MOST_PA_PER_M, "Pa/m")]
-        amounts += [(each.name, _LENGTHS[each.type], MOST_M, "m") for each in own]
-        for name, like, most, unit in amounts:
+        amounts = [("stiffness_pa_per_m", 1, MOST_PA_PER_M, "Pa/m")]
+        amounts += [(name, count, MOST_M, "m") for name, count in self.LENGTHS.items()]
+        for name, count, most, unit in amounts:
+            like = 0.0 if count == 1 else (0.0,) * count
             if not np.all(found := self._checked(name, like, (0.0, most), unit)):
                 raise ParameterError(f"{name} of {kind} is {found}; it must be above 0")
         self._checked("position_m", (0.0,) * 3, (-MOST_M, MOST_M), "m")
@@ -136,6 +136,8 @@ class Indenter(ABC):
 class Sphere(Indenter):
     """A ball about its origin."""
 
+    LENGTHS: ClassVar = {"radius_m": 1}
+
     radius_m: float
 
     @property
@@ -149,6 +151,8 @@ class Sphere(Indenter):
 @dataclass(frozen=True, kw_only=True)
 class Cylinder(Indenter):
     """A cylinder about its own z axis, its origin in the middle."""
+
+    LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
 
     radius_m: float
     length_m: float
@@ -164,6 +168,8 @@ class Cylinder(Indenter):
 @dataclass(frozen=True, kw_only=True)
 class Box(Indenter):
     """A cuboid with edges along its own axes, its origin in the middle. size_m: x, y, z, m."""
+
+    LENGTHS: ClassVar = {"size_m": 3}
 
     size_m: Sequence[float]
 
@@ -182,6 +188,8 @@ class Capsule(Indenter):
 
     length_m: between the balls' middles, m.
     """
+
+    LENGTHS: ClassVar = {"radius_m": 1, "length_m": 1}
 
     radius_m: float
     length_m: float
@@ -203,6 +211,8 @@ class Capsule(Indenter):
 class Ellipsoid(Indenter):
     """An ellipsoid about its origin. size_m: its diameters along its own x, y and z, m."""
 
+    LENGTHS: ClassVar = {"size_m": 3}
+
     size_m: Sequence[float]
 
     @property
@@ -222,6 +232,8 @@ class HeightMap(Indenter):
     rows along y, cell_m apart; NaN where there is no object. Lines are taken to be steep to that
     plane: turn it to where the object is pressed.
     """
+
+    LENGTHS: ClassVar = {"cell_m": 1}
 
     heights_m: Floats
     cell_m: float

@@ -174,7 +174,14 @@ class SimOptions:
 
     @property
     def channel(self) -> Channel:
-        return Channel(self.offset, self.noise, self.stretch, self.jitter, self.rail, self.adc_bits)
+        return Channel(
+            offset_v=self.offset,
+            noise_rms_v=self.noise,
+            stretch=self.stretch,
+            jitter=self.jitter,
+            rail_v=self.rail,
+            adc_bits=self.adc_bits,
+        )
 
     @property
     def clocks(self) -> ClockModel:

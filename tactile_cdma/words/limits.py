@@ -16,7 +16,7 @@ random bits give 1 on average, three give 1.5. Chosen between these."""
 CLEAR_RHO = 8.0
 """ρ above which noise gives no word levels of two nodes: 0.6 amplitudes are 4.8 deviations."""
 UNLIKE = 0.2
-"""Share of a word's amplitude by which a level may be off. Chosen (make torture)."""
+"""Share of a word's amplitude by which a level may be off. Chosen on bad lines (make torture)."""
 
 LOWER_SHARE = 0.5
 """Share of a word's strongest level below which its weakest is that of fewer nodes. Chosen: three

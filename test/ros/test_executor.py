@@ -172,6 +172,27 @@ def test_raw_topics_are_bytes(world: World) -> None:
     assert b"it\0" in got[0]
 
 
+def test_topics_are_followed_together_though_one_has_failed_at_first(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names, create = ["said", "written"], world.node.create_subscription
+    topics = [Topic(Header, name, world.hear, LATCHED) for name in names]
+    following = Following(world.node, *topics)
+
+    def fail(kind: type, name: str, *args: Any, **options: Any) -> Any:
+        if name == "written":
+            raise MemoryError(name)
+        return create(kind, name, *args, **options)
+
+    with monkeypatch.context() as patched, pytest.raises(MemoryError):
+        patched.setattr(world.node, "create_subscription", fail)
+        following.follow(True)
+    following.follow(True)
+    assert following
+    followed = [subscription.topic_name for subscription in world.node.subscriptions]
+    assert [name for name in followed if name[1:] in names] == ["/said", "/written"]
+
+
 def test_a_callback_of_two_arguments_gets_when_a_message_was_sent_and_came(world: World) -> None:
     infos: list[dict[str, int]] = []
     begin_ns = time.time_ns()

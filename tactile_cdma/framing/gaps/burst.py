@@ -23,7 +23,7 @@ from ..limits import LIMITS
 _CELLS = 320
 """Most cells, about, that the burst search divides a frame into, to bound its cost. Chosen."""
 _LOUD = 6.0
-"""Noise deviations beyond which a half-chip mean is a frame's. Chosen: noise is once in 5·10⁸."""
+"""Noise deviations off the gap level beyond which a half-chip mean is no noise (2e-9). Chosen."""
 _LEAST_POWER = 1e-14
 """Power below which there is not even rounding, V²: (0.1 µV)²."""
 _CALMER = 1000.0

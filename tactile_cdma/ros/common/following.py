@@ -36,11 +36,11 @@ class Following:
 
     def __bool__(self) -> bool:
         """Whether the topics are subscribed to."""
-        return bool(self._subscriptions)
+        return len(self._subscriptions) == len(self._topics)
 
     def follow(self, asked: bool) -> None:
         """Subscribe, or end the subscriptions."""
-        if asked == bool(self):
+        if asked and self:
             return
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
