@@ -276,13 +276,13 @@ def test_frames_that_wait_are_late_and_their_bytes_a_backlog(tmp_path: Path) -> 
         wait_for(lambda: client.entry("stream").message == "receiving")
         driver = node._driver
         assert driver is not None
-        deadline = time.monotonic() + PATIENCE_S
-        while not says(client, "stream", WARN, " ms late")():
-            assert time.monotonic() < deadline, "frames were held up, and nobody said so"
+        deadline, backlog = time.monotonic() + PATIENCE_S, 0
+        # On a busy machine frames may be late before they are held up.
+        while backlog <= 1000 or not says(client, "stream", WARN, " ms late")():
+            assert time.monotonic() < deadline, f"held up; what is said to wait: {backlog} bytes"
             with driver.between_frames():
                 time.sleep(0.2)
             time.sleep(0.1)  # enough to catch up on a busy machine
-        latest = [
-            {pair.key: pair.value for pair in status.values} for status in client.entries["link"]
-        ]
-    assert max(int(values.get("backlog (bytes)", 0)) for values in latest) > 1000
+            values = [pair for status in client.entries["link"] for pair in status.values]
+            waited = [int(pair.value) for pair in values if pair.key == "backlog (bytes)"]
+            backlog = max(waited, default=0)
