@@ -7,6 +7,7 @@ What a marked frame says is left to a Recogniser: `line_timing` has the one for 
 """
 
 import math
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -267,7 +268,7 @@ class MarkedLine:
         return math.ceil(fit.end(self.spec) + 0.5 * fit.chip)
 
 
-class Recogniser:
+class Recogniser(ABC):
     """Decodes marked frames, one after the other; by itself, of a fixed size and timing."""
 
     def __init__(self, line: MarkedLine) -> None:
@@ -282,11 +283,11 @@ class Recogniser:
         """
         return self._line.size
 
+    @abstractmethod
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """Decode a frame, reject it, or ask for more samples."""
-        raise NotImplementedError
 
-    def forget(self) -> None:
+    def forget(self) -> None:  # noqa: B027 - one of a fixed timing carries none
         """Drop timing carried over from earlier frames, since a frame was rejected."""
 
     @property

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mends what rclpy's nodes leave open."""
+"""What our nodes need beyond rclpy's, when they are made, change, are set, or end."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
