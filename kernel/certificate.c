@@ -1,0 +1,619 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "certificate.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "sums.h"
+
+#define SIDE 2            /* chips beside a frame that are looked at, and by which things may be off */
+#define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
+#define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
+
+static const int SHIFTS[] = {-2, -1, 1, 2};
+#define SHIFT_COUNT (sizeof SHIFTS / sizeof *SHIFTS)
+
+struct certifier {
+    struct code code;
+    struct certificate_limits limits;
+    float *expected;
+    const uint8_t *broken;
+    float *rows;   /* (k, N) of the frame */
+    float *model;  /* (k, N) chips of its words */
+    float *padded; /* (k, N) what they leave over, and SIDE chips on either side */
+    float *work, *other; /* (k, N) */
+    float *level;  /* (k) of each bit, V */
+    float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
+    float *mean;   /* (N) */
+    struct words_measures measures;
+};
+
+static float *left_of(const struct certifier *certifier)
+{
+    return certifier->padded + SIDE;
+}
+
+struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
+                                const uint8_t *broken)
+{
+    struct certifier *certifier = calloc(1, sizeof *certifier);
+    size_t chips = code->bits * code->order, nodes = code->nodes;
+
+    if (!certifier)
+        return NULL;
+    float *floats = calloc(5 * chips + 2 * SIDE + code->bits + 3 * code->order + 3 * nodes, sizeof *floats);
+    int32_t *ints = calloc(2 * nodes, sizeof *ints);
+    *certifier = (struct certifier){.code = *code, .limits = *limits, .expected = expected, .broken = broken,
+                                    .rows = floats};
+    certifier->measures.signs = ints;
+    if (!(floats && ints)) {
+        certifier_free(certifier);
+        return NULL;
+    }
+    certifier->model = floats + chips;
+    certifier->work = certifier->model + chips;
+    certifier->other = certifier->work + chips;
+    certifier->padded = certifier->other + chips;
+    certifier->level = certifier->padded + chips + 2 * SIDE;
+    certifier->power = certifier->level + code->bits;
+    certifier->most = certifier->power + code->order;
+    certifier->mean = certifier->most + code->order;
+    certifier->measures.weakest = certifier->mean + code->order;
+    certifier->measures.strongest = certifier->measures.weakest + nodes;
+    certifier->measures.squares = certifier->measures.strongest + nodes;
+    certifier->measures.weakest_bit = ints + nodes;
+    return certifier;
+}
+
+void certifier_free(struct certifier *certifier)
+{
+    if (!certifier)
+        return;
+    free(certifier->rows);
+    free(certifier->measures.signs);
+    free(certifier);
+}
+
+/* ---- words ------------------------------------------------------------------------------------- */
+
+/* Words of constant amplitude: rows that hold ±amplitude where a node spoke, (k, N). */
+VECTORS static void make_symbols(const struct code *code, const float *restrict rows, const float *restrict amplitude,
+                                 const uint8_t *restrict active, float *restrict symbols)
+{
+    memset(symbols, 0, code->bits * code->order * sizeof *symbols);
+    for (size_t at = code->first; at < code->bits * code->order; at += code->order)
+        for (size_t i = 0; i < code->nodes; i++)
+            symbols[at + i] = active[i] ? copysignf(amplitude[i], rows[at + i]) : 0;
+}
+
+/* Who spoke, and how many; weakest: V, of those. */
+static size_t find_speakers(struct certifier *certifier, double noise, const struct words *words, double *weakest)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    float loudest, usual = words_usual(words->amplitude, code->nodes, (float)limits->loud_share, &loudest);
+    float *expected = certifier->expected, least = (float)limits->loud_share * loudest;
+    size_t speakers = 0;
+
+    if (isnan(code->swing)) {
+        float floor = (float)(limits->unknown_noise * sqrt(noise / (double)code->order));
+        usual = fmaxf(fmaxf(usual, floor / code->active_share), 1e-9f);
+        for (size_t i = 0; i < code->nodes; i++)
+            expected[i] = usual;
+    }
+    *weakest = INFINITY;
+    for (size_t i = 0; i < code->nodes; i++) {
+        float amplitude = words->amplitude[i];
+        words->active[i] = amplitude > code->active_share * expected[i] && amplitude > least;
+        speakers += words->active[i];
+        if (words->active[i] && (double)amplitude < *weakest)
+            *weakest = (double)amplitude;
+    }
+    return speakers;
+}
+
+/* ---- the rest ---------------------------------------------------------------------------------- */
+
+/* What the words leave over, without the level of each bit. */
+VECTORS static void leave(const struct certifier *certifier, const float *restrict chips, float *restrict left)
+{
+    const size_t bits = certifier->code.bits, order = certifier->code.order;
+    const bool has_level = certifier->code.first > 0 || certifier->code.scrambled;
+    const float *restrict model = certifier->model;
+
+    for (size_t bit = 0; bit < bits; bit++, chips += order, model += order, left += order) {
+        float sums[8] = {0};
+        for (size_t i = 0; i < order; i++)
+            left[i] = chips[i] - model[i];
+        for (size_t i = 0; i < order; i++)
+            sums[i % 8] += left[i];
+        float sum = ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]));
+        float level = has_level ? sum / (float)order : 0;
+        for (size_t i = 0; i < order; i++)
+            left[i] -= level;
+        certifier->level[bit] = level;
+    }
+}
+
+VECTORS static void take_off(const float *from, float share, size_t size, float *left)
+{
+    for (size_t i = 0; i < size; i++)
+        left[i] -= share * from[i];
+}
+
+/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. */
+static void take_leakage(const struct certifier *certifier, float *beside)
+{
+    const float *model = certifier->model;
+    float *left = left_of(certifier);
+    const size_t chips = certifier->code.bits * certifier->code.order;
+    const double most = certifier->limits.leak;
+    double before = sums_power(model, chips - 1), after = sums_power(model + 1, chips - 1);
+    double both = sums_dot(model, model + 2, chips - 2);
+    double of_before = sums_dot(model, left + 1, chips - 1), of_after = sums_dot(model + 1, left, chips - 1);
+    double tiny = 1e-9 * (before + after), determinant = (before + tiny) * (after + tiny) - both * both;
+
+    if (!(determinant > 0))
+        return;
+    double late = ((after + tiny) * of_before - both * of_after) / determinant;
+    double early = ((before + tiny) * of_after - both * of_before) / determinant;
+    late = fmin(fmax(late, -most), most);
+    early = fmin(fmax(early, -most), most);
+    take_off(model, (float)late, chips - 1, left + 1);
+    take_off(model + 1, (float)early, chips - 1, left);
+    beside[1] -= (float)early * model[0];
+    beside[2] -= (float)late * model[chips - 1];
+}
+
+/* The chips beside a frame without the level that goes on there; of unipolar drive it ends with the words. */
+static void level_beside(const struct certifier *certifier, float *beside)
+{
+    const struct code *code = &certifier->code;
+    const float *level = certifier->level;
+    const size_t last = code->bits - 1;
+
+    if (code->unipolar)
+        return;
+    float before = level[0] + 0.5f * (level[0] - level[1]), after = level[last] + 0.5f * (level[last] - level[last - 1]);
+    for (size_t i = 0; i < SIDE; i++) {
+        beside[i] -= before;
+        beside[SIDE + i] -= after;
+    }
+}
+
+VECTORS static double greatest(const float *values, size_t size)
+{
+    float most = 0;
+
+    for (size_t i = 0; i < size; i++)
+        most = fabsf(values[i]) > most ? fabsf(values[i]) : most;
+    return (double)most;
+}
+
+/* Mean |x| of each of `size` columns of k rows, `step` apart. */
+VECTORS static void mean_of_columns(const float *restrict rows, size_t step, size_t bits, size_t size, float *restrict mean)
+{
+    memset(mean, 0, size * sizeof *mean);
+    for (size_t bit = 0; bit < bits; bit++, rows += step)
+        for (size_t i = 0; i < size; i++)
+            mean[i] += fabsf(rows[i]);
+    for (size_t i = 0; i < size; i++)
+        mean[i] /= (float)bits;
+}
+
+VECTORS static void squares_of_columns(const float *restrict rows, size_t order, size_t bits, float *restrict power,
+                                       float *restrict most)
+{
+    memset(power, 0, order * sizeof *power);
+    memset(most, 0, order * sizeof *most);
+    for (size_t bit = 0; bit < bits; bit++, rows += order)
+        for (size_t i = 0; i < order; i++) {
+            float square = rows[i] * rows[i];
+            power[i] += square;
+            most[i] = square > most[i] ? square : most[i];
+        }
+}
+
+/* ---- the clauses ------------------------------------------------------------------------------- */
+
+/* What is known of a frame while its clauses are computed; powers in V². */
+struct reading {
+    const struct certificate_view *view;
+    double swing, weakest, least; /* V: of a node; of the words; the less of both */
+    double free;                  /* degrees of freedom that the words leave to noise */
+    double total, left;           /* sum of squares of what is left, and over `free` */
+    double more;                  /* that edges of the words may leave */
+    size_t speakers;
+    float beside[2 * SIDE];       /* what is left beside the frame; NaN where not seen */
+};
+
+/* Factor by which a mean of so many squares may exceed that of noise; cube root of Wilson and Hilferty 1931. */
+static double most_noise(double count, double deviations)
+{
+    double spread = 2 / (9 * count), root = 1 - spread + deviations * sqrt(spread);
+
+    return root * root * root;
+}
+
+/* Energy: of the frame, of each bit, and of each chip. */
+static double energy(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    const float *left = left_of(certifier);
+    double most = 0, noise = reading->view->noise, order = (double)code->order;
+
+    for (size_t bit = 0; bit < code->bits; bit++)
+        most = fmax(most, sums_power(left + bit * code->order, code->order));
+    most *= (double)code->bits / reading->free;
+    double frame = reading->left / (noise * most_noise(reading->free, limits->deviations) + reading->more);
+    double bit = most / (noise * most_noise(order, limits->deviations) + limits->bit * reading->more);
+    double edges = limits->chip * reading->swing * (1 + 0.3 * sqrt((double)reading->speakers));
+    double chip = greatest(left, code->bits * code->order) /
+                  ((limits->deviations + 1) * sqrt(reading->left) + edges);
+    return fmax(frame, fmax(bit, chip));
+}
+
+/* Mean square of noise on a row, V²: what is left, or less where rows that no node has show less. */
+static double row_noise(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct code *code = &certifier->code;
+    double noise = reading->left / (double)code->order, spare = 0;
+
+    if (code->spare_count < 2)
+        return noise;
+    for (size_t i = 0; i < code->spare_count; i++)
+        spare += (double)certifier->power[code->spare + i];
+    return fmin(noise, spare / (double)(code->bits * code->spare_count));
+}
+
+/* Marks silent nodes on whose rows there is more than noise; whether there are any. */
+static bool find_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double noise = row_noise(certifier, reading), bits = (double)code->bits, swing = reading->swing;
+    double chance = most_noise(bits, limits->faint_deviations) * noise;
+    float least = (float)(bits * fmax(limits->faint * limits->faint * swing * swing, chance));
+    float one = (float)fmax(limits->faint_bit * limits->faint_bit * swing * swing,
+                            limits->deviations * limits->deviations * noise);
+    const float *power = certifier->power + code->first, *most = certifier->most + code->first;
+    int any = 0;
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        words->faint[i] = (uint8_t)((words->active[i] ^ 1) & ((power[i] > least) | (most[i] > one)));
+        any |= words->faint[i];
+    }
+    return any;
+}
+
+/* Atoms in place: the row on which most is left. */
+static double row_atoms(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    size_t from = code->first > 0 && !code->scrambled; /* the level is on row 0 */
+    double chance = most_noise((double)code->bits, limits->deviations) * reading->left / (double)code->order;
+    double share = limits->row * reading->swing;
+
+    return greatest(certifier->power + from, code->order - from) / ((double)code->bits * fmax(share * share, chance));
+}
+
+/* Whether a delay makes one of these words that of another node, whose row is `alike`, as likely. rows: of what is
+ * left, read later by the twin's shift. Its value, of which 1 is the limit. */
+static double twin(const struct certifier *certifier, const struct reading *reading, const struct code_twin *twin,
+                   const float *rows, float amplitude)
+{
+    const struct code *code = &certifier->code;
+    const size_t bits = code->bits, order = code->order, lag = (size_t)abs(twin->shift);
+    const float *sent = certifier->rows + code->first + twin->sent;
+    const float *beside = twin->shift > 0 ? reading->beside + SIDE : reading->beside + SIDE - lag;
+    bool seen = !isnan(beside[0]) && !isnan(beside[lag - 1]);
+    double sum = 0;
+
+    for (size_t bit = 0; bit < bits; bit++) {
+        float level = rows[bit * order + code->first + (size_t)twin->alike];
+        level += copysignf(amplitude, sent[bit * order]) * twin->share;
+        size_t other = twin->shift > 0 ? bit + 1 : bit - 1;
+        if (other < bits)
+            level += copysignf(amplitude, sent[other * order]) * twin->wrap;
+        else if (!seen)
+            level *= (float)order / (float)(order - lag);
+        sum += fabs((double)level);
+    }
+    double there = sum / (double)bits, here = (double)amplitude;
+    double worse = (double)(bits * order) * (here * here - there * there);
+    double least = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * here * here;
+    return worse > least * 1e-6 ? least / worse : 1e6;
+}
+
+/* Atoms out of place: what is left, read early or late, on the rows of all nodes; and, of codes that are not
+ * scrambled, words that may be another node's which is early or late. */
+static void shifted_atoms(struct certifier *certifier, const struct reading *reading, const struct words *words,
+                          double *atoms, double *rivals)
+{
+    const struct code *code = &certifier->code;
+    const size_t chips = code->bits * code->order;
+    const struct code_twin *next = code->twins, *end = next + code->twin_count;
+    double scatter = HALF_NORMAL + HALF_SCATTER * certifier->limits.deviations / sqrt((double)code->bits);
+    double noise = scatter * sqrt(reading->left / (double)code->order);
+    double least = fmax(certifier->limits.atom * reading->least, noise);
+
+    for (size_t i = 0; i < SIDE; i++) {
+        certifier->padded[i] = isnan(reading->beside[i]) ? 0 : reading->beside[i];
+        left_of(certifier)[chips + i] = isnan(reading->beside[SIDE + i]) ? 0 : reading->beside[SIDE + i];
+    }
+    for (size_t shift = 0; shift < SHIFT_COUNT; shift++) {
+        float *rows = certifier->work;
+        code_rows(code, left_of(certifier) + SHIFTS[shift], rows);
+        mean_of_columns(rows + code->first, code->order, code->bits, code->nodes, certifier->mean);
+        *atoms = fmax(*atoms, greatest(certifier->mean, code->nodes) / least);
+        for (; next < end && next->shift == SHIFTS[shift]; next++)
+            if (words->active[next->sent] && !words->active[next->alike])
+                *rivals = fmax(*rivals, twin(certifier, reading, next, rows, words->amplitude[next->sent]));
+    }
+}
+
+/* Sum of squares that words of one amplitude leave of rows (k, N), and whether they are others than a frame's. */
+static double rows_left(struct certifier *certifier, const float *rows, const struct words *words, bool *differ)
+{
+    const struct code *code = &certifier->code;
+    float *mean = certifier->mean, loudest;
+    size_t from = code->first > 0 && !code->scrambled;
+    double total = 0;
+
+    mean_of_columns(rows + code->first, code->order, code->bits, code->nodes, mean);
+    float usual = words_usual(mean, code->nodes, (float)certifier->limits.loud_share, &loudest);
+    if (!isnan(code->swing))
+        usual = fminf(loudest, code->swing);
+    float least = fmaxf(code->active_share * usual, (float)certifier->limits.loud_share * loudest);
+    for (size_t bit = 0; bit < code->bits; bit++)
+        total += sums_power(rows + bit * code->order + from, code->order - from);
+    *differ = false;
+    for (size_t i = 0; i < code->nodes; i++) {
+        bool spoke = mean[i] > least;
+        if (words)
+            *differ |= spoke != words->active[i];
+        mean[i] = spoke ? mean[i] : 0;
+        total -= (double)code->bits * (double)mean[i] * (double)mean[i];
+        for (size_t bit = 0; words && spoke && !*differ && bit < code->bits; bit++) {
+            size_t at = bit * code->order + code->first + i;
+            *differ = (rows[at] > 0) != (certifier->rows[at] > 0);
+        }
+    }
+    return total * (double)code->order;
+}
+
+/* The frame's chips without levels, read later by a shift; chips beside the frame that were not seen are those that the
+ * words would have there. */
+static void read_shifted(struct certifier *certifier, const struct reading *reading, int shift, float *rows)
+{
+    const struct code *code = &certifier->code;
+    const size_t chips = code->bits * code->order;
+    const float *beside = shift > 0 ? reading->beside + SIDE : reading->beside + SIDE + shift;
+    const size_t lag = (size_t)abs(shift), hidden = shift > 0 ? chips - lag : 0;
+    bool seen = true;
+
+    for (size_t i = 0; i < chips; i++) {
+        size_t from = i + (size_t)(ptrdiff_t)shift;
+        if (from < chips)
+            rows[i] = reading->view->chips[from] - certifier->level[from / code->order];
+    }
+    for (size_t i = 0; i < lag; i++) {
+        seen &= !isnan(beside[i]);
+        rows[hidden + i] = isnan(beside[i]) ? 0 : beside[i];
+    }
+    if (!seen) {
+        certifier_model(certifier, rows, certifier->other);
+        for (size_t i = 0; i < lag; i++)
+            rows[hidden + i] = isnan(beside[i]) ? certifier->other[hidden + i] : beside[i];
+    }
+    code_rows(code, rows, rows);
+}
+
+/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all. */
+static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const size_t chips = code->bits * code->order;
+    const float *read = reading->view->chips, *level = certifier->level;
+    double weakest = reading->weakest, base = reading->total, value = 0;
+    bool differ;
+
+    for (size_t i = 0; i < 2 * SIDE; i++)
+        base += isnan(reading->beside[i]) ? 0 : (double)reading->beside[i] * (double)reading->beside[i];
+    base += 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
+    for (size_t number = 0; number < SHIFT_COUNT; number++) {
+        int shift = SHIFTS[number];
+        float *rows = certifier->work;
+        double cut = 0;
+        read_shifted(certifier, reading, shift, rows);
+        for (size_t i = 0; i < (size_t)abs(shift); i++) {
+            double chip = shift > 0 ? (double)(read[i] - level[0]) : (double)(read[chips - 1 - i] - level[code->bits - 1]);
+            cut += chip * chip;
+        }
+        double left = rows_left(certifier, rows, words, &differ) + cut;
+        if (differ)
+            value = fmax(value, base / fmax(left, 1e-30));
+        for (size_t bit = 1; abs(shift) == 1 && bit < code->bits; bit++) {
+            memcpy(certifier->other, certifier->rows, bit * code->order * sizeof *rows);
+            memcpy(certifier->other + bit * code->order, rows + bit * code->order,
+                   (code->bits - bit) * code->order * sizeof *rows);
+            left = rows_left(certifier, certifier->other, words, &differ);
+            if (differ)
+                value = fmax(value, base / fmax(left, 1e-30));
+        }
+    }
+    return value;
+}
+
+/* Rest: chips beside the frame, and how the level moves from bit to bit. */
+static double rest(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double least = limits->deviations * sqrt(reading->view->noise) + limits->beside * reading->least, most = 0;
+    double mean = 0, variance = 0, bits = (double)code->bits;
+
+    for (size_t i = 0; i < 2 * SIDE; i++)
+        most = isnan(reading->beside[i]) ? most : fmax(most, fabs((double)reading->beside[i]));
+    for (size_t bit = 0; bit < code->bits; bit++)
+        mean += (double)certifier->level[bit] / bits;
+    for (size_t bit = 0; bit < code->bits; bit++)
+        variance += ((double)certifier->level[bit] - mean) * ((double)certifier->level[bit] - mean) / bits;
+    return fmax(most / least, sqrt(variance) / (limits->moves * reading->swing));
+}
+
+/* Whether a word is weak enough to be a part of one. */
+static bool any_weak(const struct certifier *certifier, double swing, const struct words *words)
+{
+    float weak = (float)(certifier->limits.weak * swing);
+    int any = 0;
+
+    for (size_t i = 0; i < certifier->code.nodes; i++)
+        any |= words->active[i] & (words->amplitude[i] < weak);
+    return any;
+}
+
+/* Whether the silence of nodes is uncertain: noise is as loud as a word may be, one may hide in it, or a word that is
+ * uneven without noise says that there is something else on its row. */
+static bool hides_nodes(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+                        double noise)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double known = reading->view->noise * most_noise(reading->free, limits->deviations);
+    double words_left = limits->left_of_word * limits->left_of_word * (double)reading->speakers;
+    double most = (limits->hidden + words_left) * reading->swing * reading->swing;
+    int uneven = 0;
+
+    if (noise * limits->silent_rho > reading->swing)
+        return true;
+    if ((code->scrambled || reading->view->noise <= 0) && reading->left - known > most)
+        return true;
+    for (size_t i = 0; i < code->nodes; i++)
+        uneven |= words->doubled[i] | (words->doubtful[i] & !certifier->broken[i] & (words->rho[i] > limits->words.clear_rho));
+    return uneven;
+}
+
+/* Whether what is on row 0 may be the line's level: it is the same in all bits. */
+static bool may_be_level(const struct certifier *certifier)
+{
+    const struct code *code = &certifier->code;
+    size_t positive = 0;
+
+    for (size_t bit = 0; bit < code->bits; bit++)
+        positive += certifier->rows[bit * code->order] > 0;
+    return positive == 0 || positive == code->bits;
+}
+
+/* ---- a frame ----------------------------------------------------------------------------------- */
+
+double certifier_left(struct certifier *certifier, const float *chips, double *power)
+{
+    const struct code *code = &certifier->code;
+    const double size = (double)(code->bits * code->order);
+    bool differ;
+
+    *power = sums_power(chips, code->bits * code->order) / size;
+    code_rows(code, chips, certifier->work);
+    return rows_left(certifier, certifier->work, NULL, &differ) / size;
+}
+
+void certifier_model(struct certifier *certifier, const float *chips, float *model)
+{
+    const struct code *code = &certifier->code;
+    const size_t size = code->bits * code->order, nodes_end = code->first + code->nodes;
+    double pedestal = 0;
+    bool differ;
+
+    code_rows(code, chips, model);
+    rows_left(certifier, model, NULL, &differ);
+    for (size_t at = 0; at < size; at += code->order) {
+        pedestal += code->unipolar ? (double)model[at] / (double)code->bits : 0;
+        for (size_t i = 0; i < code->order; i++) {
+            bool is_node = i >= code->first && i < nodes_end;
+            model[at + i] = copysignf(is_node ? certifier->mean[i - code->first] : 0, model[at + i]);
+        }
+    }
+    code_chips(code, model, model);
+    for (size_t i = 0; code->unipolar && i < size; i++)
+        model[i] += (float)pedestal;
+}
+
+/* What the frame's words leave over, in chips and on rows. */
+static struct reading find_rest(struct certifier *certifier, const struct certificate_view *view,
+                                const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    const size_t chips = code->bits * code->order;
+    const bool has_level = code->first > 0 || code->scrambled;
+    struct reading reading = {.view = view};
+
+    code_rows(code, view->chips, certifier->rows);
+    certifier->measures.amplitude = words->amplitude;
+    words_measure(certifier->rows + code->first, code->order, code->bits, code->nodes, &certifier->measures);
+    reading.speakers = find_speakers(certifier, view->noise, words, &reading.weakest);
+    reading.swing = isnan(code->swing) ? (double)certifier->expected[0] : (double)code->swing;
+    reading.least = fmin(reading.swing, reading.weakest);
+    make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->work);
+    code_chips(code, certifier->work, certifier->model);
+    leave(certifier, view->chips, left_of(certifier));
+    memcpy(reading.beside, view->beside, sizeof reading.beside);
+    if (has_level)
+        level_beside(certifier, reading.beside);
+    if (reading.speakers)
+        take_leakage(certifier, reading.beside);
+    double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
+    reading.free = fmax((double)chips - taken, 1);
+    reading.total = sums_power(left_of(certifier), chips);
+    reading.left = fmax(reading.total / reading.free, 1e-12 * reading.swing * reading.swing);
+    reading.more = (limits->left + limits->left_of_word * limits->left_of_word * (double)reading.speakers) *
+                   reading.swing * reading.swing;
+    code_rows(code, left_of(certifier), certifier->work);
+    squares_of_columns(certifier->work, code->order, code->bits, certifier->power, certifier->most);
+    return reading;
+}
+
+void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
+                    struct certificate *certificate)
+{
+    const struct code *code = &certifier->code;
+    const struct reading reading = find_rest(certifier, view, words);
+    const double noise = sqrt(reading.left / (double)code->order);
+    double *value = certificate->value, atoms = 0, rivals = 0;
+
+    words_decide(&certifier->measures, code->nodes, (unsigned)code->bits, code->parity, certifier->expected,
+                 code->sign_mask, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
+    bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
+    value[CLAUSE_ENERGY] = energy(certifier, &reading);
+    shifted_atoms(certifier, &reading, words, &atoms, &rivals);
+    value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
+    if (!code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few)
+        rivals = fmax(rivals, shifted_frames(certifier, &reading, words));
+    value[CLAUSE_RIVALS] = rivals;
+    value[CLAUSE_REST] = rest(certifier, &reading);
+    value[CLAUSE_WORDS] = parts ? 2 : 0;
+    certificate->left = reading.left;
+    certificate->noise = noise;
+    certificate->swing = reading.swing;
+    certificate->speakers = reading.speakers;
+    bool hidden = hides_nodes(certifier, &reading, words, noise);
+    for (size_t i = 0; i < code->nodes; i++)
+        words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
+    if (view->level_unknown && code->first == 0 && !code->scrambled && may_be_level(certifier))
+        words->doubtful[0] = 1;
+}
+
+void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)
+{
+    double most = 0;
+
+    for (size_t clause = 0; clause < CERTIFICATE_CLAUSES; clause++)
+        most = fmax(most, certificate->value[clause]);
+    if (!(most < 1))
+        memset(words->doubtful, 1, certifier->code.nodes);
+}

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+
+/* Chips of a frame → its words, and a certificate: whether what the words leave over is no more than noise, in every
+ * direction in which we know what an error looks like. docs/architecture.md tells the idea, framing/limits.py where
+ * each limit comes from.
+ *
+ * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at the rest.
+ * Each gives a value of which 1 is the limit; a clause beyond it makes all words of the frame doubtful. Besides, a word
+ * may be doubtful by itself, and so may the silence of a node on whose row there is more than noise.
+ *
+ * Cost: three transforms of the frame, four more where what is left could hold a node that is out of its place, and
+ * eight more where the codes are not scrambled and few nodes speak. */
+#ifndef TACTILE_CERTIFICATE_H
+#define TACTILE_CERTIFICATE_H
+
+#include "code.h"
+#include "words.h"
+
+enum certificate_clause {
+    CLAUSE_ENERGY, /* what is left of the frame, of each bit, of each chip, and within chips */
+    CLAUSE_ATOMS,  /* what is left on each row, read in place or one or two chips early or late */
+    CLAUSE_RIVALS, /* how well the frame, its later bits, or one node explain it elsewhere */
+    CLAUSE_REST,   /* what the line does beside the frame, and how its level moves within */
+    CLAUSE_WORDS,  /* whether parts of words lie about */
+    CERTIFICATE_CLAUSES
+};
+
+/* A is the amplitude of a node, and shares are of it unless it is said. */
+struct certificate_limits {
+    struct words_limits words;
+    double deviations, log_odds; /* of a chance of α: normal deviations, and −ln α */
+    double left, left_of_word;   /* A²: mean square that edges leave over, in any case and of each word */
+    double bit, chip;            /* times that of one bit; share of A by which one chip may be off */
+    double leak;                 /* most share of a chip that the next one holds */
+    double atom, row;            /* share in which a node shows that is out of its place; same of a row in place */
+    double faint, faint_bit;     /* share of a silent row, and of its loudest bit, that is asked about */
+    double faint_deviations;     /* normal deviations of noise that is asked about there */
+    double better;               /* squares of the weakest word by which a rival must be worse */
+    size_t few;                  /* words up to which a frame may look like another one beside it */
+    double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
+    double silent_rho;           /* ρ below which noise may hide a node */
+    double hidden;               /* A²: mean square in which a node may hide whose chips look like noise */
+    double weak;                 /* share below which a word may be a part of one */
+    double loud_share;           /* of the loudest word, above which another is a word as well */
+    double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
+};
+
+/* Chips as they were received. beside: two chips before the frame and two after it, V, NaN where not seen. noise: V², of
+ * a chip at rest; 0: unknown. level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
+struct certificate_view {
+    const float *chips;
+    float beside[4];
+    double noise;
+    bool level_unknown;
+};
+
+/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every clause. */
+struct certificate {
+    double left, noise, swing, value[CERTIFICATE_CLAUSES];
+    size_t speakers;
+};
+
+struct certifier;
+
+/* The code, what it points to, expected and broken are kept. expected: (n) V, amplitude of every node; written to
+ * where the code says that it is unknown. broken: (n) nodes that are known for uneven words. NULL: no memory. */
+struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
+                                const uint8_t *broken);
+void certifier_free(struct certifier *certifier);
+
+/* Reads a frame. */
+void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
+                    struct certificate *certificate);
+
+/* Puts in doubt what the values of a certificate ask for; after whoever has more to add to them did. */
+void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words);
+
+/* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips: by which
+ * timings are compared. */
+double certifier_left(struct certifier *certifier, const float *chips, double *power);
+
+/* The chips (k, N) of such words, with the level that unipolar nodes add. */
+void certifier_model(struct certifier *certifier, const float *chips, float *model);
+
+#endif

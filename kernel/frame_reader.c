@@ -1,0 +1,359 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "frame_reader.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "sums.h"
+
+#define SIDE 2       /* chips beside a frame that are looked at */
+#define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
+#define LEARNT 8     /* of these, until then it is unknown */
+#define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
+#define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
+
+struct frame_reader {
+    struct code code;
+    struct frame_rules rules;
+    struct certifier *certifier;
+    struct fit carried, proposed; /* chip 0: none */
+    double seen[SEEN];            /* V², of the last frames: what their words left over */
+    size_t count;                 /* of those, ever */
+    double *sums;                 /* of the samples of a frame */
+    size_t room;
+    float *levels;                /* (span + 2·SIDE) V, chips by a fit, with those beside and pauses */
+    float *chips;                 /* (k, N) of these */
+    float *scratch;
+};
+
+struct frame_reader *frame_reader_new(const struct code *code, const struct frame_rules *rules,
+                                      const struct certificate_limits *limits, float *expected, const uint8_t *broken)
+{
+    struct frame_reader *reader = calloc(1, sizeof *reader);
+
+    if (!reader)
+        return NULL;
+    reader->code = *code;
+    reader->rules = *rules;
+    reader->certifier = certifier_new(code, limits, expected, broken);
+    reader->levels = malloc((code->span + 2 * SIDE) * sizeof(float));
+    reader->chips = malloc(code->bits * code->order * sizeof(float));
+    reader->scratch = malloc(fit_scratch(code) * sizeof(float));
+    if (reader->certifier && reader->levels && reader->chips && reader->scratch)
+        return reader;
+    frame_reader_free(reader);
+    return NULL;
+}
+
+void frame_reader_free(struct frame_reader *reader)
+{
+    if (!reader)
+        return;
+    certifier_free(reader->certifier);
+    free(reader->levels);
+    free(reader->chips);
+    free(reader->scratch);
+    free(reader->sums);
+    free(reader);
+}
+
+void frame_reader_reset(struct frame_reader *reader)
+{
+    reader->carried = reader->proposed = (struct fit){0};
+    reader->count = 0;
+}
+
+void frame_reader_propose(struct frame_reader *reader, const struct fit *fit)
+{
+    reader->proposed = *fit;
+}
+
+size_t frame_reader_due(const struct frame_reader *reader)
+{
+    const struct frame_rules *rules = &reader->rules;
+
+    if (rules->integrated)
+        return rules->size;
+    double end = reader->carried.chip > 0 ? fit_end(&reader->carried, reader->code.span) + 0.5 : 0;
+    return (size_t)ceil(fmax((double)rules->size, end) + rules->tail * rules->chip);
+}
+
+/* ---- samples ----------------------------------------------------------------------------------- */
+
+VECTORS void samples_volts(const int16_t *restrict counts, size_t size, float zero, float per_count, float most,
+                           float *restrict volts)
+{
+    for (size_t i = 0; i < size; i++) {
+        float level = ((float)counts[i] - zero) * per_count;
+        volts[i] = fabsf(level) < most ? level : NAN;
+    }
+}
+
+VECTORS struct samples_sums samples_add(const float *volts, size_t size)
+{
+    doubles4 sum[2] = {{0}, {0}}, squares[2] = {{0}, {0}};
+    struct samples_sums all = {0, 0};
+    size_t i = 0;
+
+    for (; i + 8 <= size; i += 8)
+        for (size_t half = 0; half < 2; half++) {
+            doubles4 four = __builtin_convertvector(*(const floats4 *)(volts + i + 4 * half), doubles4);
+            sum[half] += four;
+            squares[half] += four * four;
+        }
+    for (; i < size; i++) {
+        double level = (double)volts[i];
+        all.sum += level;
+        all.squares += level * level;
+    }
+    for (size_t lane = 0; lane < 8; lane++) {
+        all.sum += sum[lane / 4][lane % 4];
+        all.squares += squares[lane / 4][lane % 4];
+    }
+    return all;
+}
+
+VECTORS static double share_clipped(const struct frame_rules *rules, const float *volts, size_t size)
+{
+    float low = (float)rules->rail_low, high = (float)rules->rail_high;
+    size_t count = 0;
+
+    for (size_t i = 0; i < size; i++)
+        count += (size_t)(volts[i] <= low) | (size_t)(volts[i] >= high);
+    return (double)count / (double)size;
+}
+
+/* ---- silence ------------------------------------------------------------------------------------ */
+
+static enum frame_look silent(const struct frame_rules *rules, const struct frame_rest *rest, double power,
+                              struct frame_found *found)
+{
+    found->start = rules->integrated ? 0 : -0.5;
+    found->chip = rules->chip;
+    found->noise = sqrt(power / rules->chip);
+    found->certificate = (struct certificate){.left = power / rules->chip};
+    if (found->clipped > rules->deafened)
+        return FRAME_AT_RAIL;
+    return fmax(found->noise, sqrt(rest->noise)) > rules->most_noise ? FRAME_NOISY : FRAME_SILENT;
+}
+
+enum frame_look frame_reader_sum_up(const struct frame_reader *reader, const struct frame_rest *rest, double mean,
+                                    double variance, struct frame_found *found)
+{
+    const struct frame_rules *rules = &reader->rules;
+
+    *found = (struct frame_found){.level = rest->level, .clipped = mean <= rules->rail_low || mean >= rules->rail_high};
+    return silent(rules, rest, variance, found);
+}
+
+/* ---- timing ------------------------------------------------------------------------------------- */
+
+/* Chips by a fit, into reader->levels with those beside the frame, and into reader->chips. */
+static void take_chips(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
+{
+    const struct code *code = &reader->code;
+    const size_t chips = code->bits * code->order;
+    const float *levels = reader->levels + SIDE;
+
+    fit_levels(line, fit, reader->rules.refining.blur, SIDE, code->span + 2 * SIDE, reader->levels);
+    if (code->span == chips)
+        memcpy(reader->chips, levels, chips * sizeof *levels);
+    else
+        for (size_t i = 0; i < chips; i++)
+            reader->chips[i] = levels[code->places[i]];
+}
+
+/* Whether a fit is within the limits, and its frame within the samples. */
+static bool is_possible(const struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
+{
+    const struct frame_rules *rules = &reader->rules;
+
+    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip &&
+           fit_end(fit, reader->code.span) <= (double)line->size - EDGE + 0.3 * fit->chip;
+}
+
+/* The timing of the frames before where that explains this one, else the best of it, of one that was proposed, and of
+ * these refined. left, power: mean squares, V². False where none is possible. */
+static bool find_fit(struct frame_reader *reader, const struct fit_line *line, double noise, struct fit *best, double *left,
+                     double *power)
+{
+    const struct frame_rules *rules = &reader->rules;
+    const struct fit nominal = {0.5 * (rules->earliest + rules->latest) - 0.25, rules->chip};
+    const struct fit begin = reader->carried.chip > 0 ? reader->carried : nominal;
+    struct fit tries[] = {reader->carried, reader->proposed, begin, reader->proposed};
+    bool any = false;
+
+    *left = *power = INFINITY;
+    for (size_t i = 0; i < 4; i++) {
+        struct fit fit = tries[i];
+        double over, of_chips;
+        if (!(fit.chip > 0))
+            continue;
+        if (i >= 2)
+            fit = fit_refine(&reader->code, line, &rules->refining, reader->certifier, fit, rules->earliest, rules->latest,
+                             reader->scratch);
+        if (!is_possible(reader, line, &fit)) {
+            fit = i >= 2 ? tries[i] : fit;
+            if (!is_possible(reader, line, &fit))
+                continue;
+        }
+        take_chips(reader, line, &fit);
+        over = certifier_left(reader->certifier, reader->chips, &of_chips);
+        if (!any || over < 0.98 * *left) {
+            *best = fit;
+            *left = over;
+            *power = of_chips;
+        }
+        any = true;
+        if (*left < MORE_NOISE * noise + rules->refined * *power)
+            break;
+    }
+    return any;
+}
+
+/* ---- a frame ------------------------------------------------------------------------------------ */
+
+/* Sees to it that the running sums of so many samples have room. */
+static bool make_room(struct frame_reader *reader, size_t count)
+{
+    if (reader->room > count)
+        return true;
+    double *sums = malloc(2 * (count + 1) * sizeof *sums);
+    if (!sums)
+        return false;
+    free(reader->sums);
+    reader->sums = sums;
+    reader->room = 2 * (count + 1);
+    return true;
+}
+
+/* The noise of a chip, V², as frames show it where no gap does: the least that any of the last ones left. */
+static double noise_of_frames(const struct frame_reader *reader)
+{
+    double least = INFINITY;
+
+    for (size_t i = 0; i < SEEN && i < reader->count; i++)
+        least = fmin(least, reader->seen[i]);
+    return reader->count < LEARNT ? 0 : least;
+}
+
+/* Words and certificate of the chips in the reader. beside: see certificate_view. */
+static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, double power, double within,
+                               const struct words *words, struct frame_found *found)
+{
+    const struct frame_rules *rules = &reader->rules;
+    struct certificate *certificate = &found->certificate;
+
+    certifier_read(reader->certifier, view, words, certificate);
+    certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
+    found->noise = certificate->noise * sqrt((double)reader->code.order);
+    if (certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
+                              : certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit)) {
+        reader->carried.chip = 0;
+        return FRAME_MISFIT;
+    }
+    if (!certificate->speakers && found->noise > rules->most_noise)
+        return FRAME_NOISY;
+    certifier_doubt(reader->certifier, certificate, words);
+    if (found->clipped > rules->deafened || (view->level_unknown && reader->code.first == 0 && !rules->integrated))
+        memset(words->doubtful, 1, reader->code.nodes);
+    return FRAME_READ;
+}
+
+/* A frame whose samples are means of chips. */
+static enum frame_look read_means(struct frame_reader *reader, const float *volts, size_t count,
+                                  const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+{
+    const struct code *code = &reader->code;
+    const size_t chips = code->bits * code->order;
+    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, 0, !rest->known};
+
+    for (size_t i = 0; i < chips; i++)
+        reader->chips[i] = volts[i] - (float)found->level;
+    view.noise = noise_of_frames(reader);
+    found->start = 0;
+    found->chip = 1;
+    enum frame_look look = certify(reader, &view, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
+    reader->seen[reader->count++ % SEEN] = found->certificate.left;
+    if (look == FRAME_READ && count > chips) /* a value was taken twice */
+        memset(words->doubtful, 1, code->nodes);
+    return look;
+}
+
+/* A frame of raw samples. */
+static enum frame_look read_samples(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
+                                    const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+{
+    const struct frame_rules *rules = &reader->rules;
+    struct fit_line line = {count, volts, reader->sums, found->level};
+    struct fit fit;
+    double left, power;
+
+    fit_sums(volts, count, found->level, reader->sums);
+    if (!find_fit(reader, &line, rest->noise, &fit, &left, &power))
+        return FRAME_INCOMPLETE;
+    if (searches && rules->searches && left > rules->misfit * rules->misfit * power + 3 * rest->noise)
+        return FRAME_SEARCH;
+    reader->proposed.chip = 0;
+    double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
+    if (missing > EDGE && !final) {
+        reader->carried = fit;
+        found->more = (size_t)ceil(missing);
+        return FRAME_NEEDS_MORE;
+    }
+    take_chips(reader, &line, &fit);
+    const float *levels = reader->levels;
+    const size_t after = SIDE + reader->code.span;
+    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, rest->noise, !rest->known};
+    for (size_t i = 0; i < SIDE; i++) {
+        if (fit.start - (double)(SIDE - i) * fit.chip > -EDGE - 0.1)
+            view.beside[i] = levels[i];
+        if (end + (double)(i + 1) * fit.chip < (double)count - EDGE + 0.1)
+            view.beside[SIDE + i] = levels[after + i];
+    }
+    /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
+    size_t begin = (size_t)fmax(0, ceil(fit.start)), stop = (size_t)fmin((double)count, floor(end));
+    struct samples_sums sums = samples_add(volts + begin, stop - begin);
+    double size = (double)(stop - begin), noise = rest->noise * rules->chip;
+    double sampled = (sums.squares - 2 * found->level * sums.sum) / size + found->level * found->level;
+    double within = (sampled - noise - power) / (rules->kept * power + 3 * noise * sqrt(2 / size) + 1e-12);
+    reader->carried = fit;
+    found->start = fit.start;
+    found->chip = fit.chip;
+    found->clipped = share_clipped(rules, volts + begin, stop - begin);
+    return certify(reader, &view, power, within, words, found);
+}
+
+enum frame_look frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
+                                  const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+{
+    const struct frame_rules *rules = &reader->rules;
+
+    *found = (struct frame_found){.level = rest->level};
+    if (count < rules->size || !make_room(reader, count))
+        return FRAME_INCOMPLETE;
+    struct samples_sums sums = samples_add(volts, rules->size);
+    double mean = sums.sum / (double)rules->size, power = sums.squares / (double)rules->size;
+    if (isnan(power))
+        return FRAME_ABSURD;
+    if (rules->mean_is_offset && (rules->integrated || !rest->known))
+        found->level = mean;
+    if (reader->code.first > 0)
+        power -= mean * mean;
+    else
+        power += found->level * (found->level - 2 * mean);
+    found->clipped = share_clipped(rules, volts, rules->size);
+    if (found->clipped > rules->clipped)
+        return FRAME_AT_RAIL;
+    if (power <= rules->silent_power) {
+        double most = 0;
+        for (size_t i = 0; rules->integrated && i < rules->size; i++)
+            most = fmax(most, fabs((double)volts[i] - found->level));
+        if (most <= rules->silent_chip)
+            return silent(rules, rest, fmax(power, 0), found);
+    }
+    return rules->integrated ? read_means(reader, volts, count, rest, words, found)
+                             : read_samples(reader, volts, count, final, searches, rest, words, found);
+}
