@@ -91,11 +91,11 @@ FIELDS(stream_rules, frame.frame.bits, frame.frame.order, frame.frame.first, fra
        frame.clear_spread, frame.chips, frame.few, frame.whole, frame.hiding, frame.kept, frame.rest,
        frame.at_rest, frame.tail_noise, frame.tail_scatter, frame.tail_level, frame.least_tail,
        frame.integrated, frame.mean_is_offset, frame.scrambled, frame.noise_share, frame.most_silent_noise,
-       frame.silent_rise, frame.silent_more, marked, in_blocks, heeds_calls, zero_count, volts_per_count,
+       frame.silent_rise, frame.silent_more, marked, in_blocks, zero_count, volts_per_count,
        most_volts, gap_size, least_rest, gap_weight, rise, rise_v2, silent_over, rate_hz, slack_s, slack, gap_s,
        gaps, least_gap_s, most_device_us, most_quiet, most_quiet_v2);
 
-FIELDS(stream_timing, due, over, uses, asks, has_frame, frame.chip, frame.until, frame.heard, frame.tail,
+FIELDS(stream_timing, due, over, uses, has_frame, frame.chip, frame.until, frame.heard, frame.tail,
        frame.tail_end);
 
 /* NULL with an exception while another thread is in a call. */
@@ -307,9 +307,6 @@ static PyObject *subject_of(const struct stream *stream, enum stream_event event
     case STREAM_PACKET:
     case STREAM_FOREIGN:
         return packet_tuple(&about->packet);
-    case STREAM_MARK:
-        return Py_BuildValue("(LOL)", (long long)about->start, flag(about->called),
-                             (long long)about->since);
     case STREAM_DOUBT:
         return Py_BuildValue("(iLy#OnnnO(dd)(ddO)B)", about->look, (long long)about->start,
                              (const char *)about->volts,
@@ -391,11 +388,6 @@ STREAM_FUNCTION(place, SIZE("answer"), OBJECT("origin", NULL), FLAG("anew"), NUM
     return Py_NewRef(flag(cut_short));
 }
 
-STREAM_FUNCTION(open, SIZE("due"))
-{
-    return answered(call, stream_open(owner->stream, call->value[0].size));
-}
-
 /* A stream index of a call; -1 for none, or none that can be. */
 static int64_t index_of(const struct call *call, size_t argument)
 {
@@ -416,7 +408,7 @@ STREAM_FUNCTION(look, NUMBER("due"))
 }
 
 CLASS(stream_spec, Stream, ENTRY(describe), ENTRY(detect_by), ENTRY(forget), ENTRY(carry), ENTRY(give), ENTRY(end),
-      ENTRY(next), ENTRY(place), ENTRY(open), ENTRY(look), ENTRY(decide));
+      ENTRY(next), ENTRY(place), ENTRY(look), ENTRY(decide));
 
 /* ---- Readout ----------------------------------------------------------------------------------- */
 

@@ -130,7 +130,7 @@ def play(
     arrivals. parameters: of the driver.
     """
     config, writer = config_of(recording, learnt, **parameters), PacketWriter()
-    pipeline = Pipeline(config, background=False)
+    pipeline = Pipeline(config)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
         raise ValueError(pipeline.problem)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
-from ..clocks.node_timing import NodeTiming
 from ..code.separate import NodeLevels, frame_fields, may_be_offset
 from ..code.transform import compiled_transform
 from ..framing.fit import Fit, least_power
@@ -42,12 +41,11 @@ from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer
 _log = logging.getLogger(__name__)
 
 
-_NEEDS_BYTES, _FULL, _HEARD, _SILENT, _PACKET, _FOREIGN, _MARK, _DOUBT, _BLOCK = range(9)
+_NEEDS_BYTES, _FULL, _HEARD, _SILENT, _PACKET, _FOREIGN, _DOUBT, _BLOCK = range(8)
 """Kinds of the kernel's events: enum stream_event in kernel/frame_stream.h."""
 _DECIDED = _HEARD, _SILENT
-CLOCKS_OF_NODES = "roll call or clocks of nodes"
 DOUBTS = (
-    CLOCKS_OF_NODES,
+    "",
     "",
     "its end is not seen",
     "cut short",
@@ -94,7 +92,7 @@ class CompiledStream:
         self._chip_noise = 1.0  # noise of a chip, in that of a correlation
         self._fit: Fit | None = None
         self._timing = kernel.settings(
-            "stream_timing", due=1, over=0, uses=0, asks=True, has_frame=False,
+            "stream_timing", due=1, over=0, uses=0, has_frame=False,
             chip=0, until=0, heard=0, tail=0, tail_end=0,
         )  # fmt: skip
 
@@ -138,8 +136,6 @@ class CompiledStream:
             packet = self.parser.interpret(*about)
         elif kind == _FOREIGN:
             packet = self._ask(self.parser.interpret(*about))
-        elif kind == _MARK:
-            self._open(*about)
         elif kind == _DOUBT:
             frame = self._decide(*about)
         elif kind == _BLOCK:
@@ -211,13 +207,6 @@ class CompiledStream:
             self.place(Placement(Answer.IGNORE))
         return self._asked
 
-    def _open(self, start: int, called: bool, since: int) -> None:
-        """Answer how a frame is to be read that begins."""
-        timing = self._marked
-        due = timing.recogniser.open(start, called, None if since < 0 else since)
-        self._kernel.open(due)
-        self._carry(timing)
-
     def _decide(
         self,
         look: int,
@@ -279,11 +268,10 @@ class CompiledStream:
     def _carry(self, timing: MarkedTiming) -> None:
         """Hand on how the next frames are read."""
         carried, setting, edges = timing.recogniser.carried, self._timing, _NO_EDGES
-        fit = carried.edges.fit if carried and carried.edges else None
-        setting["asks"], setting["has_frame"] = carried is None, fit is not None
-        if carried:
-            setting["due"], setting["uses"] = carried.due, carried.uses
-        if carried and carried.edges:
+        fit = carried.edges.fit if carried.edges else None
+        setting["has_frame"] = fit is not None
+        setting["due"], setting["uses"] = carried.due, carried.uses
+        if carried.edges:
             edges, fit = carried.edges.within(carried.due), carried.edges.fit
             if fit is not self._fit:
                 spec = timing.line.spec
@@ -327,7 +315,6 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
         silent_more=0.0 if swing_v is None else swing_v**2 / 4,
         marked=marked and frames,
         in_blocks=not marked and frames,
-        heeds_calls=isinstance(timing, NodeTiming),
         zero_count=info.zero_count,
         volts_per_count=info.volts_per_count,
         most_volts=ABSURD_V,

@@ -188,7 +188,7 @@ def _seeds_of_rests() -> Mapping[str, bytes]:
 def _seeds_of_parameters() -> Mapping[str, bytes]:
     return {
         "shipped": (ROOT / "config" / "skin.yaml").read_bytes(),
-        "small": b"/**:\n  ros__parameters:\n    nodes: 9\n    chip_us: 5e1\n    roll_call: yes\n"
+        "small": b"/**:\n  ros__parameters:\n    nodes: 9\n    chip_us: 5e1\n    parity: yes\n"
         b"    port: 'sim://'\n    mount_xyz_m: [0, 1, 2.5]\n    use_sim_time: false\n",
     }
 

@@ -33,7 +33,7 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
             parameters:
               nodes: 20
               frame_period_ms: 20
-              roll_call: true
+              nodes_repeat: true
               skin: 7
               parity: yes
               mount_xyz_m: [1, 2.5, -3]
@@ -48,7 +48,7 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
         "frame_id": "palm",
         "nodes": 20,
         "frame_period_ms": 20.0,
-        "roll_call": True,
+        "nodes_repeat": True,
         "skin": "7",
         "parity": True,
         "mount_xyz_m": (1.0, 2.5, -3.0),

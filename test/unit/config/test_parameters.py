@@ -31,6 +31,10 @@ ARGUMENTS = {"port": "", "params_file": "skin.yaml", "sim": "false", "namespace"
         ({"xyz": ""}, "'xyz' (there are namespace, params_file, port, sim, and the parameters"),
         ({"node": "9"}, "did you mean 'nodes'"),
         ({"threshold": "9"}, "the launch argument threshold is called active_share now"),
+        (
+            {"roll_call": "true"},
+            "the launch argument roll_call is gone: nodes keep time by the sync line",
+        ),
         ({"nodes": "many"}, "nodes must be an integer, got 'many'"),
         ({"nodes": "0"}, "nodes is 0; it must lie within"),
         ({"mount_xyz_m": "1, 2"}, "it must be 3 numbers"),
@@ -166,6 +170,10 @@ def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:
     [
         ("nodes: 16", "no 'ros__parameters' section"),
         ("/**: {ros__parameters: {nodess: 3}}", "did you mean 'nodes'"),
+        (
+            "/**: {ros__parameters: {roll_call: false}}",
+            "line 1: the parameter roll_call is gone: nodes keep time by the sync line now",
+        ),
         ("/**: {ros__parameters: {nodes: 0}}", "nodes is 0"),
         ("/**:\n  ros__parameters:\n    bits: 99\n", "line 3: bits is 99"),
         ("/**: {ros__parameters: {skin: {a: 1}}}", "keys with values"),
@@ -222,14 +230,14 @@ def test_values_have_the_types_that_ros_reads(tmp_path: Path) -> None:
     path = tmp_path / "types.yaml"
     path.write_text(
         "/**: {ros__parameters: {chip_us: 5e1, frame_period_ms: 20, sign_seed: 0x10, parity: yes,\n"
-        "  roll_call: OFF, digitizer_id: '0', mount_xyz_m: [1, -.5, 2.], skin: a b}}"
+        "  nodes_repeat: OFF, digitizer_id: '0', mount_xyz_m: [1, -.5, 2.], skin: a b}}"
     )
     assert read_file(path) == {
         "chip_us": 50.0,
         "frame_period_ms": 20.0,
         "sign_seed": 16,
         "parity": True,
-        "roll_call": False,
+        "nodes_repeat": False,
         "digitizer_id": "0",
         "mount_xyz_m": (1.0, -0.5, 2.0),
         "skin": "a b",
