@@ -102,7 +102,9 @@ def replaced(source: str, values: Mapping[str, float]) -> ast.Module:
         def visit(self, node: ast.AST) -> ast.AST:
             return news.get(id(node)) or self.generic_visit(node)
 
-    return ast.fix_missing_locations(Swap().visit(tree))
+    swapped = Swap().visit(tree)
+    assert isinstance(swapped, ast.Module)
+    return ast.fix_missing_locations(swapped)
 
 
 def _found(tree: ast.Module) -> Iterator[tuple[str, ast.expr, bool]]:
