@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import count, islice
 from statistics import median
 
-from .episodes import Episode
+from .episodes import Episode, number_at
 from .samples import NANO, Kind, Sample, SampleStream, SkinFrame, Value
 from .touch import Touch, TouchStream
 
@@ -192,8 +192,7 @@ class Aligner:
     def _tick(self, time_ns: int) -> None:
         """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""
         last_ns = self._ticks[-1].time_ns if self._ticks else self._present.drained_ns
-        within = (n for n, e in enumerate(self._episodes) if e.begin_ns <= time_ns <= e.end_ns)
-        if time_ns > last_ns and (number := next(within, None)) is not None:
+        if time_ns > last_ns and (number := number_at(self._episodes, time_ns)) is not None:
             since_ns, before = time_ns - self._interval_ns, self._last_tick
             if before is not None and before.episode == number:
                 since_ns = max(before.time_ns, time_ns - self._reach_ns)

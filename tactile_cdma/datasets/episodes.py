@@ -31,6 +31,12 @@ class Episode:
     task: str
 
 
+def number_at(episodes: Sequence[Episode], time_ns: int) -> int | None:
+    """Number of the episode that a time lies in, the first one of two; None: in none."""
+    within = (n for n, e in enumerate(episodes) if e.begin_ns <= time_ns <= e.end_ns)
+    return next(within, None)
+
+
 def parse_interval(text: str) -> tuple[float, float]:
     """START:END in s from the beginning of a file. Raises ParameterError."""
     start, colon, end = text.partition(":")

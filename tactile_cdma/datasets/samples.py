@@ -2,6 +2,7 @@
 
 """What every source hands on: constant data of a patch, its frames, samples of other topics."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -289,6 +290,38 @@ def differences(
             yield f"{key} of patch {patch} is {its!r}, in {where} {mine!r}"
 
 
-def missing_between(before: int, after: int) -> int | None:
-    """Frame periods without a frame between two frames, by their sequence; None: began anew."""
-    return after - before - 1 if after > before else None
+class Continuity:
+    """Counts what is missing between frames that follow each other, by their sequence.
+
+    missing: frame periods without a frame. gaps, restarts: where some are missing; where the
+    sequence begins anew, as after a driver's restart.
+    """
+
+    def __init__(self) -> None:
+        self.missing = 0
+        self.gaps, self.restarts = Pauses(), Pauses()
+
+    def take(self, before: int, after: int, pause_s: float, at_s: float) -> None:
+        """Take the sequences of two frames. pause_s, at_s: time between them; of the first one."""
+        if after <= before:
+            self.restarts.take(pause_s, at_s)
+        elif missing := after - before - 1:
+            self.missing += missing
+            self.gaps.take(pause_s, at_s)
+
+
+class Pauses:
+    """Intervals between two frames: their number, all of them together, s, and the longest."""
+
+    def __init__(self) -> None:
+        self.number, self.total_s = 0, 0.0
+        self._longest = (-math.inf, 0.0)  # s, and s after which it begins
+
+    def take(self, length_s: float, at_s: float) -> None:
+        self.number, self.total_s = self.number + 1, self.total_s + length_s
+        self._longest = max(self._longest, (length_s, at_s), key=lambda pause: pause[0])
+
+    @property
+    def longest(self) -> str:
+        length_s, at_s = self._longest
+        return f"the longest {length_s:.3f} s after {at_s:.3f} s"

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.whole_file import replace_file, replacing
-from .episodes import Episode, samples_of
+from .episodes import Episode, number_at, samples_of
 from .parquet_table import ParquetTable
 from .progress import Progress
 from .samples import (
     NANO,
     Completeness,
+    Continuity,
     PatchInfo,
     SampleSource,
     SkinFrame,
     check_patches,
     check_same,
-    missing_between,
     patches_of,
 )
 
@@ -92,8 +92,8 @@ class PatchFrames:
 
     def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
         """Frames of one file, each with the number of its episode in it."""
-        seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp
-        restarts, restarts_ns = 0, 0
+        seen, continuity = Completeness(), Continuity()
+        last = (-1, 0, 0)  # number, sequence, stamp
         for sample in samples_of(source, episodes, self._progress):
             frame = sample.value
             if sample.stream != key or not isinstance(frame, SkinFrame):
@@ -103,21 +103,18 @@ class PatchFrames:
                 if not seen.is_complete:
                     self.left_out += 1
                     continue
-            for number, episode in enumerate(episodes):
-                if episode.begin_ns <= sample.stamp_ns <= episode.end_ns:
-                    if last[0] == number:
-                        if (missing := missing_between(last[1], frame.sequence)) is None:
-                            restarts += 1
-                            restarts_ns += sample.stamp_ns - last[2]
-                        self.missing += missing or 0
-                    last = (number, frame.sequence, sample.stamp_ns)
-                    yield number, frame
-                    break
-        if restarts:
+            if (number := number_at(episodes, sample.stamp_ns)) is not None:
+                if last[0] == number:
+                    pause_s = (sample.stamp_ns - last[2]) / NANO
+                    continuity.take(last[1], frame.sequence, pause_s, 0.0)
+                last = (number, frame.sequence, sample.stamp_ns)
+                yield number, frame
+        self.missing += continuity.missing
+        if restarts := continuity.restarts.number:
             self.notes.append(
                 f"{source.path}: {self._name}: {restarts} where the sequence begins anew (did the "
-                f"driver restart?); what is missing in the {restarts_ns / NANO:.3f} s between "
-                "these frames is not known"
+                f"driver restart?); what is missing in the {continuity.restarts.total_s:.3f} s "
+                "between these frames is not known"
             )
         if self._from_first_complete:
             seen.check(source.path, self._name)

@@ -131,6 +131,22 @@ class BagSource:
         foreign = {c.topic: encoding(c) for c in bag.channels if encoding(c) != CDR}
         self._notes += [f"{topic} is left out: encoded as {its}" for topic, its in foreign.items()]
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
+        yield from self._skins(bag, wanted, kinds, arrays)
+        pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
+        others = (
+            t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
+        )
+        for topic in others if wanted.cameras is None else wanted.cameras:
+            stream = self._camera(bag, topic, asked=wanted.cameras is not None)
+            if stream is not None:
+                yield stream
+        yield from self._joined(bag, Kind.STATE, wanted.state)
+        yield from self._joined(bag, Kind.ACTION, wanted.action)
+
+    def _skins(
+        self, bag: BagFile, wanted: Wanted, kinds: Mapping[str, str], arrays: Sequence[str]
+    ) -> Iterator[SampleStream]:
+        """The streams of patches, and of their contacts and wrenches; kinds: types of topics."""
         for topic in wanted.topics:
             if topic not in arrays:
                 there = ", ".join(arrays) or "none"
@@ -158,24 +174,18 @@ class BagSource:
                 if wanted.derived and kinds.get(beside) == type_ and self._first(bag, beside):
                     self._takes[beside].append((beside, _without_time(take)))
                     yield skin_stream(beside, kind, patch)
-        pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
-        others = (
-            t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
-        )
-        for topic in others if wanted.cameras is None else wanted.cameras:
-            stream = self._camera(bag, topic, asked=wanted.cameras is not None)
-            if stream is not None:
-                yield stream
-        for kind, choices in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
-            taken: set[str] = set()
-            for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
-                if twice := taken.intersection(stream.names):
-                    raise CaptureError(
-                        f"{self.path}: {kind}: {stream.topic} has {', '.join(sorted(twice))}, as "
-                        f"another topic does: choose by --{kind} {stream.topic}:NAME,…"
-                    )
-                taken.update(stream.names)
-                yield stream
+
+    def _joined(self, bag: BagFile, kind: Kind, choices: Sequence[str]) -> Iterator[SampleStream]:
+        """The streams of several vectors, which are joined by name."""
+        taken: set[str] = set()
+        for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
+            if twice := taken.intersection(stream.names):
+                raise CaptureError(
+                    f"{self.path}: {kind}: {stream.topic} has {', '.join(sorted(twice))}, as "
+                    f"another topic does: choose by --{kind} {stream.topic}:NAME,…"
+                )
+            taken.update(stream.names)
+            yield stream
 
     def _infos(self, bag: BagFile, stem: str, elsewhere: Path | None) -> list[Any]:
         """Infos of a patch: this bag's; else another's, or those of the first file of a split bag.
