@@ -4,8 +4,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -275,11 +274,6 @@ def results(fit: SkinFit) -> dict[str, str]:
         "error_kpa": f"{rms_pa(fit) / 1e3:.4g}",
     }
     for number, stage in enumerate(stages(fit), 1):
-        sensitivity = np.median(stage.sensitivity_v_per_pa) * 1e3
-        values[f"sensitivity{number}_v_per_kpa"] = f"{sensitivity:.5f}"
-        values[f"resolution{number}_kpa"] = f"{stage.lsb_pa / 1e3:.4f}"
-        values[f"quantisation{number}_kpa"] = f"{stage.limit_pa / 1e3:.4f}"
-        values[f"residual{number}_kpa"] = f"{stage.rms_pa / 1e3:.4f}"
         values[f"residual{number}_over_quantisation"] = f"{stage.rms_pa / stage.limit_pa:.3f}"
     for number, knees in enumerate(_knees_pa(fit).T, 1):
         values[f"knee{number}_kpa"] = f"{np.median(knees) / 1e3:.3f}"
@@ -288,28 +282,19 @@ def results(fit: SkinFit) -> dict[str, str]:
     return values
 
 
-@contextmanager
-def picture(path: Path, widths: Sequence[float]) -> Iterator[Any]:
-    """Axes side by side, of these relative widths, that become a PNG at the end of the context.
+def draw(fit: SkinFit, path: Path) -> None:
+    """Draw curves with points, and residuals, as a PNG.
 
     Raises CalibrationError where it cannot be written.
     """
     from matplotlib.figure import Figure  # slow to load, and needed here only
 
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    yield figure.subplots(1, len(widths), width_ratios=widths)
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    curve_axes, residual_axes = figure.subplots(1, 2)
+    _draw_curves(fit, curve_axes)
+    _draw_residuals(fit, residual_axes)
     with naming(path, CalibrationError):
         figure.savefig(path, format="png", dpi=110)
-
-
-def draw(fit: SkinFit, path: Path) -> None:
-    """Curves with points, residuals, and knees as a PNG."""
-    with picture(path, (1, 1, 1)) as (curve_axes, residual_axes, knee_axes):
-        _draw_curves(fit, curve_axes)
-        _draw_residuals(fit, residual_axes)
-        for number, knees in enumerate(_knees_pa(fit).T, 1):
-            knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
-        knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
 
 
 def _draw_curves(fit: SkinFit, axes: Any) -> None:
