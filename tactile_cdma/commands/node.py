@@ -150,7 +150,7 @@ def _node_number(text: str) -> int | str:
 
 
 def _warn_of_silence(heartbeat: int, config: SkinConfig) -> None:
-    """A driver with these parameters takes nodes for stale that are silent for too long."""
+    """Warn of nodes that are silent for so long that a driver takes them for stale."""
     silent_s = heartbeat * config.spec.frame_period_s
     if not 0 < silent_s < config.stale_after_s:
         often = f"only every {silent_s:g} s" if silent_s else "never"

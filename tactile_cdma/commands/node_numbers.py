@@ -115,7 +115,7 @@ def _check(pipeline: Pipeline, session: Session, silent_s: float) -> None:
 
 
 def prompt(layout: Layout, number: int) -> str:
-    """Which taxel to press."""
+    """Tell which taxel to press."""
     [taxel, *_] = [*np.flatnonzero(layout.nodes == number), -1]
     if taxel < 0:
         return f"node {number} has no place in the layout: press it, or leave it out"

@@ -23,7 +23,7 @@ CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z
 WRENCH_NAMES = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
 NANO = 1_000_000_000
 PUBLISHER = "#"
-"""In the key of a vector's stream before the number of the program that publishes it."""
+"""Separates, in the key of a vector's stream, the number of the program that publishes it."""
 MOST_SHOWN = 8
 """Taxels, or names, that a message lists; chosen."""
 _ALONE = "export them one by one"
@@ -91,7 +91,7 @@ class SkinFrame:
 
     @property
     def valid(self) -> Bools:
-        """(t,), taxels with a reading that is certain."""
+        """Return which taxels have a certain reading, (t,)."""
         return np.isfinite(self.pressure_pa) & is_certain(self.status)
 
 
@@ -138,7 +138,7 @@ class SampleStream:
 
     @property
     def topic(self) -> str:
-        """The topic that it is made of; its kind for a recording, which has no topics."""
+        """Return the topic that it is made of; its kind for a recording, which has no topics."""
         return self.key.removeprefix(f"{self.kind}:").partition(PUBLISHER)[0]
 
 
@@ -164,16 +164,16 @@ class SampleSource(Protocol):
     def notes(self) -> tuple[str, ...]: ...
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
-        """Samples of the streams in the order of seen_ns, from a time to another, both included."""
+        """Yield the streams' samples in the order of seen_ns, from and to times, both included."""
         ...
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
-        """Messages of a topic, and when they were recorded, ns. Raises CaptureError."""
+        """Return messages of a topic, and when they were recorded, ns. Raises CaptureError."""
         ...
 
 
 def skin_stream(key: str, kind: Kind, patch: PatchInfo) -> SampleStream:
-    """The stream of a patch's frames, of its contacts or of its wrench."""
+    """Return the stream of a patch's frames, of its contacts or of its wrench."""
     if kind == Kind.TACTILE:
         return SampleStream(key, kind, patch.name, (len(patch),), patch=patch)
     names = DERIVED[kind]
@@ -181,17 +181,17 @@ def skin_stream(key: str, kind: Kind, patch: PatchInfo) -> SampleStream:
 
 
 def patches_of(streams: Mapping[str, SampleStream]) -> dict[str, PatchInfo]:
-    """The skin patches among streams, by the key of their frames."""
+    """Return the skin patches among streams, by the key of their frames."""
     return {key: stream.patch for key, stream in streams.items() if stream.patch is not None}
 
 
 def in_order(values: Floats32, its: tuple[str, ...], names: tuple[str, ...]) -> Floats32 | None:
-    """Of a vector whose elements are called its, those of these names; None if some are missing."""
+    """Put elements that are called its in the order of names; None if some are missing."""
     return values[[its.index(name) for name in names]] if set(names) <= set(its) else None
 
 
 def feature_name(text: str) -> str:
-    """A name that features may have, from a topic's or a skin's."""
+    """Return a name that features may have, from a topic's or a skin's."""
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "skin"
 
 
@@ -216,7 +216,7 @@ class Completeness:
 
     @property
     def unread(self) -> str:
-        """The missing taxels, for people: the first ones of many; "any taxel" before a frame."""
+        """Name the missing taxels, the first ones of many; "any taxel" before a frame."""
         return listed(self.missing, "taxel", MOST_SHOWN) if self.missing else "any taxel"
 
     def check(self, path: Path, patch: str) -> None:
@@ -279,7 +279,7 @@ def differences(
     other: Mapping[str, Any],
     where: str = "the first file",
 ) -> Iterator[str]:
-    """How another file's readings of a patch come from elsewhere than the first's, by about.
+    """Tell how another file's readings of a patch come from elsewhere than the first's, by about.
 
     where: the first is.
     """

@@ -42,7 +42,7 @@ class FrameSurvey:
                 self._complete_s = self._length_s
 
     def lines(self) -> Iterator[tuple[str, str]]:
-        """Names and texts; without a frame nothing can be said of gaps and readings."""
+        """Yield names and texts; without a frame nothing can be said of gaps and readings."""
         if not self._frames:
             yield "frames", "none"
             return
