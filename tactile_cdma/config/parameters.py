@@ -141,7 +141,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "seed of the random row signs; -1: natural signs, as in the paper", "", (-1, 2**32 - 1)),
     Parameter("scramble", False,
         "all nodes flip their chips by one sequence, so that late nodes and shifted frames look "
-        "like no other"),
+        "like no other; true in config/, but for the paper's skin"),
     Parameter("resync_chips", 0,
         "chips between the sync edges at which nodes restart their chip timers; 0: at the "
         "frame's start only", "", (0, 65_535)),

@@ -20,7 +20,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.timeline import sample_count
-from tactile_cdma.sim.nodes import RollCalls
+from tactile_cdma.sim.nodes import Turns
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
 from tactile_cdma.wire._protocol import (
@@ -40,7 +40,6 @@ from tactile_cdma.wire.messages import (
     Groups,
     Pack,
     Quiet,
-    RollCall,
     Samples,
     Start,
 )
@@ -109,7 +108,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
     query, quiet_uv, *kinds = SETUPS[name]
     options = SimOptions.from_url(f"sim://?seed=3&{query}")
     setup = replace(options.setup(), quiet_uv=quiet_uv)
-    calls, turn = RollCalls(), 0
+    turns, turn = Turns(), 0
     layout = FrameLayout.of(setup.spec, setup.samples_per_chip)
     board = Board.of(volts_per_count=options.channel.volts_per_count(setup.spec))
     marked = setup.sync != SyncMode.NONE
@@ -120,22 +119,19 @@ def test_packets_are_those_of_the_virtual_digitizer(
     digitizer.samples(np.full(before, MIDDLE))
     digitizer.pulses(1 if not setup.spec.resync_chips else 0)
     expected = []
-    calling = marked and not setup.spec.resync_chips
-    grouping = calling and setup.spec.frame_period_s - setup.spec.frame_s > 832e-6
-    for block in itertools.islice(stream(options, setup, calls), 150):
+    whole = marked and not setup.spec.resync_chips
+    grouping = whole and setup.spec.frame_period_s - setup.spec.frame_s > 832e-6
+    for block in itertools.islice(stream(options, setup, turns), 150):
         if block.sync:
             turn += 1
-            if turn > 1 and calling:
+            if turn > 1 and whole:
                 while digitizer.pulses(1)[0].units == SYNC_RESTART:
                     pass  # of the frame's turn
-            if turn in GROUPS and grouping:
+            if turn in GROUPS and grouping:  # the next frame's pulse is not given out yet
                 digitizer.send(Groups(GROUPS[turn]))
-                calls.asked_log2 = GROUPS[turn]
-            if turn in (3, 24, 27) and calling:  # the next frame's pulse is not given out yet
-                digitizer.send(RollCall())
-                calls.asked = True
+                turns.asked_log2 = GROUPS[turn]
         counts = block.counts + np.int16(MIDDLE)
-        marks: Any = {"sync": block.sync, "called": block.called, "turn": block.turn}
+        marks: Any = {"sync": block.sync, "turn": block.turn}
         kind = Quiet.of if block.quiet else Samples
         time_us = math.floor(block.begin_s * 1e6 + 0.5 + 1e-6)
         expected.append(kind(time_us, block.first_index, counts, **marks))
@@ -151,7 +147,6 @@ def test_packets_are_those_of_the_virtual_digitizer(
     for sync, letters in zip((True, False), kinds, strict=True):
         sent = {type(packet).__name__[0] for packet in got if packet.sync == sync}
         assert sent == set(letters)
-    assert any(packet.called for packet in got) == calling
     assert any(packet.turn for packet in got) == grouping
     assert not digitizer.parser.counters.lost_packets
 
