@@ -30,7 +30,7 @@ OUTLIER = 4.5
 KNEE_EVIDENCE = 20.0
 """Drop of the sum of squares, σ², that proves a knee: noise makes it in 5e-5 (χ², 2 degrees)."""
 EXPONENTS, MOST_END = (0.2, 20.0), 9.0
-"""Limits of a power law's exponent, and of |ln(V/(supply − V))| at the largest load. Chosen: sensors
+"""Limits of a power law: exponent; |ln(V/(supply − V))| at the largest load. Chosen: sensors
 have 0.4 to 2 or so; beyond, corners are closer to each other than a calibration file tells."""
 _CANDIDATES = 24
 """Places tried for a knee; chosen, like the next: with them test_curve_fit.py finds its curves."""
