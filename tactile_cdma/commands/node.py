@@ -71,28 +71,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.read:
         print(describe_memory(*programmer.read_memory(arguments.read)))
         return 0
-    if arguments.port is not None:
-        if any((arguments.hex, arguments.output, arguments.crystal_mhz, arguments.image)):
-            raise SpecError("--enumerate writes no memory: leave out --hex, -o, --crystal-mhz")
-        get: Values = {**DEFAULTS, **given(arguments)}
-        config = SkinConfig.of(get)
-        check_timing(config.timing)
-        return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
-    if arguments.layout is not None:
-        raise SpecError("--layout is the file that --enumerate PORT writes: give that, too")
-    mcu, of_flash = arguments.mcu, arguments.hex is not None
-    if (arguments.output is None) != of_flash:
-        both = "-o and --hex are given: EEPROM or flash, not both"
-        none = "-o is missing: the file to write, or with --node all the directory"
-        raise SpecError(both if of_flash else f"{none}; or --hex")
-    if arguments.node == ANY and not of_flash:
-        raise SpecError("--any is an image for the flash: give --hex instead of -o")
-    if not of_flash and (arguments.crystal_mhz or arguments.image):
-        raise SpecError("--crystal-mhz and --image are about flash: give --hex instead of -o")
-    if arguments.programmer and arguments.node == ALL:
-        raise SpecError("--programmer writes one node, the one that is connected: --node is all")
-    config = SkinConfig.of(given(arguments))
+    check_usage(arguments)
+    get: Values = {**DEFAULTS, **given(arguments)}
+    config = SkinConfig.of(get)
     check_timing(config.timing)
+    if arguments.port is not None:
+        return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
+    mcu, of_flash = arguments.mcu, arguments.hex is not None
     heartbeat = arguments.heartbeat
     if heartbeat is None:
         heartbeat = usual_heartbeat(config.spec.frame_period_s)
@@ -127,6 +112,43 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print("to the node:", shlex.join(programmer.avrdude(paths[0], mcu, usual, kind)))
     return 0
+
+
+def check_usage(arguments: argparse.Namespace) -> None:
+    """Raises SpecError for options that do not go together."""
+    enumerates, of_flash = arguments.port is not None, arguments.hex is not None
+    of_eeprom, layout = arguments.output is not None, arguments.layout is not None
+    about_flash = bool(arguments.crystal_mhz or arguments.image)
+    wrongs = (
+        (
+            enumerates and (of_flash or of_eeprom or about_flash),
+            "--enumerate writes no memory: leave out --hex, -o, --crystal-mhz",
+        ),
+        (
+            layout and not enumerates,
+            "--layout is the file that --enumerate PORT writes: give that, too",
+        ),
+        (of_flash and of_eeprom, "-o and --hex are given: EEPROM or flash, not both"),
+        (
+            not (enumerates or of_flash or of_eeprom),
+            "-o is missing: the file to write, or with --node all the directory; or --hex",
+        ),
+        (
+            arguments.node == ANY and of_eeprom,
+            "--any is an image for the flash: give --hex instead of -o",
+        ),
+        (
+            about_flash and of_eeprom,
+            "--crystal-mhz and --image are about flash: give --hex instead of -o",
+        ),
+        (
+            arguments.programmer and arguments.node == ALL,
+            "--programmer writes one node, the one that is connected: --node is all",
+        ),
+    )
+    for is_wrong, text in wrongs:
+        if is_wrong:
+            raise SpecError(text)
 
 
 def _node_number(text: str) -> int | str:

@@ -78,27 +78,18 @@ def enumerate_nodes(
                 heard_s = now_s
                 if text := numbering.take(frame.words):
                     tell(text)
-            if now_s - heard_s > SILENT_S:
-                why = pipeline.problem or session.problem or "the digitizer sends no frames"
-                raise PortError(f"no frame for {SILENT_S:g} s: {why}")
+            _check_digitizer(pipeline, session, now_s - heard_s)
             if now_s - heard_s > UNREAD_S and numbering.waits:
                 tell(numbering.unclear())
-            if (refusal := pipeline.digitizer.refusal) and refusal.command == PacketType.NUMBER:
-                raise PortError(
-                    f"the digitizer announces no numbers ({refusal.result.name.lower()}): its "
-                    "firmware is older, it is a demonstrator or simulated, or the pause between "
-                    "frames is below 2.2 ms"
-                )
             if not typed.empty():
                 if (key := typed.get().strip().lower()) == "q":
                     break
                 tell(on_key[key]() if key in on_key else KEYS)
                 prompted = 0
-            if not numbering.waits:
-                prompted = 0
-            elif numbering.asked and numbering.asked != prompted:
-                prompted = numbering.asked
-                tell(prompt(config.layout, prompted))
+            wanted = (numbering.asked or 0) if numbering.waits else 0
+            if wanted and wanted != prompted:
+                tell(prompt(config.layout, wanted))
+            prompted = wanted
             if request := session.watch(pipeline, now_s):
                 port.write(request)
             if pipeline.counters.frames and (
@@ -109,6 +100,18 @@ def enumerate_nodes(
     finally:
         port.write(session.encoded(Number(0)) + session.close())
     return numbering
+
+
+def _check_digitizer(pipeline: Pipeline, session: Session, silent_s: float) -> None:
+    """Raises PortError where no frames come any more, or numbers are refused."""
+    if silent_s > SILENT_S:
+        why = pipeline.problem or session.problem or "the digitizer sends no frames"
+        raise PortError(f"no frame for {SILENT_S:g} s: {why}")
+    if (refusal := pipeline.digitizer.refusal) and refusal.command == PacketType.NUMBER:
+        raise PortError(
+            f"the digitizer announces no numbers ({refusal.result.name.lower()}): its firmware is "
+            "older, it is a demonstrator or simulated, or the pause between frames is below 2.2 ms"
+        )
 
 
 def prompt(layout: Layout, number: int) -> str:

@@ -93,7 +93,7 @@ class PatchFrames:
     def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
         """Frames of one file, each with the number of its episode in it."""
         seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp
-        restarts, restarts_ns = 0, 0
+        restarts_ns = list[int]()  # time between the frames beside each
         for sample in samples_of(source, episodes, self._progress):
             frame = sample.value
             if sample.stream != key or not isinstance(frame, SkinFrame):
@@ -103,24 +103,31 @@ class PatchFrames:
                 if not seen.is_complete:
                     self.left_out += 1
                     continue
-            for number, episode in enumerate(episodes):
-                if episode.begin_ns <= sample.stamp_ns <= episode.end_ns:
-                    if last[0] == number:
-                        if (missing := missing_between(last[1], frame.sequence)) is None:
-                            restarts += 1
-                            restarts_ns += sample.stamp_ns - last[2]
-                        self.missing += missing or 0
-                    last = (number, frame.sequence, sample.stamp_ns)
-                    yield number, frame
-                    break
-        if restarts:
+            number = _episode_at(episodes, sample.stamp_ns)
+            if number is None:
+                continue
+            if last[0] == number:
+                if (missing := missing_between(last[1], frame.sequence)) is None:
+                    restarts_ns.append(sample.stamp_ns - last[2])
+                self.missing += missing or 0
+            last = (number, frame.sequence, sample.stamp_ns)
+            yield number, frame
+        if restarts_ns:
             self.notes.append(
-                f"{source.path}: {self._name}: {restarts} where the sequence begins anew (did the "
-                f"driver restart?); what is missing in the {restarts_ns / NANO:.3f} s between "
-                "these frames is not known"
+                f"{source.path}: {self._name}: {len(restarts_ns)} where the sequence begins anew "
+                "(did the driver restart?); what is missing in the "
+                f"{sum(restarts_ns) / NANO:.3f} s between these frames is not known"
             )
         if self._from_first_complete:
             seen.check(source.path, self._name)
+
+
+def _episode_at(episodes: Sequence[Episode], stamp_ns: int) -> int | None:
+    """Number of the first episode that a time lies in."""
+    for number, episode in enumerate(episodes):
+        if episode.begin_ns <= stamp_ns <= episode.end_ns:
+            return number
+    return None
 
 
 def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:

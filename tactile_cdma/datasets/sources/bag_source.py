@@ -131,15 +131,14 @@ class BagSource:
         foreign = {c.topic: encoding(c) for c in bag.channels if encoding(c) != CDR}
         self._notes += [f"{topic} is left out: encoded as {its}" for topic, its in foreign.items()]
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
-        for topic in wanted.topics:
-            if topic not in arrays:
-                there = ", ".join(arrays) or "none"
-                raise CaptureError(f"{self.path}: no skin's frames in {topic} (but in {there})")
+        if absent := [topic for topic in wanted.topics if topic not in arrays]:
+            there = ", ".join(arrays) or "none"
+            raise CaptureError(f"{self.path}: no skin's frames in {absent[0]} (but in {there})")
         names: set[str] = set()
         for topic in wanted.topics or arrays:
-            stem = topic.rpartition("/")[0]
             if (first := self._first(bag, topic, asked=bool(wanted.topics))) is None:
                 continue
+            stem = topic.rpartition("/")[0]
             info, *later_ones = self._infos(bag, stem, wanted.info) or [None]
             patch = fields.patch(topic, self.path.name, first, info)
             for later in later_ones:
@@ -166,6 +165,10 @@ class BagSource:
             stream = self._camera(bag, topic, asked=wanted.cameras is not None)
             if stream is not None:
                 yield stream
+        yield from self._wanted_vectors(bag, wanted)
+
+    def _wanted_vectors(self, bag: BagFile, wanted: Wanted) -> Iterator[SampleStream]:
+        """The streams of states and actions."""
         for kind, choices in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
             taken: set[str] = set()
             for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
