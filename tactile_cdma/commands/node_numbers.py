@@ -78,7 +78,7 @@ def enumerate_nodes(
                 heard_s = now_s
                 if text := numbering.take(frame.words):
                     tell(text)
-            _check_digitizer(pipeline, session, now_s - heard_s)
+            _check(pipeline, session, silent_s=now_s - heard_s)
             if now_s - heard_s > UNREAD_S and numbering.waits:
                 tell(numbering.unclear())
             if not typed.empty():
@@ -86,10 +86,10 @@ def enumerate_nodes(
                     break
                 tell(on_key[key]() if key in on_key else KEYS)
                 prompted = 0
-            wanted = (numbering.asked or 0) if numbering.waits else 0
-            if wanted and wanted != prompted:
-                tell(prompt(config.layout, wanted))
-            prompted = wanted
+            waited_for = numbering.asked if numbering.waits else None
+            if waited_for and waited_for != prompted:
+                tell(prompt(config.layout, waited_for))
+            prompted = waited_for or 0
             if request := session.watch(pipeline, now_s):
                 port.write(request)
             if pipeline.counters.frames and (
@@ -102,8 +102,8 @@ def enumerate_nodes(
     return numbering
 
 
-def _check_digitizer(pipeline: Pipeline, session: Session, silent_s: float) -> None:
-    """Raises PortError where no frames come any more, or numbers are refused."""
+def _check(pipeline: Pipeline, session: Session, silent_s: float) -> None:
+    """Raise PortError where there was no frame for too long, or numbers are not announced."""
     if silent_s > SILENT_S:
         why = pipeline.problem or session.problem or "the digitizer sends no frames"
         raise PortError(f"no frame for {SILENT_S:g} s: {why}")
@@ -115,7 +115,7 @@ def _check_digitizer(pipeline: Pipeline, session: Session, silent_s: float) -> N
 
 
 def prompt(layout: Layout, number: int) -> str:
-    """Which taxel to press."""
+    """Tell which taxel to press."""
     [taxel, *_] = [*np.flatnonzero(layout.nodes == number), -1]
     if taxel < 0:
         return f"node {number} has no place in the layout: press it, or leave it out"
