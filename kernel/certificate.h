@@ -43,6 +43,7 @@ struct certificate_limits {
     double weak;                 /* share below which a word may be a part of one */
     double loud_share;           /* of the loudest word, above which another is a word as well */
     double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
+    double uneven;               /* share of nodes whose words may be uneven in a frame that is understood */
 };
 
 /* Chips as they were received. beside: two chips before the frame and two after it, V, NaN where not seen. noise: V², of
@@ -54,11 +55,13 @@ struct certificate_view {
     bool is_noise, level_unknown;
 };
 
-/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every clause.
- * kurtosis: of what sparse codes leave over. */
+/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
+ * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
+ * is no more than noise. crowded: more nodes spoke than sparse codes tell apart, or such that these do not. */
 struct certificate {
     double left, noise, swing, kurtosis, value[CERTIFICATE_CLAUSES];
     size_t speakers;
+    bool understood, crowded;
 };
 
 /* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
@@ -81,7 +84,8 @@ double certificate_chance(double count, double deviations);
 struct certifier;
 
 /* The code, what it points to, expected and broken are kept. expected: (n) V, amplitude of every node; written to
- * where the code says that it is unknown. broken: (n) nodes that are known for uneven words. NULL: no memory. */
+ * where the code says that it is unknown. broken: (n) nodes that are known for uneven words: whatever is on their rows is
+ * taken for theirs. NULL: no memory. */
 struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
                                 const uint8_t *broken);
 void certifier_free(struct certifier *certifier);

@@ -71,7 +71,10 @@ static bool make_words(struct sparse *sparse)
 
 struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits, const float *expected)
 {
-    struct sparse *sparse = calloc(1, sizeof *sparse);
+    bool is_possible = book->bits && book->bits <= WORDS_MOST_BITS && book->order && book->nodes &&
+                       book->nodes < book->rows && transform_order(book->walsh) == book->rows &&
+                       rules->capacity <= book->nodes;
+    struct sparse *sparse = is_possible ? calloc(1, sizeof *sparse) : NULL;
 
     if (!sparse)
         return NULL;
@@ -175,9 +178,12 @@ static void judge(const struct sparse *sparse, const struct detector *detector, 
     double faint = count ? sparse->sparse.faintest * swing / (double)loudest : 0;
     double crowd = (double)count / (double)(sparse->sparse.capacity + 1);
     certificate->value[CLAUSE_WORDS] = detector->settled ? fmax(faint, crowd) : 2;
-    if (crowd < 1) {
+    certificate->understood = detector->settled && crowd < 1;
+    certificate->crowded = detector->settled && !(crowd < 1);
+    if (certificate->understood) {
         double chance = by_chance(sparse, code->order) * view->noise / (swing * swing);
-        certificate->value[CLAUSE_RIVALS] = are_told_apart(sparse, found, chance) ? 0 : 2;
+        certificate->crowded = !are_told_apart(sparse, found, chance);
+        certificate->value[CLAUSE_RIVALS] = certificate->crowded ? 2 : 0;
     }
 }
 
@@ -356,5 +362,6 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     if (!detector->settled) {
         double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
         certificate->speakers = (size_t)fmax(0, round(power));
+        certificate->crowded = certificate->speakers > sparse->sparse.capacity;
     }
 }
