@@ -248,7 +248,7 @@ double certificate_energy(const struct certificate_limits *limits, const struct 
 
     *power = 0;
     for (size_t bit = 0; bit < rest->bits; bit++) {
-        double of_bit = sums_power(rest->left + bit * rest->order, rest->order);
+        double of_bit = sums_power(rest->left + bit * rest->order, rest->order) - rest->better * (double)rest->order;
         most = fmax(most, of_bit);
         *power += of_bit;
     }
@@ -266,7 +266,7 @@ static double energy(const struct certifier *certifier, const struct reading *re
 {
     const struct code *code = &certifier->code;
     struct certificate_rest rest = {left_of(certifier), code->bits, code->order, reading->speakers, reading->free,
-                                    reading->view->noise, reading->more, reading->swing};
+                                    reading->view->noise, reading->more, 0, reading->swing};
     double power;
 
     return certificate_energy(&certifier->limits, &rest, &power);
@@ -532,7 +532,7 @@ static bool is_understood(const struct certifier *certifier, const struct readin
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double bits = (double)code->bits, share = limits->row * reading->swing, total = reading->total, uneven = 0;
-    double noise = reading->view->noise * most_noise(reading->free, limits->deviations);
+    double noise = reading->view->noise * certificate_chance(reading->free, limits->deviations);
 
     for (size_t i = 0; i < code->nodes; i++) {
         double amplitude = (double)words->amplitude[i];

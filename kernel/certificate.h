@@ -68,11 +68,11 @@ struct certificate {
 double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
 
 /* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that edges
- * of the words may leave beside it. */
+ * of the words may leave beside it. better: V², by which less would be left, were the amplitudes of the words final. */
 struct certificate_rest {
     const float *left;
     size_t bits, order, speakers;
-    double free, noise, more, swing;
+    double free, noise, more, better, swing;
 };
 
 /* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is left. */

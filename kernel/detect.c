@@ -390,19 +390,6 @@ static void take_off(struct detector *detector, double level, float onsager)
         detector->level = take_level(code->bits * code->order, code->flips, detector->left);
 }
 
-/* Mean power of what is left. */
-static double power_left(struct detector *detector)
-{
-    const struct code *code = &detector->code;
-    double total = 0;
-
-    for (size_t bit = 0; bit < code->bits; bit++) {
-        detector->power[bit] = power_of(detector->left + bit * code->order, code->order) / (double)code->order;
-        total += detector->power[bit];
-    }
-    return total / (double)code->bits;
-}
-
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
 /* Keeps who spoke, and how loud. */
@@ -428,7 +415,7 @@ static bool are_final(struct detector *detector, double power, bool were_hard, b
     double swing = (double)detector->code.swing, settled = rules->settled;
 
     harden(detector, (float)fmax(rules->least * swing, rules->hard * sqrt(power / (double)order)));
-    double change = change_of(detector), most = settled * fmax(power, settled * swing * swing);
+    double change = detector->change = change_of(detector), most = settled * fmax(power, settled * swing * swing);
     return are_whole && (were_hard || change < rules->near * power) &&
            change * (double)detector->next.count / (double)chips < most;
 }
@@ -437,6 +424,7 @@ static bool are_final(struct detector *detector, double power, bool were_hard, b
 static void take_turns(struct detector *detector, bool soft, double damping)
 {
     const struct detect_rules *rules = &detector->book.rules;
+    const size_t chips = detector->code.bits * detector->code.order;
     const double order = (double)detector->code.order, swing2 = (double)(detector->code.swing * detector->code.swing);
     double before = INFINITY, odds = 0;
     bool were_hard = true, are_whole = true; /* the words before */
@@ -444,7 +432,7 @@ static void take_turns(struct detector *detector, bool soft, double damping)
     detector->settled = false;
     for (size_t turn = 0; turn < rules->turns; turn++) {
         correlate(detector);
-        double power = power_left(detector), noise = power / order;
+        double power = power_of(detector->left, chips) / (double)chips, noise = power / order;
         if (turn == 0) {
             double share = fmin(fmax(power / swing2, 1) / (double)detector->code.nodes, 0.5);
             odds = log(share / (1 - share));

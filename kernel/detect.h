@@ -16,7 +16,6 @@
 #define TACTILE_DETECT_H
 
 #include "code.h"
-#include "words.h"
 
 /* Amplitudes are shares of a node's; framing/sparse.py says where each comes from. */
 struct detect_rules {
@@ -67,8 +66,8 @@ struct detector {
     int32_t *nodes;         /* (2^m) node of every code, from 0 on; -1: none */
     size_t step, unused_count, carried_count;
     struct listed now, next; /* words that are taken off; those that will be, or were found */
-    double power[WORDS_MOST_BITS]; /* of what is left of a bit's chips, mean, V² */
     double level;           /* of the line, V */
+    double change;          /* V², of a chip, by which the words found would change what is left */
     bool settled;           /* the words stayed the same in the end */
 };
 

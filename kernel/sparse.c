@@ -71,9 +71,9 @@ static bool make_words(struct sparse *sparse)
 
 struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits, const float *expected)
 {
-    bool is_possible = book->bits && book->bits <= WORDS_MOST_BITS && book->order && book->nodes &&
-                       book->nodes < book->rows && transform_order(book->walsh) == book->rows &&
-                       rules->capacity <= book->nodes;
+    const struct sparse_book *book = &code->sparse->book;
+    bool is_possible = code->bits && code->bits <= WORDS_MOST_BITS && code->order && code->nodes < book->rows &&
+                       transform_order(book->walsh) == book->rows;
     struct sparse *sparse = is_possible ? calloc(1, sizeof *sparse) : NULL;
 
     if (!sparse)
@@ -165,7 +165,7 @@ static void judge(const struct sparse *sparse, const struct detector *detector, 
     const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
     struct certificate_rest rest = {.left = detector->left, .bits = code->bits, .order = code->order, .free = free,
                                     .noise = view->noise, .more = more_than_noise(sparse, count), .swing = swing,
-                                    .speakers = count};
+                                    .better = detector->settled ? detector->change : 0, .speakers = count};
     float loudest = 0;
 
     *certificate = (struct certificate){.swing = swing, .speakers = count};

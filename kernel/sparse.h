@@ -27,7 +27,7 @@ struct sparse_code {
 
 struct sparse;
 
-/* As certifier_new. */
+/* As certifier_new; NULL also if the book is none of its transform, or of so many nodes. */
 struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits, const float *expected);
 void sparse_free(struct sparse *sparse);
 
