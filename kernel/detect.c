@@ -406,7 +406,7 @@ static void carry(struct detector *detector)
         detector->amplitude[next->codes[i]] = fminf(fmaxf(detector->loud[next->codes[i]], least), most);
 }
 
-/* Hard words of levels in which so much was left; whether they are final. were_hard: those before were; are_whole: what is
+/* Hard words of levels in which so much was left; whether they are final, which none are that noise would hide. were_hard: those before were; are_whole: what is
  * left is of these alone. */
 static bool are_final(struct detector *detector, double power, bool were_hard, bool are_whole)
 {
@@ -414,9 +414,10 @@ static bool are_final(struct detector *detector, double power, bool were_hard, b
     const size_t order = detector->code.order, chips = detector->code.bits * order;
     double swing = (double)detector->code.swing, settled = rules->settled;
 
-    harden(detector, (float)fmax(rules->least * swing, rules->hard * sqrt(power / (double)order)));
+    double least = rules->hard * sqrt(power / (double)order);
+    harden(detector, (float)fmax(rules->least * swing, least));
     double change = detector->change = change_of(detector), most = settled * fmax(power, settled * swing * swing);
-    return are_whole && (were_hard || change < rules->near * power) &&
+    return are_whole && least < swing && (were_hard || change < rules->near * power) &&
            change * (double)detector->next.count / (double)chips < most;
 }
 

@@ -324,8 +324,10 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     found->start = 0;
     found->chip = 1;
     enum frame_look look = certify(reader, &view, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
-    reader->seen[reader->count % SEEN].left = found->certificate.left;
-    reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
+    if (!reader->sparse || found->certificate.understood) { /* else much of what is left is words */
+        reader->seen[reader->count % SEEN].left = found->certificate.left;
+        reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
+    }
     if (look == FRAME_READ && count > chips) /* a value was taken twice */
         memset(words->doubtful, 1, code->nodes);
     return look;
