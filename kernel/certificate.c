@@ -233,31 +233,43 @@ struct reading {
     float beside[2 * SIDE];       /* what is left beside the frame; NaN where not seen */
 };
 
-/* Factor by which a mean of so many squares may exceed that of noise; cube root of Wilson and Hilferty 1931. */
-static double most_noise(double count, double deviations)
+/* By the cube root of Wilson and Hilferty 1931. */
+double certificate_chance(double count, double deviations)
 {
     double spread = 2 / (9 * count), root = 1 - spread + deviations * sqrt(spread);
 
     return root * root * root;
 }
 
-/* Energy: of the frame, of each bit, and of each chip. */
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_rest *rest, double *power)
+{
+    const size_t chips = rest->bits * rest->order;
+    double noise = rest->noise, most = 0, tiny = 1e-12 * rest->swing * rest->swing;
+
+    *power = 0;
+    for (size_t bit = 0; bit < rest->bits; bit++) {
+        double of_bit = sums_power(rest->left + bit * rest->order, rest->order) - rest->better * (double)rest->order;
+        most = fmax(most, of_bit);
+        *power += of_bit;
+    }
+    most *= (double)rest->bits / rest->free;
+    *power = fmax(*power / rest->free, tiny);
+    double frame = *power / (noise * certificate_chance(rest->free, limits->deviations) + rest->more);
+    double bit = most / (noise * certificate_chance((double)rest->order, limits->deviations) + limits->bit * rest->more);
+    double edges = limits->chip * rest->swing * (1 + 0.3 * sqrt((double)rest->speakers));
+    double chip = greatest(rest->left, chips) / ((limits->deviations + 1) * sqrt(*power) + edges);
+    return fmax(frame, fmax(bit, chip));
+}
+
+/* The same of a frame of this certifier. */
 static double energy(const struct certifier *certifier, const struct reading *reading)
 {
     const struct code *code = &certifier->code;
-    const struct certificate_limits *limits = &certifier->limits;
-    const float *left = left_of(certifier);
-    double most = 0, noise = reading->view->noise, order = (double)code->order;
+    struct certificate_rest rest = {left_of(certifier), code->bits, code->order, reading->speakers, reading->free,
+                                    reading->view->noise, reading->more, 0, reading->swing};
+    double power;
 
-    for (size_t bit = 0; bit < code->bits; bit++)
-        most = fmax(most, sums_power(left + bit * code->order, code->order));
-    most *= (double)code->bits / reading->free;
-    double frame = reading->left / (noise * most_noise(reading->free, limits->deviations) + reading->more);
-    double bit = most / (noise * most_noise(order, limits->deviations) + limits->bit * reading->more);
-    double edges = limits->chip * reading->swing * (1 + 0.3 * sqrt((double)reading->speakers));
-    double chip = greatest(left, code->bits * code->order) /
-                  ((limits->deviations + 1) * sqrt(reading->left) + edges);
-    return fmax(frame, fmax(bit, chip));
+    return certificate_energy(&certifier->limits, &rest, &power);
 }
 
 /* Mean square of noise on a row, V²: what is left, or less where rows that no node has show less. */
@@ -279,7 +291,7 @@ static bool find_faint(const struct certifier *certifier, const struct reading *
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double noise = row_noise(certifier, reading), bits = (double)code->bits, swing = reading->swing;
-    double chance = most_noise(bits, limits->faint_deviations) * noise;
+    double chance = certificate_chance(bits, limits->faint_deviations) * noise;
     float least = (float)(bits * fmax(limits->faint * limits->faint * swing * swing, chance));
     float one = (float)fmax(limits->faint_bit * limits->faint_bit * swing * swing,
                             limits->deviations * limits->deviations * noise);
@@ -299,7 +311,7 @@ static double row_atoms(const struct certifier *certifier, const struct reading 
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     size_t from = code->first > 0 && !code->scrambled; /* the level is on row 0 */
-    double chance = most_noise((double)code->bits, limits->deviations) * reading->left / (double)code->order;
+    double chance = certificate_chance((double)code->bits, limits->deviations) * reading->left / (double)code->order;
     double share = limits->row * reading->swing;
 
     return greatest(certifier->power + from, code->order - from) / ((double)code->bits * fmax(share * share, chance));
@@ -489,7 +501,7 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
 {
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
-    double known = reading->view->noise * most_noise(reading->free, limits->deviations);
+    double known = reading->view->noise * certificate_chance(reading->free, limits->deviations);
     double words_left = limits->left_of_word * limits->left_of_word * (double)reading->speakers;
     double most = (limits->hidden + words_left) * reading->swing * reading->swing;
     int uneven = 0;
@@ -521,7 +533,7 @@ static bool is_understood(const struct certifier *certifier, const struct readin
     const struct code *code = &certifier->code;
     const struct certificate_limits *limits = &certifier->limits;
     double bits = (double)code->bits, share = limits->row * reading->swing, total = reading->total, uneven = 0;
-    double noise = reading->view->noise * most_noise(reading->free, limits->deviations);
+    double noise = reading->view->noise * certificate_chance(reading->free, limits->deviations);
 
     for (size_t i = 0; i < code->nodes; i++) {
         double amplitude = (double)words->amplitude[i];

@@ -47,24 +47,39 @@ struct certificate_limits {
 };
 
 /* Chips as they were received. beside: two chips before the frame and two after it, V, NaN where not seen. noise: V², of
- * a chip at rest; 0: unknown. level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
+ * a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask. level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
 struct certificate_view {
     const float *chips;
     float beside[4];
     double noise;
-    bool level_unknown;
+    bool is_noise, level_unknown;
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
- * clause. understood: but for words of few nodes, which are uneven, the energy is no more than noise. */
+ * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
+ * is no more than noise. crowded: more nodes spoke than sparse codes tell apart, or such that these do not. */
 struct certificate {
-    double left, noise, swing, value[CERTIFICATE_CLAUSES];
+    double left, noise, swing, kurtosis, value[CERTIFICATE_CLAUSES];
     size_t speakers;
-    bool understood;
+    bool understood, crowded;
 };
 
 /* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
 double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
+
+/* What words leave over, chips (k, N), with so many degrees of freedom. noise: V², known of a chip. more: V², that edges
+ * of the words may leave beside it. better: V², by which less would be left, were the amplitudes of the words final. */
+struct certificate_rest {
+    const float *left;
+    size_t bits, order, speakers;
+    double free, noise, more, better, swing;
+};
+
+/* The value of ENERGY: of the frame, of each bit, and of each chip; and through `power` the mean square of what is left. */
+double certificate_energy(const struct certificate_limits *limits, const struct certificate_rest *rest, double *power);
+
+/* Factor by which a mean of so many squares may exceed that of noise. */
+double certificate_chance(double count, double deviations);
 
 struct certifier;
 

@@ -17,6 +17,8 @@ struct code_twin {
     float share, wrap;
 };
 
+struct sparse_code;
+
 /* A frame has `bits` bits of `order` chips, k and N in the comments. Arrays are kept by whoever uses this. */
 struct code {
     size_t bits, order, nodes, first; /* first: row of the first node */
@@ -31,6 +33,7 @@ struct code {
     const int32_t *sign_mask; /* (n) to exchange with a word whose row has another sign */
     const struct code_twin *twins;
     size_t twin_count;
+    const struct sparse_code *sparse; /* NULL: codes are orthogonal; else see sparse.h: there are neither transforms nor twins */
 };
 
 /* Chips (k, N) → what every row holds, (k, N) V. May be done in place. */

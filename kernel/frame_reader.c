@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "sparse.h"
 #include "sums.h"
 
 #define SIDE 2       /* chips beside a frame that are looked at */
@@ -17,9 +18,13 @@
 struct frame_reader {
     struct code code;
     struct frame_rules rules;
-    struct certifier *certifier;
+    struct certificate_limits limits;
+    struct certifier *certifier;  /* of orthogonal codes; NULL: they are sparse */
+    struct sparse *sparse;        /* the other way round */
     struct fit carried, proposed; /* chip 0: none */
-    double seen[SEEN];            /* V², of the last frames: what their words left over */
+    struct {
+        double left, kurtosis;    /* V²; see certificate */
+    } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
     double *sums;                 /* of the samples of a frame */
     size_t room;
@@ -37,11 +42,15 @@ struct frame_reader *frame_reader_new(const struct code *code, const struct fram
         return NULL;
     reader->code = *code;
     reader->rules = *rules;
-    reader->certifier = certifier_new(code, limits, expected, broken);
+    reader->limits = *limits;
+    if (code->sparse)
+        reader->sparse = sparse_new(code, limits, expected);
+    else
+        reader->certifier = certifier_new(code, limits, expected, broken);
     reader->levels = malloc((code->span + 2 * SIDE) * sizeof(float));
     reader->chips = malloc(code->bits * code->order * sizeof(float));
     reader->scratch = malloc(fit_scratch(code) * sizeof(float));
-    if (reader->certifier && reader->levels && reader->chips && reader->scratch)
+    if ((reader->certifier || reader->sparse) && reader->levels && reader->chips && reader->scratch)
         return reader;
     frame_reader_free(reader);
     return NULL;
@@ -52,6 +61,7 @@ void frame_reader_free(struct frame_reader *reader)
     if (!reader)
         return;
     certifier_free(reader->certifier);
+    sparse_free(reader->sparse);
     free(reader->levels);
     free(reader->chips);
     free(reader->scratch);
@@ -250,8 +260,26 @@ static double noise_of_frames(const struct frame_reader *reader)
     double least = INFINITY;
 
     for (size_t i = 0; i < SEEN && i < reader->count; i++)
-        least = fmin(least, reader->seen[i]);
+        least = fmin(least, reader->seen[i].left);
     return reader->count < LEARNT ? 0 : least;
+}
+
+/* Whether frames of so much noise are as Gaussian as that, which they would not be if the noise were that of a node or a
+ * tone in them all. A node has lowered the kurtosis by 2 (A² / noise)². */
+static bool is_noise(const struct frame_reader *reader, const struct certificate_limits *limits, double noise)
+{
+    double chips = (double)(reader->code.bits * reader->code.order), swing2 = (double)(reader->code.swing * reader->code.swing);
+    double by_chance = limits->deviations * sqrt(24 / chips), alike = 1 + 2 * limits->deviations * sqrt(2 / chips);
+    double kurtosis = 0, count = 0;
+
+    for (size_t i = 0; i < SEEN && i < reader->count; i++)
+        if (reader->seen[i].left < alike * noise && reader->seen[i].kurtosis < 3 + by_chance) {
+            kurtosis += reader->seen[i].kurtosis;
+            count++;
+        }
+    by_chance /= sqrt(count);
+    double of_node = swing2 / fmax(noise, swing2);
+    return count > 0 && kurtosis > (3 - by_chance) * count && by_chance < of_node * of_node;
 }
 
 /* Words and certificate of the chips in the reader. beside: see certificate_view. */
@@ -261,17 +289,22 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
     const struct frame_rules *rules = &reader->rules;
     struct certificate *certificate = &found->certificate;
 
-    certifier_read(reader->certifier, view, words, certificate);
+    if (reader->sparse)
+        sparse_read(reader->sparse, view, words, certificate);
+    else
+        certifier_read(reader->certifier, view, words, certificate);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
     found->noise = certificate->noise * sqrt((double)reader->code.order);
-    if (certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
-                              : certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit)) {
+    bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
+                                           : certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
+    if (is_misfit && !reader->sparse) { /* of sparse codes it says how many speak */
         reader->carried.chip = 0;
         return FRAME_MISFIT;
     }
     if (!certificate->speakers && found->noise > rules->most_noise)
         return FRAME_NOISY;
-    certifier_doubt(reader->certifier, certificate, words);
+    if (!(certificate_worst(certificate, NULL) < 1))
+        memset(words->doubtful, 1, reader->code.nodes);
     if (found->clipped > rules->deafened || (view->level_unknown && reader->code.first == 0 && !rules->integrated))
         memset(words->doubtful, 1, reader->code.nodes);
     return FRAME_READ;
@@ -283,15 +316,18 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
 {
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
-    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, 0, !rest->known};
+    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, noise_of_frames(reader), false, !rest->known};
 
     for (size_t i = 0; i < chips; i++)
         reader->chips[i] = volts[i] - (float)found->level;
-    view.noise = noise_of_frames(reader);
+    view.is_noise = reader->sparse && is_noise(reader, &reader->limits, view.noise);
     found->start = 0;
     found->chip = 1;
     enum frame_look look = certify(reader, &view, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
-    reader->seen[reader->count++ % SEEN] = found->certificate.left;
+    if (!reader->sparse || found->certificate.understood) { /* else much of what is left is words */
+        reader->seen[reader->count % SEEN].left = found->certificate.left;
+        reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
+    }
     if (look == FRAME_READ && count > chips) /* a value was taken twice */
         memset(words->doubtful, 1, code->nodes);
     return look;
@@ -326,7 +362,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     take_chips(reader, &line, &fit);
     const float *levels = reader->levels;
     const size_t after = SIDE + reader->code.span;
-    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, rest->noise, !rest->known};
+    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, rest->noise, true, !rest->known};
     for (size_t i = 0; i < SIDE; i++) {
         if (fit.start - (double)(SIDE - i) * fit.chip > -EDGE - 0.1)
             view.beside[i] = levels[i];

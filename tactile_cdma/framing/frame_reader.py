@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from ..code.twins import TWIN, twins
 from ..words.words import words_memory, words_of
 from ..wire._protocol import TAIL_CHIPS
 from .frames import Certificate, LineFrame, Rejections
-from .limits import members
+from .limits import LIMITS
+from .sparse import SPARSE_LIMITS, sparse_code
 
 REACHES = np.array([0.5, 0.5, 0.25, 0.12])
 """Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
@@ -85,7 +87,9 @@ class FrameReader:
         self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
         code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
-        limits = kernel.struct("certificate_limits", **members())
+        limits = kernel.struct(
+            "certificate_limits", **asdict(SPARSE_LIMITS if spec.sparse else LIMITS)
+        )
         nodes = spec.nodes
         self._held = kernel.Held(
             kernel.compiled.frame_reader_new(
@@ -183,7 +187,7 @@ def line_frame(
         certificate = Certificate(told.left, told.noise, told.swing, *told.value)
     return LineFrame(
         first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
-        found.noise, found.level, found.clipped,
+        found.noise, found.level, found.clipped, crowded=told.crowded,
     )  # fmt: skip
 
 
@@ -224,6 +228,7 @@ def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel
     flips = kernel.ffi.NULL
     if spec.flips is not None:
         flips = np.ascontiguousarray(spec.flips, np.float32)
+    sparse = sparse_code(spec, spreads, active_share) if spec.sparse else None
     held = kernel.struct(
         "code",
         bits=spec.line_bits,
@@ -245,5 +250,6 @@ def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel
         sign_mask=spec.sign_mask,
         twins=given,
         twin_count=pairs.size,
+        sparse=sparse.at if sparse else kernel.ffi.NULL,
     )
-    return kernel.Held(held.at, None, held, correlates, spreads, given)
+    return kernel.Held(held.at, None, held, correlates, spreads, given, sparse)

@@ -9,7 +9,7 @@ measured by `python -m benchmarks.doubt --ablate`.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from statistics import NormalDist
 
 FALSE_ALARM = 3e-5
@@ -84,8 +84,3 @@ class Limits:
 
 
 LIMITS = Limits()
-
-
-def members() -> dict[str, float]:
-    """The members of the kernel's struct certificate_limits."""
-    return asdict(LIMITS)
