@@ -52,7 +52,7 @@ COUNT ?= 1000000
 SINCE ?= HEAD~1
 PYTEST ?= -n 4 --dist loadgroup --timeout 900
 # Folders that `make check` tests: from bytes to frames.
-CORE = base code places wire words framing clocks readings config views driver rest skin
+CORE = base code places wire words framing readings config views driver rest skin
 export LC_ALL ?= C.UTF-8
 # Hundreds of processes import the same modules, which all would compile where this is set.
 export PYTHONDONTWRITEBYTECODE =

@@ -27,17 +27,14 @@ def packets(
     writer: PacketWriter,
     offset: int = 0,
     offset_chips: float = 0.0,
-    called: range = range(0),
 ) -> Iterator[tuple[float, float, bytes]]:
     """The packets of a recording: device time in chips, host time in s, bytes.
 
-    offset, offset_chips: index and device time of its first sample. called: frames of a roll call.
+    offset, offset_chips: index and device time of its first sample.
     """
     digitizer, chip_s = recording.digitizer, recording.skin.chip_s
     per_chip = 1 if digitizer.integrated else digitizer.samples_per_chip
-    frame = -1
     for run in recording.runs:
-        frame += run.marked
         for begin in range(0, run.counts.size, MAX_SAMPLES):
             t_chips = offset_chips + run.t_chips + begin / per_chip
             packet = Samples(
@@ -45,6 +42,5 @@ def packets(
                 offset + run.first_index + begin,
                 run.counts[begin : begin + MAX_SAMPLES],
                 sync=run.marked and not begin,
-                called=run.marked and not begin and frame in called,
             )
             yield t_chips, t_chips * chip_s, writer.encode(packet)

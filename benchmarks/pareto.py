@@ -9,8 +9,7 @@ stream; words taken for silence and lost frames count as wrong in all bits.
 
 - line, gap: frames marked by the digitizer, or found in the waveform.
 - parity: one more bit per word, by which the weakest bit of a word is mended.
-- late nodes: each node starts up to half a chip late; decoded as if none did, or by least squares
-  after a roll call, which is heard at ρ = 30 as it takes ρ = 4.
+- late nodes: each node starts up to half a chip late; they are decoded as if none did.
 - sparse codes: 64 chips, which tell 31 speakers of any number apart; here all 16 nodes are. In this
   noise every frame is in doubt.
 - dense product: marked chips times the rows, and the signs; no amplitudes, doubts or readings.
@@ -52,8 +51,6 @@ from test.support.independent_line import (
 BOUND = 1e-3
 RHO = -NormalDist().inv_cdf(BOUND)
 """√N·a/σ at which the matched filter's bit error rate Q(ρ) is BOUND."""
-CALL_RHO = 30.0
-"""The same while the roll call is taken: it wants 4, and a skin is called when it is at rest."""
 MOST_LATE_CHIPS = 0.5
 """Latest start of a late node, chips."""
 WARM_UP = 40
@@ -68,8 +65,7 @@ RAIL_V = 12.0
 class Way:
     """One way to sample and decode the skin; the defaults are those of the parameters.
 
-    late: nodes start late. called: a roll call has told how late. sparse: codes are. dense: nothing
-    but a product.
+    late: nodes start late. sparse: codes are. dense: nothing but a product.
     """
 
     name: str
@@ -78,7 +74,6 @@ class Way:
     order: int = 20
     parity: bool = False
     late: bool = False
-    called: bool = False
     sparse: bool = False
     dense: bool = False
 
@@ -105,7 +100,6 @@ class Way:
                 "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
                 "timing": self.timing,
                 "samples_per_chip": self.samples_per_chip,
-                "roll_call": self.called,
                 "codes": "sparse" if self.sparse else "orthogonal",
             }
         )
@@ -123,36 +117,23 @@ WAYS = (
     Way("line, 4 per chip, order 16", order=16),
     Way("line, 4 per chip, order 24", order=24),
     Way("line, 1 per chip, sparse codes", 1, order=64, sparse=True),
-    Way("late nodes, 4 per chip, no roll call", late=True),
-    Way("late nodes, 2 per chip, roll call", 2, late=True, called=True),
-    Way("late nodes, 4 per chip, roll call", late=True, called=True),
+    Way("late nodes, 4 per chip", late=True),
     Way("dense product, 1 per chip", 1, dense=True),
     Way("dense product, 4 per chip", dense=True),
 )
-
-
-class RollCall(Talk):
-    """Nobody speaks in the first frame; then one node after the other, alone."""
-
-    def codes(self, skin: Skin, frames: int, rng: np.random.Generator) -> Ints:
-        codes = np.full((frames, skin.nodes), SILENT)
-        nodes = np.arange(skin.nodes)
-        codes[1 + nodes, nodes] = rng.integers(0, 2**skin.bits, skin.nodes)
-        return codes
 
 
 @dataclass(frozen=True)
 class Stream:
     """What a digitizer sends, as (host time in s, bytes); warm_up comes before what is measured.
 
-    truths: of the frames that are measured. offset_chips: device time of their recording's begin.
+    truths: of the frames that are measured.
     """
 
     way: Way
     warm_up: list[tuple[float, bytes]]
     reads: list[tuple[float, bytes]]
     truths: tuple[Truth, ...]
-    offset_chips: float
 
 
 @dataclass(frozen=True)
@@ -171,7 +152,7 @@ class Outcome:
 
 
 def stream(way: Way, seed: int) -> Stream:
-    """Render a stream: introduction, roll call if wanted, and frames."""
+    """Render a stream: introduction and frames."""
     skin, rng = way.skin, np.random.default_rng([7, seed])
     delays = rng.uniform(0, MOST_LATE_CHIPS if way.late else 0.0, skin.nodes)
     noise_v = skin.amplitude_v * skin.order**0.5 / RHO
@@ -183,28 +164,20 @@ def stream(way: Way, seed: int) -> Stream:
         rail_v=RAIL_V,
         adc_bits=16,
     )
-    writer, warm_up, offset, offset_chips = PacketWriter(), [], 0, 0.0
-    warm_up.append((0.0, writer.encode(introduction(way.config, digitizer))))
-    if way.called:
-        quiet = replace(line, noise_v=noise_v * RHO / CALL_RHO)
-        call = render(skin, RollCall(), quiet, digitizer, skin.nodes + 2, [seed, 1])
-        for _, t_host, data in packets(call, writer, 0, 0.0, range(1, skin.nodes + 1)):
-            warm_up.append((t_host, data))
-        last = call.runs[-1]
-        offset = last.first_index + last.counts.size
-        offset_chips = offset / way.samples_per_chip
+    writer = PacketWriter()
+    warm_up = [(0.0, writer.encode(introduction(way.config, digitizer)))]
     recording = render(skin, Talk(), line, digitizer, WARM_UP + FRAMES, [seed, 2])
     reads: list[tuple[float, bytes]] = []
-    begin = recording.frames[WARM_UP].start_chips + offset_chips - 1
-    for t_chips, t_host, data in packets(recording, writer, offset, offset_chips, range(0)):
+    begin = recording.frames[WARM_UP].start_chips - 1
+    for t_chips, t_host, data in packets(recording, writer):
         (warm_up if t_chips < begin else reads).append((t_host, data))
-    return Stream(way, warm_up, reads, recording.frames[WARM_UP:], offset_chips)
+    return Stream(way, warm_up, reads, recording.frames[WARM_UP:])
 
 
 def measure(some: Stream) -> Outcome:
     """Decode a stream and compare it with the truth."""
     skin, config = some.way.skin, some.way.config
-    decoder = DenseProduct(config) if some.way.dense else Pipeline(config, background=False)
+    decoder = DenseProduct(config) if some.way.dense else Pipeline(config)
     for t_host, data in some.warm_up:
         decoder.feed(data, t_host)
     frames: list[Any] = []
@@ -214,7 +187,7 @@ def measure(some: Stream) -> Outcome:
     frames += decoder.flush()
     cpu_s = (time.process_time() - begin_s) / len(some.truths)
     sent = np.stack([truth.codes for truth in some.truths])
-    starts = np.array([truth.start_chips for truth in some.truths]) + some.offset_chips
+    starts = np.array([truth.start_chips for truth in some.truths])
     codes, flagged = np.full_like(sent, SILENT), np.zeros(sent.shape, bool)
     heard = np.zeros(len(sent), bool)
     for frame in frames:

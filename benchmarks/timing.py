@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bit errors by stretch, jitter and clocks of the nodes' own, with each remedy.
+"""Measures bit errors by stretch, jitter and clocks of the nodes' own, with each remedy.
 
     make bench-timing      QUICK=1: fewer frames and points
 
@@ -11,8 +11,6 @@ as guessed: half of their bits are wrong.
 - plain: chips where one fixed clock puts them (for nodes' own clocks: the mean of these).
 - line, gap: LineTiming, told where a frame begins, and GapTiming, which is not.
 - resync: the nodes start anew every 32 chips, after 1 guard chip.
-- decorrelated: least squares with clocks estimated from one simulated roll call.
-- scrambled: the same, where all nodes flip their chips by one common pseudo-random sequence.
 
 Times are those of one thread. "Age" is that of frames in stream time: from the end of the last chip
 on the wire to the frame out of the pipeline, whose bytes come as a USB digitizer sends them;
@@ -23,24 +21,18 @@ computing counts with the CPU time it takes. With gap timing, packets of 3 ms ar
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
-from benchmarks.report import QUICK, ROOT, Report, medians_s
+from benchmarks.report import QUICK, ROOT, Report
 from benchmarks.scale import replay
 from benchmarks.skip import record
-from tactile_cdma.clocks.clock_tracking import ClockTracker
-from tactile_cdma.clocks.decorrelate import Decorrelator
-from tactile_cdma.clocks.node_clocks import NodeClocks, crosstalk
-from tactile_cdma.clocks.roll_call import RollCallListener
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import NodeLevels
 from tactile_cdma.config.parameters import GAP, Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
@@ -50,8 +42,9 @@ from tactile_cdma.framing.gaps.gap_timing import GapTiming
 from tactile_cdma.framing.line_timing import LineTiming
 from tactile_cdma.framing.timing import FrameLevels, SampleBlock
 from tactile_cdma.sim.digitizer import VirtualDigitizer
+from tactile_cdma.sim.nodes import NodeClocks
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire.messages import FrameLayout, Start
+from tactile_cdma.wire.messages import Start
 from tactile_cdma.wire.packets import PacketWriter
 from test.support.correlations import separate
 from test.support.simulated import configuration
@@ -90,16 +83,11 @@ POLL_S = 125e-6
 """Between two reads of a port: a microframe of USB."""
 
 
-def frame_spec(nodes: int, scramble: bool = False) -> FrameSpec:
+def frame_spec(nodes: int) -> FrameSpec:
     """A frame with room for the longest stretch and a gap, and a period of whole samples."""
     chips = 10 * FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0).order
     period_s = round(1.6 * chips) * CHIP_S
-    return FrameSpec(nodes=nodes, chip_s=CHIP_S, frame_period_s=period_s, scramble=scramble)
-
-
-def through_the_wire(spec: FrameSpec) -> FrameSpec:
-    """What a host makes of a digitizer's description of this frame."""
-    return FrameLayout.unpack(FrameLayout.of(spec, 2).pack()).spec(spec.amplitude_v)
+    return FrameSpec(nodes=nodes, chip_s=CHIP_S, frame_period_s=period_s)
 
 
 def noise_of(spec: FrameSpec, per_chip: float) -> float:
@@ -176,104 +164,30 @@ def own_line(
         inside = (chip >= 0) & (chip < length)
         chip = (chip + slot.astype(int) * length)[inside]
         inside[inside], chip = chip < spec.chips, chip[chip < spec.chips]
-        flips = 1.0 if spec.flips is None else spec.flips.ravel()[chip]
-        levels = bits[chip // spec.order, node] * spec.node_rows[node, chip % spec.order]
-        line[inside] += flips * levels
+        line[inside] += bits[chip // spec.order, node] * spec.node_rows[node, chip % spec.order]
     return line
 
 
-def called_clocks(
-    spec: FrameSpec, clocks: NodeClocks, per_chip: int, rng: np.random.Generator
-) -> NodeClocks:
-    """The clocks as estimated from one roll call."""
-    listener, noise = RollCallListener(spec, per_chip), noise_of(spec, per_chip)
-    for node in range(spec.nodes):
-        bits = rng.choice([-1.0, 1.0], (spec.bits, 1)) * (np.arange(spec.nodes) == node)
-        line = own_line(spec, clocks, bits, per_chip, listener.samples)
-        line += noise * rng.normal(size=line.size)
-        listener.hear(node, line.astype(np.float32), noise)
-    return listener.clocks()
-
-
 def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
-    """Share of wrong bits of each method, and the crosstalk that tells when plain fails."""
+    """Share of wrong bits of each method."""
     per_chip, rng = 2, np.random.default_rng(2)
-    spec, scrambled = frame_spec(nodes), through_the_wire(frame_spec(nodes, scramble=True))
+    spec = frame_spec(nodes)
     resynced = replace(spec, resync_chips=RESYNC, guard_chips=GUARD)
-    clocks = NodeClocks(
-        rng.uniform(0, delay, nodes), rng.uniform(-rate, rate, nodes), np.ones(nodes, bool)
-    )
+    clocks = NodeClocks(rng.uniform(0, delay, nodes), rng.uniform(-rate, rate, nodes))
     noise = noise_of(spec, per_chip)
     period = round(spec.frame_period_s / CHIP_S * per_chip)
     start = np.array([clocks.delay_chips.mean() * per_chip - 0.5])
-    chip = np.array([(1 + clocks.rate_error.mean()) * per_chip])
-    nominal = np.array([float(per_chip)])
-
-    def plain(line: np.ndarray) -> np.ndarray:
-        return separate(integrate(Line(line), start, chip, spec)[0], spec).values
-
-    def restarted(line: np.ndarray) -> np.ndarray:
-        return separate(integrate(Line(line), start, nominal, resynced)[0], spec).values
-
-    def decorrelated(some: FrameSpec) -> Callable[[np.ndarray], np.ndarray]:
-        decorrelator = Decorrelator(some, called_clocks(some, clocks, per_chip, rng), per_chip)
-        return lambda line: decorrelator.estimate(line.astype(np.float32))
-
-    methods = {
-        "plain": (spec, plain),
-        "resync": (resynced, restarted),
-        "decorrelated": (spec, decorrelated(spec)),
-        "scrambled": (scrambled, decorrelated(scrambled)),
-    }
+    mean_chip, chip = (1 + clocks.rate_error.mean()) * per_chip, float(per_chip)
+    methods = {"plain": (spec, mean_chip), "resync": (resynced, chip)}
     errors = dict.fromkeys(methods, 0.0)
     for _ in range(FRAMES[nodes]):
         bits = rng.choice([-1.0, 1.0], (spec.bits, nodes))
         shared = noise * rng.normal(size=period)
-        for name, (some, decode) in methods.items():
-            line = own_line(some, clocks, bits, per_chip, period) + shared
-            errors[name] += wrong(decode(line), bits) / FRAMES[nodes]
-    return errors | {"crosstalk": crosstalk(spec, clocks)}
-
-
-def plainly(line: np.ndarray, spec: FrameSpec) -> NodeLevels:
-    """Plain correlation of a frame at 2 samples per chip."""
-    chips = integrate(Line(line), np.array([-0.5]), np.array([2.0]), spec)
-    return separate(chips[0], spec)
-
-
-def costs(report: Report) -> float:
-    """Table of times per frame and per matrix, ms; returns that of decorrelation at 256 nodes."""
-    rows, last = [], 0.0
-    for nodes in NODES:
-        spec, rng = frame_spec(nodes), np.random.default_rng(4)
-        clocks = NodeClocks(
-            rng.uniform(0, 0.5, nodes), rng.uniform(-0.01, 0.01, nodes), np.ones(nodes, bool)
-        )
-        decorrelator = Decorrelator(spec, clocks, 2.0)
-        bits = rng.choice([-1.0, 1.0], (spec.bits, nodes)).astype(np.float32)
-        line = decorrelator.line(bits)
-        line += np.float32(0.1) * rng.normal(size=line.size).astype(np.float32)
-        tracker, wide = ClockTracker(clocks), line.astype(float)
-        listener, lone = RollCallListener(spec, 2.0), np.arange(nodes) == nodes // 2
-        alone = own_line(spec, clocks, np.ones((10, 1)) * lone, 2, listener.samples)
-        alone = alone.astype(np.float32)
-        times = medians_s(
-            {
-                "plain": partial(plainly, wide, spec),
-                "decorrelated": partial(decorrelator.estimate, line),
-                "track": partial(tracker.update, decorrelator, line, bits, 0.1),
-                "build": partial(Decorrelator, spec, clocks, 2.0),
-                "hear": partial(listener.hear, nodes // 2, alone, 0.1),
-            },
-            rounds=2 if QUICK else 7,
-        )
-        last = 1e3 * times["decorrelated"]
-        rows.append([nodes, spec.order, *(1e3 * times[name] for name in times)])
-    headers = "nodes,order,plain,decorrelated,tracked,build,roll call of a node"
-    report.table(
-        [f"{name} ms" if i > 1 else name for i, name in enumerate(headers.split(","))], rows
-    )
-    return last
+        for name, (some, chip_samples) in methods.items():
+            line = Line(own_line(some, clocks, bits, per_chip, period) + shared)
+            chips = integrate(line, start, np.array([chip_samples]), some)[0]
+            errors[name] += wrong(separate(chips, some).values, bits) / FRAMES[nodes]
+    return errors
 
 
 def scrambling_costs(report: Report) -> dict[int, float]:
@@ -396,8 +310,6 @@ COLOURS = {
     "line": "C2",
     "gap": "C1",
     "resync": "C0",
-    "decorrelated": "C2",
-    "scrambled": "C4",
 }
 STYLES = dict(zip(NODES, ("o-", "s--", "^:"), strict=True))
 
@@ -445,7 +357,6 @@ def main() -> None:
     report = Report("timing", f"Bit errors of timing, ρ = {RHO:g}")
     figure = Figure(figsize=(15, 5.5), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
-    clocked = NODES[:2] if QUICK else NODES  # 256 roll-call frames take long to listen to
     stretched = panel(
         report,
         axes[0],
@@ -463,17 +374,16 @@ def main() -> None:
         report,
         axes[1],
         f"clock error (±), delay to {DELAY_BESIDE_RATE:g}",
-        ((n, x, own_errors(n, x, DELAY_BESIDE_RATE)) for n in clocked for x in RATES),
+        ((n, x, own_errors(n, x, DELAY_BESIDE_RATE)) for n in NODES for x in RATES),
     )
     delayed = panel(
         report,
         axes[2],
         "delay (0…), chips",
-        ((n, x, own_errors(n, 0.0, x)) for n in clocked for x in DELAYS),
+        ((n, x, own_errors(n, 0.0, x)) for n in NODES for x in DELAYS),
         scale=1.0,
     )
     axes[0].set_ylabel("bit error rate; 1e-5: none")
-    decorrelate_ms = costs(report)
     scrambling = scrambling_costs(report)
     live = line_and_gap(report)
     report.finish(
@@ -481,9 +391,6 @@ def main() -> None:
         plain_ber=max(some["plain"] for some in (stretched, jittered, drifting, delayed)),
         tracked_ber=max(some[name] for some in (stretched, jittered) for name in ("line", "gap")),
         resync_ber=max(drifting["resync"], delayed["resync"]),
-        decorrelated_ber=max(drifting["decorrelated"], delayed["decorrelated"]),
-        scrambled_ber=max(drifting["scrambled"], delayed["scrambled"]),
-        decorrelate_ms_256=decorrelate_ms,
         scrambled_cost_16=scrambling[16],
         scrambled_cost_900=scrambling[900],
         **live,

@@ -23,7 +23,7 @@ struct arrival {
     uint64_t first_index, device_us;
     uint32_t count;
     uint16_t sequence;
-    bool sync, called, quiet, is_exact, backlog;
+    bool sync, quiet, is_exact, backlog;
     uint8_t turn;
     double mean, variance, t_host;
     int16_t counts[TP_MAX_SAMPLES];
@@ -54,8 +54,7 @@ struct stream {
     /* frames: indices are the stream's; -1: none */
     struct stream_timing timing;
     struct frame_edges edges;
-    int64_t start, due, gap_begin, mark;
-    bool is_asked; /* about the frame in progress */
+    int64_t start, due, gap_begin;
 
     struct frame_rest rest;
     double gap_count, gap_sum, gap_squares; /* not evaluated yet */
@@ -212,7 +211,7 @@ static bool reset(struct stream *stream)
 {
     bool cut_short = stream->start >= 0;
 
-    stream->start = stream->mark = stream->gap_begin = -1;
+    stream->start = stream->gap_begin = -1;
     stream->kept = 0;
     stream->due = 0;
     return cut_short;
@@ -233,7 +232,6 @@ static bool read_quiet(const struct scanner_packet *packet, struct arrival *arri
     arrival->device_us = quiet.device_time_us;
     arrival->count = quiet.count;
     arrival->sync = quiet.flags & TP_FLAG_SYNC;
-    arrival->called = quiet.flags & TP_FLAG_CALLED;
     arrival->turn = (uint8_t)(quiet.flags >> TP_TURN_SHIFT);
     arrival->quiet = true;
     arrival->is_exact = false;
@@ -262,7 +260,6 @@ static bool read_packet(const struct scanner_packet *packet, struct arrival *arr
     arrival->device_us = head.device_time_us;
     arrival->count = (uint32_t)count;
     arrival->sync = head.flags & TP_FLAG_SYNC;
-    arrival->called = head.flags & TP_FLAG_CALLED;
     arrival->turn = (uint8_t)(head.flags >> TP_TURN_SHIFT);
     arrival->quiet = false;
     return true;
@@ -400,17 +397,15 @@ static enum stream_event decide(struct stream *stream, int64_t end, bool final)
     const struct stream_timing *timing = &stream->timing;
     bool is_carried = timing->has_frame && stream->subject.uses < timing->uses;
     struct stream_subject *subject = &stream->subject;
-    enum frame_look look = FRAME_SILENT;
 
     subject->volts = samples_from(stream, stream->start, end, &subject->count);
-    if (!stream->is_asked) {
-        look = frame_read(&stream->rules.frame, &stream->code, is_carried ? &timing->frame : NULL,
-                          &stream->edges, &stream->rest, subject->volts, subject->count, final,
-                          stream->rows, stream->scratch, &subject->found);
-        if (look <= FRAME_NEEDS_MORE &&
-            !(look == FRAME_NEEDS_MORE && !make_room(stream, subject->count + subject->found.more)))
-            return decided(stream, look, final);
-    }
+    enum frame_look look =
+        frame_read(&stream->rules.frame, &stream->code, is_carried ? &timing->frame : NULL,
+                   &stream->edges, &stream->rest, subject->volts, subject->count, final, stream->rows,
+                   stream->scratch, &subject->found);
+    if (look <= FRAME_NEEDS_MORE &&
+        !(look == FRAME_NEEDS_MORE && !make_room(stream, subject->count + subject->found.more)))
+        return decided(stream, look, final);
     tell(stream, look, final);
     return STREAM_DOUBT;
 }
@@ -422,14 +417,9 @@ static enum stream_event begin_frame(struct stream *stream)
     if (stream->gap_begin >= 0)
         learn_gap(stream);
     forget_before(stream, stream->end);
-    stream->subject.since = stream->mark < 0 ? -1 : stream->end - stream->mark;
-    stream->subject.start = stream->start = stream->mark = stream->end;
-    stream->subject.called = stream->now->called;
+    stream->subject.start = stream->start = stream->end;
     stream->subject.turn = stream->now->turn;
     stream->subject.marks++;
-    stream->is_asked = stream->timing.asks || (stream->rules.heeds_calls && stream->now->called);
-    if (stream->is_asked)
-        return STREAM_MARK;
     stream->due = stream->start + (int64_t)stream->timing.due;
     stream->stage = stream->is_summed_up ? SUMMED : FILLING;
     return STREAM_GOES_ON;
@@ -580,7 +570,7 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     stream->rows = rows;
     stream->rest = (struct frame_rest){0};
     stream->gap_count = stream->gap_sum = stream->gap_squares = 0;
-    stream->timing = (struct stream_timing){.asks = true};
+    stream->timing = (struct stream_timing){.due = rules->frame.size};
     stream->subject.uses = stream->subject.marks = stream->subject.ended = 0;
     return stream->described = make_room(stream, rules->frame.size);
 }
@@ -670,15 +660,6 @@ bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t ori
     if (anew)
         *cut_short = reset(stream);
     pass(stream);
-    return true;
-}
-
-bool stream_open(struct stream *stream, size_t due)
-{
-    if (!answers(stream, STREAM_MARK) || !make_room(stream, due))
-        return false;
-    stream->due = stream->start + (int64_t)due;
-    stream->stage = stream->is_summed_up ? SUMMED : FILLING;
     return true;
 }
 

@@ -29,7 +29,6 @@ struct stream_rules {
     struct frame_rules frame;
     bool marked;      /* frames are, and cut here */
     bool in_blocks;   /* they are not: samples are handed on; neither: no samples are looked at */
-    bool heeds_calls; /* frames of a roll call are asked about */
     double zero_count, volts_per_count; /* count → V */
     double most_volts;                  /* a sample beyond is absurd */
     size_t gap_size;                    /* most samples before a mark that are looked at */
@@ -45,7 +44,6 @@ struct stream_rules {
 struct stream_timing {
     size_t due, over; /* samples from the mark on until one can be decided, and is over */
     size_t uses;      /* how many may be read by it since a frame was last in doubt */
-    bool asks;        /* every mark is asked about, and every frame */
     bool has_frame;   /* frame: is meant, and its edges */
     struct frame_timing frame;
 };
@@ -67,7 +65,6 @@ enum stream_event {
     STREAM_SILENT,  /* one in which none did */
     STREAM_PACKET,  /* a packet that is none of samples, or malformed */
     STREAM_FOREIGN, /* one of samples that does not continue the stream: stream_place answers */
-    STREAM_MARK,    /* a frame begins: stream_open answers */
     STREAM_DOUBT,   /* a frame is in doubt: stream_decide answers */
     STREAM_BLOCK,   /* samples that are handed on: stream_look answers */
     STREAM_GOES_ON, /* never returned */
@@ -81,15 +78,14 @@ struct stream_subject {
     struct scanner_packet packet;
     const struct frame_rest *rest; /* of the line, now */
     int64_t start;             /* of the frame or block */
-    int64_t since;             /* samples since the mark before; -1 after a hole */
-    bool called, final;        /* of a roll call; no more samples will follow */
+    bool final;                /* no more samples will follow */
     uint8_t turn;              /* whose, as the frame's packet says */
     bool summed_up;            /* only mean and variance of the frame are known, V and V² */
     double mean, variance;
     const float *volts;        /* NaN where absurd; until the stream goes on */
     size_t count;
     size_t marks, uses, ended; /* frames opened, timing used, ends seen at rest: since last asked */
-    enum frame_look look;      /* why it is in doubt; FRAME_SILENT: it is asked about in any case */
+    enum frame_look look;      /* why it is in doubt */
     struct frame_found found;  /* of a decided frame */
 };
 
@@ -128,8 +124,6 @@ size_t stream_passed(struct stream *stream, const struct stream_passed **passed)
  * Quiet, counts. cut_short: whether a frame was in progress. */
 bool stream_place(struct stream *stream, enum stream_answer answer, uint64_t origin, bool anew,
                   double mean, double variance, bool *cut_short);
-/* due: samples from the mark on. */
-bool stream_open(struct stream *stream, size_t due);
 /* due: stream index up to which samples are needed to decide, or -1 where it is decided. over: index from
  * which on the line is at rest, or -1. level, noise: of the line at rest; see frame_rest. */
 bool stream_decide(struct stream *stream, int64_t due, int64_t over, double level, double noise);

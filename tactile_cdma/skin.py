@@ -565,7 +565,7 @@ class Decoder:
     def __init__(self, *, contacts: bool = False, **parameters: Setting) -> None:
         config = SkinConfig.of(parameters_of(parameters))
         self._framing = _Framing(config, argument("contacts", contacts, False))
-        self._pipeline = Pipeline(config, background=False)
+        self._pipeline = Pipeline(config)
 
     @property
     def layout(self) -> Layout:

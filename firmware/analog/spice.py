@@ -181,7 +181,7 @@ def _decoded(
             late_us = (spec.places[first] * spec.chip_s if integrated else first * step_s) * 1e6
             index = number * period + first
             packets.append(Samples(begin_us + round(late_us), index, part, sync=first == 0))
-    pipeline, writer = Pipeline(config, background=False), PacketWriter()
+    pipeline, writer = Pipeline(config), PacketWriter()
     frames = [f for p in packets for f in pipeline.feed(writer.encode(p), 0.0)]
     yield from ((frame.words.active, frame.words.codes) for frame in frames[:PERIODS])
 

@@ -19,7 +19,7 @@ enum { RATE_US = 1 }; /* a sample per microsecond */
 struct sent {
     uint64_t first_index, device_us;
     uint32_t count;
-    bool sync, called, quiet, is_samples;
+    bool sync, quiet, is_samples;
     int16_t counts[MOST_COUNT];
 };
 
@@ -28,7 +28,7 @@ static struct sent sent[MOST_PACKETS];
 /* How a run goes on; the same for any division of the bytes. */
 struct run {
     uint64_t seed, hash;
-    bool marked, in_blocks, has_timing, asks, is_scrambled;
+    bool marked, in_blocks, has_timing, is_scrambled;
     /* The model. Indices are of the stream; -1: none. */
     int64_t end, open, waiting; /* waiting: the mark that ends the open frame */
     int64_t due;
@@ -145,7 +145,6 @@ static void carry(struct stream *stream)
         .due = run.marked && draw(4) == 0 ? DUE + draw(9) : DUE,
         .over = SIZE + 1,
         .uses = draw(8),
-        .asks = run.asks && draw(2),
         .has_frame = run.has_timing,
         .frame = {.chip = CHIP,
                   .until = draw(3) ? DUE : UNTIL,
@@ -251,13 +250,6 @@ static void take(struct stream *stream, enum stream_event event)
     case STREAM_FOREIGN:
         place(stream);
         break;
-    case STREAM_MARK:
-        MUST(about->start == run.open && run.waiting < 0, WRONG_VALUE);
-        run.due = run.open + SIZE + draw(30);
-        MUST(stream_open(stream, (size_t)(run.due - run.open)), WRONG_VALUE);
-        if (draw(2))
-            carry(stream);
-        break;
     case STREAM_DOUBT:
         answer_doubt(stream);
         break;
@@ -288,7 +280,6 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
     run.marked = kind % 8 < 6;
     run.in_blocks = kind % 8 == 6;
     run.has_timing = kind & 8;
-    run.asks = kind & 16;
     run.is_scrambled = kind & 32;
     forget_frame();
     struct frame_rules frame = {
@@ -299,7 +290,7 @@ static uint64_t follow(const uint8_t *bytes, size_t size, size_t piece, uint64_t
         .carried_misfit = 3e-3, .loud = 2, .tail_noise = 2, .tail_scatter = 8, .tail_level = 4,
         .least_tail = 0.5, .scrambled = run.is_scrambled, .silent_rise = 1, .silent_more = 2500};
     struct stream_rules rules = {
-        .frame = frame, .marked = run.marked, .in_blocks = run.in_blocks, .heeds_calls = kind & 64,
+        .frame = frame, .marked = run.marked, .in_blocks = run.in_blocks,
         .volts_per_count = 1, .most_volts = 1e6, .gap_size = 8, .least_rest = 4, .gap_weight = 0.25,
         .rise = 4, .rise_v2 = 1e-6, .silent_over = SIZE + 1, .rate_hz = 1e6,
         .slack_s = BEHIND_US * 1e-6, .slack = 0.01,
@@ -353,7 +344,7 @@ static size_t write_quiet(struct sent *packet, struct input *input, uint8_t *bod
     struct tp_quiet quiet = {
         .device_time_us = packet->device_us,
         .first_index = packet->first_index,
-        .flags = (uint8_t)(packet->sync | packet->called << 2),
+        .flags = packet->sync,
         .count = packet->count,
         .sum = mean * packet->count,
         .sum_of_squares = (uint64_t)(mean * mean) * packet->count + input_u8(input),
@@ -367,7 +358,7 @@ static size_t write_samples(struct sent *packet, bool packs, uint8_t *body)
 {
     struct tp_packed head = {.device_time_us = packet->device_us,
                              .first_index = packet->first_index,
-                             .flags = (uint8_t)(packet->sync | packet->called << 2),
+                             .flags = packet->sync,
                              .base = -2048,
                              .step = 1};
     size_t head_size = packs ? sizeof head : sizeof(struct tp_samples);
@@ -409,7 +400,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
                                 .device_us = us + (kind & 64 ? off : 0),
                                 .count = 1 + shape % 40u,
                                 .sync = kind & 32,
-                                .called = kind & 32 && shape % 16 == 5,
                                 .quiet = kind % 4 == 3,
                                 .is_samples = shape != 255};
         for (uint32_t i = 0; i < packet->count; i++)

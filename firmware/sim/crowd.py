@@ -165,7 +165,7 @@ class Host:
     """What the driver's side makes of the bytes: frames, and the turns that packets tell."""
 
     def __init__(self, config: SkinConfig) -> None:
-        self.pipeline, self._parser = Pipeline(config, background=False), PacketParser()
+        self.pipeline, self._parser = Pipeline(config), PacketParser()
         self.turns: dict[int, int] = {}
         """By the time of the frame's first chip, µs."""
 

@@ -125,7 +125,7 @@ def listen(
     script: commands, by the time at which they are sent, s. watched: on_sync, on_pin of Rp2040.
     """
     config = SkinConfig.of(read_file(PARAMS))
-    pipeline, parser, marks = Pipeline(config, background=False), PacketParser(), Marks(config)
+    pipeline, parser, marks = Pipeline(config), PacketParser(), Marks(config)
     writer, left = PacketWriter(), dict(script or {})
     frames: list[TactileFrame] = []
     called: list[bool] = []

@@ -60,7 +60,7 @@ def press_and_decode(
     if settling is None:
         settling = math.ceil(SETTLING_S / config.spec.frame_period_s)
     trial, marks = Trial(), Marks(config)
-    pipeline, parser = Pipeline(config, background=False), PacketParser()
+    pipeline, parser = Pipeline(config), PacketParser()
     skin.write(Session(config).open())
     last_ns = skin.now_ns
     while trial.frames < frames and skin.now_ns - last_ns < PATIENCE_NS:

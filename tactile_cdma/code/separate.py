@@ -26,8 +26,7 @@ class NodeLevels:
     values: (k, n) float32, V: correlation of every node's row in every bit; ±a where the node
         spoke, with row signs and the amplifier's polarity applied. A part of rows, if given.
     noise_v: rms noise of one value, V.
-    unresolved: nodes, counted from 0, that their waveforms do not tell from some other.
-    rows: (k, N) float32, V: correlations of all rows; None where least squares give the values.
+    rows: (k, N) float32, V: correlations of all rows; None where only those that spoke are known.
     Of a frame that the kernel decided, both are lent: the stream's next event overwrites them.
     late: nodes, counted from 0, whose words were found in chips that are read early or late.
     level_unknown: row 0 is node 1's, and has a level of one sign that may be the line's offset.
@@ -38,7 +37,6 @@ class NodeLevels:
 
     values: Floats32
     noise_v: float
-    unresolved: tuple[int, ...] = ()
     rows: Floats32 | None = None
     late: tuple[int, ...] = ()
     level_unknown: bool = False

@@ -229,7 +229,7 @@ def read_recording(path: Path, config: SkinConfig) -> Recording:
 
     Raises CaptureError where there is no frame in it.
     """
-    pipeline = Pipeline(config, background=False)
+    pipeline = Pipeline(config)
     times_s, rows = [], []
     for frame in raw_frames(path, pipeline):
         times_s.append(frame.t_middle)

@@ -107,7 +107,6 @@ def enumerate_nodes(
                 announced, said_s = numbering.request, now_s
                 port.write(session.encoded(announced))
     finally:
-        pipeline.close()
         port.write(session.encoded(Number(0)) + session.close())
     return numbering
 

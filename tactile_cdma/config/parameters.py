@@ -141,7 +141,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "seed of the random row signs; -1: natural signs, as in the paper", "", (-1, 2**32 - 1)),
     Parameter("scramble", False,
         "all nodes flip their chips by one sequence, so that late nodes and shifted frames look "
-        "like no other"),
+        "like no other; true in config/, but for the paper's skin"),
     Parameter("resync_chips", 0,
         "chips between the sync edges at which nodes restart their chip timers; 0: at the "
         "frame's start only", "", (0, 65_535)),
@@ -158,9 +158,6 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("samples_per_chip", 4,
         "samples per chip requested from the digitizer; 1: it sends the mean of each chip",
         "", (1, 256)),
-    Parameter("roll_call", False,
-        "for nodes with clocks of their own: at start each node transmits alone once, and its "
-        "delay and clock error are measured"),
     Parameter("nodes_repeat", False,
         "nodes transmit in every frame while they are not at rest, as those of firmware/ do"),
     Parameter("vref_v", 3.3,
@@ -241,6 +238,11 @@ def _shown(value: object) -> str:
 
 RENAMED = {"threshold": "active_share"}
 """Parameters' names of earlier versions."""
+REMOVED = {
+    "roll_call": "nodes keep time by the sync line now, by discipline (see tactile-cdma node) or "
+    "by restarts within the frame (resync_chips)"
+}
+"""Parameters of earlier versions that are gone, and what to do instead."""
 
 
 def check_values(values: Mapping[str, object]) -> dict[str, Value]:
@@ -252,9 +254,11 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
 
 
 def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
-    """The message for an unknown name, with the closest known one, or its present name."""
+    """The message for an unknown name: its present name, what replaced it, or the closest one."""
     if name in RENAMED and RENAMED[name] in known:
         return f"the {kind} {name} is called {RENAMED[name]} now"
+    if name in REMOVED:
+        return f"the {kind} {name} is gone: {REMOVED[name]}"
     return f"unknown {kind} {name!r}{suggestion(name, known)}"
 
 

@@ -35,7 +35,7 @@ FRAME_PARAMETERS = (
     *("drive", "polarity", "scramble", "codes"),
 )
 """Parameters that are fields of FrameSpec as they are."""
-_AS_THEY_ARE = ("timing", "samples_per_chip", "roll_call", "nodes_repeat", "skin")
+_AS_THEY_ARE = ("timing", "samples_per_chip", "nodes_repeat", "skin")
 """Parameters that are fields of SkinConfig as they are."""
 CURVE_PARAMETERS = {
     *("v0_v", "knee_kpa", "range_kpa", "sensitivity1_v_per_kpa", "sensitivity2_v_per_kpa"),
@@ -52,7 +52,6 @@ class SkinConfig:
     digitizer_id: bytes | None
     timing: str
     samples_per_chip: int
-    roll_call: bool
     nodes_repeat: bool
     adc: AdcScale
     curve: PressureCurve
@@ -216,14 +215,13 @@ def user_path(name: str, text: str) -> Path:
 
 def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
     """Combinations that cannot work: whether it is this one, and what to say of it."""
-    gap, roll_call = get["timing"] == GAP, get["roll_call"]
+    gap = get["timing"] == GAP
     samples_per_chip = get["samples_per_chip"]
     samples = f"samples_per_chip is {samples_per_chip}, it must be"
     line = "timing is 'gap', it must be 'line'"
     if spec.sparse:
         reason = "sparse codes are told apart by whole chips of marked frames"
         yield gap, f"{reason}: {line}"
-        yield roll_call, f"{reason}, nodes with clocks of their own are not: set roll_call to false"
         yield samples_per_chip != 1, f"{reason}: {samples} 1"
         yield (
             spec.amplitude_v is None,
@@ -243,13 +241,4 @@ def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
             longest_s >= spec.frame_period_s,
             f"timing 'gap' needs a silence between frames: a frame stretched by {MAX_STRETCH:.0%} "
             f"lasts {longest_s * 1e3:g} ms, its period is {spec.frame_period_s * 1e3:g} ms",
-        )
-    if roll_call:
-        reason = "roll_call measures clocks from raw samples of marked frames"
-        yield gap, f"{reason}: {line}"
-        yield samples_per_chip < 2, f"{reason}: {samples} 2 or more"
-        yield (
-            spec.resync_chips > 0,
-            f"{reason}: resync_chips is {spec.resync_chips}, it must be 0 (restarts already "
-            "correct the clocks)",
         )

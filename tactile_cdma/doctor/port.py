@@ -121,6 +121,5 @@ def _listen(
             if request := session.watch(pipeline, t_host):
                 port.write(request)
     finally:
-        pipeline.close()
         port.write(session.close())
     return chunks, None if begin_s else pipeline.problem or session.problem

@@ -15,7 +15,7 @@ from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
-from ..driver.compiled_stream import CLOCKS_OF_NODES, GAP_TIMING
+from ..driver.compiled_stream import GAP_TIMING
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.stream import NUMPY, Decisions
 from ..framing.timing import silence_hidden
@@ -44,7 +44,6 @@ frames has less than 0.05."""
 IN_PYTHON_BECAUSE = {
     NUMPY: "tactile-cdma doctor tells why the kernel is not used",
     GAP_TIMING: "as always without frame marks (timing: gap)",
-    CLOCKS_OF_NODES: "as always where nodes have clocks of their own (roll_call)",
 }
 """What it means that most of those frames were decided there for this reason."""
 DOUBTED_BECAUSE = "as where nodes stretch their frames, or with noise, hum or clipping on the line"
@@ -139,7 +138,7 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
         spec = replace(spec, amplitude_v=None)
     # Weak nodes count as heard once the amplitude is known, and are told to be weak.
     active_share = config.active_share if swing_v is None else FAINT_SHARE
-    pipeline = Pipeline(replace(config, spec=spec, active_share=active_share), background=False)
+    pipeline = Pipeline(replace(config, spec=spec, active_share=active_share))
     if swing_v is not None:
         # Words are read by it, frames found without: what the digitizer leaves out was set by
         # another amplitude, and a pipeline refuses a stream that does not fit its own.
@@ -151,7 +150,6 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
         if new := pipeline.feed(data, t_host):
             frames += new
             arrived_s.append(t_host)
-    pipeline.close()
     if not frames:
         raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only

@@ -37,9 +37,9 @@ REJECTED_FOR = {
     NOISY: "with noise that would hide words: look for what disturbs the line, or raise the "
     "amplitude",
     MISFIT: "explained by no words: check chip_us, order and bits, noise on the line, and whether "
-    "nodes have clocks of their own",
+    "nodes' clocks are off",
     NOT_AT_REST: "with a line that is not silent around them: check bits and frame_period_ms, hum "
-    "and noise, and whether nodes have clocks of their own",
+    "and noise, and whether nodes' clocks are off",
 }
 """What to do about frames that are mostly rejected for one reason."""
 REJECTED_SHARE = 0.1
@@ -69,31 +69,30 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
     """Frames: their rate, losses and latency, and the line that they come from."""
     period_s = pipeline.config.spec.frame_period_s
     share = window.frames / window.seconds * period_s
-    frames, clocks = max(window.frames, 1), pipeline.clocks
-    if clocks is None or not clocks.busy:  # frames of a roll call carry no words
-        if share < SLOW:
-            key, level = ("slow", Level.WARN) if share >= VERY_SLOW else ("very slow", Level.ERROR)
-            text = (
-                f"frames come at {share:.0%} of their rate: is the digitizer, a replay or this "
-                "computer too slow, or is the line disturbed (see rejected bursts, lost packets "
-                "and CPU)?"
-            )
-            yield Finding(text, level, key=key)
-        lost = window.rises.stream.lost_frames
-        if lost > LOST_SHARE * (lost + frames):
-            text = (
-                f"{lost / (lost + frames):.0%} of the frames are lost: see lost packets, skipped "
-                "bytes, digitizer samples lost and digitizer packets dropped (entry link); a "
-                "stalled computer looks like this, too"
-            )
-            yield Finding(text, event=True, key="lost frames")
-        rejections = window.rises.rejections
-        if rejections.total > REJECTED_SHARE * (rejections.total + frames):
-            text = (
-                f"{rejections.total / window.seconds:.1f} bursts a second are no frame, mostly "
-                f"{REJECTED_FOR[rejections.leading]}"
-            )
-            yield Finding(text, key="rejected")
+    frames = max(window.frames, 1)
+    if share < SLOW:
+        key, level = ("slow", Level.WARN) if share >= VERY_SLOW else ("very slow", Level.ERROR)
+        text = (
+            f"frames come at {share:.0%} of their rate: is the digitizer, a replay or this "
+            "computer too slow, or is the line disturbed (see rejected bursts, lost packets and "
+            "CPU)?"
+        )
+        yield Finding(text, level, key=key)
+    lost = window.rises.stream.lost_frames
+    if lost > LOST_SHARE * (lost + frames):
+        text = (
+            f"{lost / (lost + frames):.0%} of the frames are lost: see lost packets, skipped "
+            "bytes, digitizer samples lost and digitizer packets dropped (entry link); a stalled "
+            "computer looks like this, too"
+        )
+        yield Finding(text, event=True, key="lost frames")
+    rejections = window.rises.rejections
+    if rejections.total > REJECTED_SHARE * (rejections.total + frames):
+        text = (
+            f"{rejections.total / window.seconds:.1f} bursts a second are no frame, mostly "
+            f"{REJECTED_FOR[rejections.leading]}"
+        )
+        yield Finding(text, key="rejected")
     if window.rises.overloads and (load := pipeline.load):
         text = (
             f"{window.rises.overloads} frames are flagged, because more nodes spoke at once than "
@@ -126,9 +125,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
 
 def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
     """The nodes, one by one. stuck: numbers of those that do not move."""
-    taxels, health, clocks = pipeline.taxels, pipeline.health, pipeline.clocks
-    if clocks is not None and clocks.busy:
-        return
+    taxels, health = pipeline.taxels, pipeline.health
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):
         text = (
@@ -172,11 +169,6 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
             "amplitude"
         )
         yield Finding(text, key="snr")
-    if clocks is not None and clocks.unresolved:
-        text = f"clocks too alike to separate: {listed(clocks.unresolved, 'node')}"
-        yield Finding(text, key="unresolved")
-    if clocks is not None and clocks.problem:
-        yield Finding(clocks.problem, key="clocks")
 
 
 def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:

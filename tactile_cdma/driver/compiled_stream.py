@@ -15,7 +15,6 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats32
-from ..clocks.node_timing import NodeTiming
 from ..code.separate import NodeLevels, frame_fields, may_be_offset
 from ..code.transform import CompiledTransform
 from ..framing.fit import Fit, least_power
@@ -43,9 +42,8 @@ from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer
 _log = logging.getLogger(__name__)
 
 
-CLOCKS_OF_NODES = "roll call or clocks of nodes"
 DOUBTS = (
-    CLOCKS_OF_NODES,
+    "",
     "",
     "its end is not seen",
     "cut short",
@@ -170,8 +168,6 @@ class CompiledStream:
             packet = self.parser.interpret(*content_of(self._packet))
         elif kind == library.STREAM_FOREIGN:
             packet = self._ask(self.parser.interpret(*content_of(self._packet)))
-        elif kind == library.STREAM_MARK:
-            self._open()
         elif kind == library.STREAM_DOUBT:
             frame = self._decide()
         elif kind == library.STREAM_BLOCK:
@@ -246,13 +242,6 @@ class CompiledStream:
             self.place(Placement(Answer.IGNORE))
         return self._asked
 
-    def _open(self) -> None:
-        """Answer how a frame is to be read that begins."""
-        timing, about = self._marked, self._about
-        since = None if about.since < 0 else about.since
-        self._answer("stream_open", timing.recogniser.open(about.start, about.called, since))
-        self._carry(timing)
-
     def _decide(self) -> FrameLevels | None:
         """Answer whether samples are a frame, which it returns."""
         timing, about = self._marked, self._about
@@ -307,12 +296,11 @@ class CompiledStream:
     def _carry(self, timing: MarkedTiming) -> None:
         """Hand on how the next frames are read."""
         carried, setting, edges = timing.recogniser.carried, self._timing, self._edges
-        fit = carried.edges.fit if carried and carried.edges else None
-        setting.asks, setting.has_frame = carried is None, fit is not None
-        if carried:
-            setting.due, setting.uses = carried.due, carried.uses
+        fit = carried.edges.fit if carried.edges else None
+        setting.has_frame = fit is not None
+        setting.due, setting.uses = carried.due, carried.uses
         used = self._used.get("edges")
-        if carried and carried.edges and fit is not None:
+        if carried.edges and fit is not None:
             whole, share, number, places = carried.edges.within(carried.due)
             pointer, all_edges = kernel.pointer, edges.all
             all_edges.count = count = len(whole)
@@ -365,7 +353,6 @@ def _rules(description: Description, frames: bool) -> kernel.Held:
         silent_more=0.0 if swing_v is None else swing_v**2 / 4,
         marked=marked and frames,
         in_blocks=not marked and frames,
-        heeds_calls=isinstance(timing, NodeTiming),
         zero_count=info.zero_count,
         volts_per_count=info.volts_per_count,
         most_volts=ABSURD_V,

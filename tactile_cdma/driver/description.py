@@ -4,8 +4,6 @@
 
 import numpy as np
 
-from ..clocks.clock_keeper import ClockKeeper
-from ..clocks.node_timing import NodeTiming
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.gaps.gap_timing import GapTiming
@@ -22,36 +20,24 @@ class Description:
     timing: finds the frames. pace: what the digitizer's packets may claim.
     """
 
-    def __init__(self, info: Info, config: SkinConfig, background: bool) -> None:
-        """background: see ClockKeeper. Raises SpecError for a sampling that cannot be decoded."""
+    def __init__(self, info: Info, config: SkinConfig) -> None:
+        """Raises SpecError for a sampling that cannot be decoded."""
         self.info, self.spec = info, config.spec
         spec, rate_hz = config.spec, info.sample_rate_hz
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         rails_v = float(low_v), float(high_v)
         self.pace = Pace(info, spec)
-        self.timing: LineTiming | SparseTiming | NodeTiming | GapTiming
+        self.timing: LineTiming | SparseTiming | GapTiming
         if config.timing == GAP:
             self.timing = GapTiming(spec, rate_hz, rails_v)
         elif spec.sparse:
             self.timing = SparseTiming(spec, rate_hz, rails_v)
-        elif info.integrated or spec.resync_chips:
-            self.timing = LineTiming(spec, rate_hz, rails_v)
         else:
-            self.timing = NodeTiming(spec, rate_hz, rails_v, background)
-
-    @property
-    def clocks(self) -> ClockKeeper | None:
-        """Clocks of the nodes, where these may have their own."""
-        return self.timing.clocks if isinstance(self.timing, NodeTiming) else None
-
-    @property
-    def can_call_roll(self) -> bool:
-        """Whether a roll call can be evaluated: frames are marked and raw, the rest is known."""
-        return isinstance(self.timing, NodeTiming) and self.timing.line.level_known
+            self.timing = LineTiming(spec, rate_hz, rails_v)
 
     def block(self, index: int, packet: Samples | Quiet) -> SampleBlock | QuietBlock:
         """A packet in volts. index: of its first sample in the stream."""
-        info, marks = self.info, (packet.sync, packet.called, packet.turn)
+        info, marks = self.info, (packet.sync, packet.turn)
         if isinstance(packet, Samples):
             return SampleBlock(index, info.volts(packet.counts), *marks)
         mean_v = (packet.mean - info.zero_count) * info.volts_per_count

@@ -206,7 +206,7 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
         each.name: (getattr(theirs, each.name), getattr(ours, each.name)) for each in fields(ours)
     }
     different = [
-        f"{name} {_shown(their)} (parameters: {_shown(our)})"
+        f"{_shown(name, their)} (parameters: {_shown(name, our).removeprefix(f'{name} ')})"
         for name, (their, our) in both.items()
         if name not in aside and their != our
     ]
@@ -223,14 +223,26 @@ def quiet_uv(spec: FrameSpec) -> int:
 
     Samples within Q of each other have chips within Q. These have a variance of at most (Q/2)²
     (Popoviciu), and a correlation with any row but 0 of at most Q/2, whatever the line's offset:
-    a row has as many chips of either sign. Both lie below what a faint word has. The samples need
-    not reach to the frame's end: a node that speaks is heard in the first bit.
+    a row has as many chips of either sign. A flipped row has not, but a level that lasts for a
+    frame is no word of flipped rows. Both lie below what a faint word has. The samples need not
+    reach to the frame's end: a node that speaks is heard in the first bit.
     """
     if spec.node_swing_v is None or spec.first_row == 0:
         return 0
     return min(int(HEARD_SHARE * 2e6 * spec.node_swing_v), 2**32 - 1)
 
 
-def _shown(value: object) -> str:
-    """A field of a layout, for people."""
-    return value.name.lower() if isinstance(value, IntEnum) else str(value)
+_SIGNS = {
+    Signs.SEEDED: "scramble false",
+    Signs.NATURAL: "sign_seed -1",
+    Signs.SCRAMBLED: "scramble true",
+    Signs.SPARSE: "codes sparse",
+}
+"""The parameter that makes a layout have such signs."""
+
+
+def _shown(name: str, value: object) -> str:
+    """A field of a layout and its value, in the words of the parameters."""
+    if isinstance(value, Signs):
+        return _SIGNS[value]
+    return f"{name} {value.name.lower() if isinstance(value, IntEnum) else value}"

@@ -234,7 +234,6 @@ class Driver:
                 if (left_s := session.deadline_s - t_host) > 0:
                     timeout_ms = min(timeout_ms, math.ceil(1e3 * left_s))
         finally:
-            pipeline.close()
             if self._stop.is_set():
                 port.write(session.close())
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from ..base import kernel
 from ..base.errors import SpecError
 from ..base.stage import stage
-from ..clocks.clock_keeper import ClockReport
 from ..code.separate import NodeLevels
 from ..config.skin_config import SkinConfig
 from ..framing.sparse_timing import Load, SparseTiming, capacity
@@ -19,7 +18,6 @@ from ..readings.baseline import Baseline
 from ..readings.drift import DriftTracker, nodes_beside
 from ..readings.pressure import PressureChain
 from ..readings.taxels import Readings, Taxels
-from ..wire._protocol import PacketType, Result
 from ..wire.messages import Ack, Info, OtherVersion, Quiet, Received, Samples, Status
 from ..wire.packets import MAX_REPEATED, Counters, PacketParser
 from ..words.decode import Words, decode, silent
@@ -72,17 +70,15 @@ class Pipeline:
     def __init__(
         self,
         config: SkinConfig,
-        background: bool = True,
         most_repeated: int = MAX_REPEATED,
         clocks: Callable[[], DeviceClock] = DeviceClock,
         compiled: bool = True,
         frames: bool = True,
     ) -> None:
-        """background: evaluate the nodes' clocks in a thread beside the stream, not at once.
+        """most_repeated: see PacketParser. clocks: see Timeline.
 
-        Frames then depend on when that is done. most_repeated: see PacketParser. clocks: see
-        Timeline. compiled: False for the stream in numpy, though there is a kernel. frames: False
-        to follow the stream and its clock only.
+        compiled: False for the stream in numpy, though there is a kernel. frames: False to follow
+        the stream and its clock only.
         """
         self.config = config
         self.counters, self.decisions = StreamCounters(), Decisions()
@@ -95,7 +91,7 @@ class Pipeline:
         tracker = DriftTracker(config.adc, nodes_beside(config.layout, nodes), config.rest)
         chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
-        self._background, self._most_repeated = background, most_repeated
+        self._most_repeated = most_repeated
         self._compiled, self._frames_wanted = compiled, frames
         self._earlier_packets = Counters()
         self._description: Description | None = None  # while the digitizer can be decoded
@@ -144,7 +140,6 @@ class Pipeline:
 
     def reconnected(self) -> None:
         """Start anew on a port that was opened again; sequence and counts go on."""
-        self.close()
         self._description = None
         stream = self._new_stream()
         # At once, for those who read the counts meanwhile.
@@ -160,11 +155,6 @@ class Pipeline:
         self.taxels.refresh()
         if config.calibration is not before.calibration:
             self.taxels.calibrate(config.calibration)
-
-    def close(self) -> None:
-        """End the work beside the stream."""
-        if self._description and self._description.clocks:
-            self._description.clocks.close()
 
     @property
     def parser(self) -> PacketParser:
@@ -186,17 +176,6 @@ class Pipeline:
         """How many nodes speak at once; None where all may."""
         timing = self._description.timing if self._description else None
         return timing.load if isinstance(timing, SparseTiming) else None
-
-    @property
-    def clocks(self) -> ClockReport | None:
-        """What is known of the nodes' clocks; None where they are not measured."""
-        keeper = self._description.clocks if self._description else None
-        return keeper.report if keeper else None
-
-    @property
-    def can_call_roll(self) -> bool:
-        """Whether a roll call can be evaluated now."""
-        return self._description is not None and self._description.can_call_roll
 
     def _new_stream(self) -> Stream:
         parser = PacketParser(self._most_repeated)
@@ -245,14 +224,9 @@ class Pipeline:
             held = taxels.try_hold(t_device) if heard.doubtful is None else None
             return words, held or taxels.update(words, t_device, self.health)
         is_odd = (
-            (levels.rows is None and levels.spoke is None)
-            or levels.unresolved
-            or levels.late
-            or levels.level_unknown
-            or heard.doubtful is not None
-            or not heard.placed
+            levels.late or levels.level_unknown or heard.doubtful is not None or not heard.placed
         )
-        if kernel.compiled is not None and not is_odd and not config.roll_call:
+        if kernel.compiled is not None and not is_odd:
             read = taxels.read(levels, config.spec, config.active_share, t_device, self.health)
             if read is not None:
                 return read
@@ -262,11 +236,7 @@ class Pipeline:
 
     def _words(self, heard: FrameLevels, levels: NodeLevels) -> Words:
         """What the nodes said; updates their health by words that are not a guess."""
-        spec, clocks = self.config.spec, self.clocks
-        words = decode(levels, spec, self.config.active_share, self.health.swing_v)
-        clocks_unknown = self.config.roll_call and clocks is not None and not clocks.heard
-        if clocks_unknown:
-            words = words.doubted(words.active)
+        words = decode(levels, self.config.spec, self.config.active_share, self.health.swing_v)
         if heard.doubtful is None or levels.understood:
             self.health.update(words)
         if heard.doubtful is not None:
@@ -293,11 +263,6 @@ class Pipeline:
                 self.timeline.hear_status(packet)
             case Ack():
                 self.digitizer.hear_ack(packet)
-                keeper = self._description.clocks if self._description else None
-                refused = packet.command == PacketType.ROLL_CALL and packet.result != Result.OK
-                if keeper and refused:
-                    reason = packet.result.name.lower()
-                    keeper.give_up(f"the digitizer refused the roll call: {reason}")
 
     def _describe(self, info: Info) -> None:
         """Set up decoding for the digitizer's new description of itself."""
@@ -311,7 +276,7 @@ class Pipeline:
         self.problem = contradiction(info, self.config)
         if self.problem is None:
             try:
-                self._description = Description(info, self.config, self._background)
+                self._description = Description(info, self.config)
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
         if self._description is not None:
@@ -327,6 +292,5 @@ class Pipeline:
 
     def _forget(self) -> None:
         """Nothing can be decoded until the digitizer describes itself again."""
-        self.close()
         self._description = None
         self.stream.forget()

@@ -17,7 +17,6 @@ from ..wire.messages import (
     Info,
     Pack,
     Packet,
-    RollCall,
     Start,
     Stop,
 )
@@ -35,8 +34,6 @@ Part of the protocol (docs/protocol.md)."""
 PACKED_FROM_HZ = 200_000
 """Samples per second above which packed ones are asked for. Chosen: 0.4 MB/s of words, a third of
 what full-speed USB can carry; older digitizers, which refuse, are hardly ever set so."""
-MOST_CALLS = 3
-"""Roll calls in a row that may fail; chosen, since one that failed thrice has a lasting cause."""
 
 
 class _Progress(NamedTuple):
@@ -68,7 +65,6 @@ class Session:
         self._setting = () if config is None else _setting(config)
         self._ours = config is None or config.digitizer_id is None
         self._known: Info | None = None  # the digitizer's last introduction
-        self._calls_left, self._next_call_s = MOST_CALLS, -math.inf
         self._groups_asked, self._next_groups_s = 0, -math.inf
         self._before = _Progress()
         self.deadline_s = self._asked_s = -math.inf
@@ -104,8 +100,6 @@ class Session:
             if self._known is not None and (start := self.introduced(self._known)):
                 self._note_request(pipeline, now_s)
                 return start
-        if roll_call := self._roll_call(pipeline, now_s):
-            return roll_call
         if groups := self._groups(pipeline, now_s):
             return groups
         if pipeline.counters.frames != self._before.frames:
@@ -146,20 +140,6 @@ class Session:
             counters.frames, counters.implausible_packets, *pipeline.parser.received
         )
         self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
-
-    def _roll_call(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """The request for a roll call if the last one missed nodes or no longer holds."""
-        clocks, spec = pipeline.clocks, pipeline.config.spec
-        if self._config is None or not self._config.roll_call or clocks is None or clocks.busy:
-            return b""
-        if clocks.heard == spec.nodes:
-            self._calls_left = MOST_CALLS
-        elif self._calls_left and now_s >= self._next_call_s and pipeline.can_call_roll:
-            self._calls_left -= 1
-            self._next_call_s = now_s + PATIENCE_S + 2 * spec.nodes * spec.frame_period_s
-            self.problem = None
-            return self.encoded(RollCall())
-        return b""
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
         """The request to divide the nodes into groups, or to end that, where the load asks for it.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decodes marked frames of nodes that share one clock."""
+"""Decodes marked frames."""
 
 import logging
 import math
@@ -55,7 +55,7 @@ SURVIVORS = 8
 
 
 class LineTiming(MarkedTiming):
-    """Line timing of nodes that share one clock."""
+    """Line timing of a plain or scrambled code."""
 
     def __init__(self, spec: FrameSpec, rate_hz: float, rails_v: Rails = None) -> None:
         """See MarkedLine."""
@@ -82,10 +82,6 @@ class LineRecogniser(Recogniser):
         self._carried: ChipEdges | None = None  # of an earlier frame
         self._uses = 0  # how often they may still be reused
         self._budget = float(LARGEST_SEARCH)  # chips that may be searched
-
-    def open(self, start: int, called: bool, since: int | None) -> int:
-        """See Recogniser."""
-        return self._due
 
     @property
     def _due(self) -> int:

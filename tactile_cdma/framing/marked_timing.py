@@ -2,8 +2,7 @@
 
 """Cuts the stream at the digitizer's marks, and learns the line at rest from the gaps.
 
-What a marked frame says is left to a Recogniser: `line_timing` has the one for nodes on one clock,
-`clocks.node_timing` the one for nodes with clocks of their own.
+What a marked frame says is left to a Recogniser, as in `line_timing` and `sparse_timing`.
 """
 
 import math
@@ -79,7 +78,7 @@ class Verdict(NamedTuple):
 
 
 class CarriedTiming(NamedTuple):
-    """The timing that the next frames are tried with, where they need not be asked about.
+    """The timing that the next frames are tried with.
 
     due: samples from the mark on until a frame can be decided. edges: of an earlier frame's chips;
     None where there is none. uses: frames that may be read by it.
@@ -275,14 +274,6 @@ class Recogniser(ABC):
         """line: shared with the stream, which keeps its level and noise at rest up to date."""
         self._line, self._spec = line, line.spec
 
-    def open(self, start: int, called: bool, since: int | None) -> int:
-        """Prepare for the frame marked at a stream index; returns the samples needed to decide.
-
-        called: the frame belongs to a roll call. since: samples from the mark before to this one,
-        None after a hole. Frames that are not called need not be opened while a timing is carried.
-        """
-        return self._line.size
-
     @abstractmethod
     def recognise(self, frame: MarkedFrame) -> Verdict:
         """Decode a frame, reject it, or ask for more samples."""
@@ -291,8 +282,8 @@ class Recogniser(ABC):
         """Drop timing carried over from earlier frames, since a frame was rejected."""
 
     @property
-    def carried(self) -> CarriedTiming | None:
-        """By which the next frames may be decided; None where each has to be asked about."""
+    def carried(self) -> CarriedTiming:
+        """The timing by which the next frames may be decided."""
         return CarriedTiming(self._line.size)
 
 
@@ -307,7 +298,6 @@ class MarkedTiming(Timing):
         self._start: int | None = None  # the mark of the frame in progress
         self._turn = 0  # whose it is
         self._due = 0
-        self._mark: int | None = None  # the last mark, if no hole followed
         self._gap_begin: int | None = None  # end of the last frame, if no hole followed
         self._opened = 0  # since the recogniser was asked
 
@@ -371,7 +361,7 @@ class MarkedTiming(Timing):
         super().reset()
         if self._start is not None:
             self.rejections += INCOMPLETE
-        self._start = self._mark = self._gap_begin = None
+        self._start = self._gap_begin = None
 
     def _begin(self, block: SampleBlock | QuietBlock) -> list[FrameLevels]:
         """Join a block to the stream; a mark ends the frame in progress, which is returned."""
@@ -383,10 +373,9 @@ class MarkedTiming(Timing):
             gap_begin = max(self._gap_begin, index - self.gap_size)
             self.line.add_gap(self._samples.take(gap_begin, index))
         self._samples.drop(index)
-        since = None if self._mark is None else index - self._mark
-        self._start, self._mark, self._turn = index, index, block.turn
+        self._start, self._turn = index, block.turn
         self._opened += 1
-        self._due = index + self.recogniser.open(index, block.called, since)
+        self._due = index + self.recogniser.carried.due
         return frames
 
     def _close(self) -> list[FrameLevels]:

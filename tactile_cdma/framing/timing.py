@@ -2,9 +2,8 @@
 
 """Samples of the line in, frames out: what all kinds of timing share.
 
-`line_timing` is told where frames start, `gap_timing` has nothing but the waveform, and
-`clocks.node_timing` separates nodes with clocks of their own. All keep their own samples; how the
-stream is cut into blocks changes nothing.
+`line_timing` is told where frames start, `gap_timing` has nothing but the waveform. Both keep their
+own samples; how the stream is cut into blocks changes nothing.
 """
 
 from __future__ import annotations
@@ -38,14 +37,13 @@ class SampleBlock:
 
     first_index: index of volts[0] in the digitizer's sample stream.
     volts: (m,) float32, V. checked: absurd ones are NaN already.
-    sync: volts[0] is the first sample of a frame (line timing).
-    called: the frame belongs to a roll call. turn: whose it is; see docs/protocol.md.
+    sync: volts[0] is the first sample of a frame (line timing). turn: whose frame it is; see
+        docs/protocol.md.
     """
 
     first_index: int
     volts: Floats32
     sync: bool = False
-    called: bool = False
     turn: int = 0
     checked: bool = False
 
@@ -54,7 +52,7 @@ class SampleBlock:
 class QuietBlock:
     """Consecutive samples in which no node transmitted, as the digitizer summed them up.
 
-    first_index, sync, called, turn: as in SampleBlock. count: number of samples.
+    first_index, sync, turn: as in SampleBlock. count: number of samples.
     mean_v, variance_v2: of the samples, V and V².
     """
 
@@ -63,7 +61,6 @@ class QuietBlock:
     mean_v: float
     variance_v2: float
     sync: bool = False
-    called: bool = False
     turn: int = 0
 
     def samples(self) -> SampleBlock:
@@ -72,7 +69,7 @@ class QuietBlock:
         deviation_v = math.sqrt(self.variance_v2)
         volts[::2] += deviation_v
         volts[1::2] -= deviation_v
-        return SampleBlock(self.first_index, volts, self.sync, self.called, self.turn)
+        return SampleBlock(self.first_index, volts, self.sync, self.turn)
 
 
 @stage

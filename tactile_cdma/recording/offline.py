@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..base.errors import CaptureError
 from ..code.frame import SPARSE
-from ..config.parameters import GAP, LINE, NATURAL_SIGNS, RENAMED, Value
+from ..config.parameters import GAP, LINE, NATURAL_SIGNS, REMOVED, RENAMED, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
@@ -102,13 +102,17 @@ class RawCapture:
         given; that of sparse codes cannot be, and is the one that the driver had.
         """
         recorded = describe(path).parameters if is_recording(path) else {}
-        recorded = {RENAMED.get(name, name): value for name, value in recorded.items()}
+        recorded = {
+            RENAMED.get(name, name): value
+            for name, value in recorded.items()
+            if name not in REMOVED
+        }
         described = described_parameters(path)
         self.path = path
         learnt: dict[str, Value] = {} if recorded.get("codes") == SPARSE else {"amplitude_mv": 0.0}
         self.values: dict[str, Value] = {**learnt, **recorded, **described, **asked}
         self.config = SkinConfig.of(self.values)
-        self.pipeline = Pipeline(self.config, background=False)
+        self.pipeline = Pipeline(self.config)
 
     @property
     def source(self) -> Source:
@@ -132,6 +136,6 @@ class RawCapture:
         description = describe(self.path) if is_recording(self.path) else None
         if description is not None:
             clocks = fitted_clocks(self.config, read_bytes(self.path))
-            self.pipeline = Pipeline(self.config, background=False, clocks=clocks)
+            self.pipeline = Pipeline(self.config, clocks=clocks)
         for frame in self.frames():
             yield frame, description.wall_s(frame.t_host) if description else math.nan

@@ -44,7 +44,7 @@ def fitted_clocks(
         observed.append(_ObservedClock())
         return observed[-1]
 
-    pipeline = Pipeline(config, background=False, clocks=observing, frames=False)
+    pipeline = Pipeline(config, clocks=observing, frames=False)
     for data, t_host in reads:
         pipeline.feed(data, t_host)
     clocks = iter([_FittedClock(*clock.knots()) if clock.arrivals else clock for clock in observed])

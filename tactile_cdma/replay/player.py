@@ -18,7 +18,7 @@ from ..config.parameters import REPLAY, Parameter
 from ..config.skin_config import user_path
 from ..config.url_options import parse_options
 from ..recording.container import Chunk, RecordingParser, losses
-from ..recording.recording_file import describe, is_recording, read_chunks, read_end
+from ..recording.recording_file import describe, is_recording, read_chunks, seek
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, PacketWriter
 
@@ -144,12 +144,9 @@ class Player:
         """Chunks of the requested span, after the digitizer's description if that was before it."""
         options = self._options
         start_ns, end_ns = round(options.start_s * 1e9), round(options.end_s * 1e9)
-        position = None
-        if start_ns and (end := read_end(options.path)) is not None:
-            position = end.position_of(start_ns)
-        parser = RecordingParser(resumed=position is not None)
+        parser, position = seek(options.path, start_ns)
         told = not start_ns
-        for chunk in read_chunks(options.path, parser, position or 0):
+        for chunk in read_chunks(options.path, parser, position):
             if chunk.time_ns > end_ns:
                 return
             if chunk.time_ns >= start_ns:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..base.arrays import Bools, Counts, Floats, Floats32
-from ..clocks.node_clocks import NodeClocks
 from ..code.encode import frame_levels, line_chips
 from ..code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from .nodes import NodeClocks
 
 MAX_JITTER = 0.25
 """Largest option `jitter`, in chips. Chosen: no chip is then shorter than half of its duration."""

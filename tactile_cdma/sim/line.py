@@ -88,7 +88,7 @@ def line_counts(
     """
     spec, channel = setup.spec, options.channel
     rng = np.random.default_rng([options.seed, frame.number])
-    clocks = options.clocks.at(spec.nodes, frame.start_s)
+    clocks = options.clocks(spec.nodes)
     edges_s = channel.edges(spec, rng)
     if setup.integrated:
         first, stop, averaged = 0, spec.chips, setup.samples_per_chip

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""By what the sensing nodes send: clocks, turns, thresholds; and what they sent in a frame."""
+"""Decides when the sensing nodes send: clocks, turns, thresholds; records what they sent."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats, Indices
-from ..clocks.node_clocks import NodeClocks
 from ..readings.calibration import AdcScale
-from .sensor import WANDER_S, Sensor, SensorModel
+from .sensor import Sensor, SensorModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,34 +33,21 @@ class NodeFrame:
     turn: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ClockModel:
-    """Clocks of the nodes' own: drawn once, then wandering slowly.
+@dataclass(frozen=True, eq=False, slots=True)
+class NodeClocks:
+    """Clocks of n nodes that start with the sync edge and then count chips of their own.
 
-    rate: largest clock error at rest, either way. delay: largest delay after the sync edge,
-    chips. drift: fastest change of a clock error, 1/s. All 0: one clock for all.
+    delay_chips: (n,) float64, from the sync edge to a node's first chip, nominal chips.
+    rate_error: (n,) float64, duration of a node's chip over the nominal one, minus 1.
     """
 
-    rate: float = 0.0
-    delay: float = 0.0
-    drift: float = 0.0
-    seed: int = 0
+    delay_chips: Floats
+    rate_error: Floats
 
-    @property
-    def largest_rate(self) -> float:
-        """Largest clock error at any time, with drift."""
-        return self.rate + 2 * self.drift * WANDER_S / (2 * np.pi)
-
-    def at(self, nodes: int, t_s: float) -> NodeClocks | None:
-        """The clocks at a time, s since START; None where all share one."""
-        if not (self.rate or self.delay or self.drift):
-            return None
-        rng = np.random.default_rng([self.seed, nodes])
-        delay, rate = rng.uniform(0, self.delay, nodes), rng.uniform(-self.rate, self.rate, nodes)
-        phase = rng.uniform(0, 2 * np.pi, nodes)
-        wander = np.sin(2 * np.pi * t_s / WANDER_S + phase) - np.sin(phase)
-        rate += self.drift * WANDER_S / (2 * np.pi) * wander
-        return NodeClocks(delay, rate, np.ones(nodes, bool))
+    def displacement(self, chips: NDArray[np.int64]) -> Floats:
+        """How late each node begins chips of these numbers, (n, c), nominal chips."""
+        late: Floats = self.delay_chips[:, None] + self.rate_error[:, None] * chips
+        return late
 
 
 @dataclass

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
+
 from ..base.errors import SpecError
-from ..clocks.roll_call import LARGEST_DELAY, LARGEST_RATE_ERROR
 from ..code.codes import default_order
 from ..code.frame import DEFAULT_AMPLITUDE_V, MAX_STRETCH, SPARSE, FrameSpec
 from ..config.parameters import BY_NAME, DEFAULTS, GAP, NATURAL_SIGNS, Parameter, Value
@@ -23,7 +24,7 @@ from ..places.layout_nodes import Wiring
 from ..places.layout_shapes import Pitch, across_and_down, is_same, pitch_of, shown_mm
 from ..wire._protocol import SyncMode
 from .channel import MAX_JITTER, Channel
-from .nodes import ClockModel, NodeRules
+from .nodes import NodeClocks, NodeRules
 from .scene import EXTERNAL, LOADS, SCENES, SkinGeometry
 from .sensor import FSR, IDEAL, MOST_HYSTERESIS, MOST_MISMATCH, PAPER, SensorModel
 
@@ -35,6 +36,10 @@ MOST_SAMPLES = 1 << 23
 interrupt, takes a few seconds at most."""
 MOST_NODE_CHIPS = 1 << 24
 """Nodes × chips of a frame, for nodes with clocks of their own."""
+LARGEST_RATE_ERROR = 0.02
+"""Relative error of a node's clock. Chosen: calibrated RC oscillators keep about that."""
+LARGEST_DELAY = 1.0
+"""Delay of a node, chips. Chosen: a node starts within its first chip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +121,6 @@ class SimOptions:
         "largest error of a node's own clock", "", (0.0, LARGEST_RATE_ERROR))
     delay_spread: float = _option(0.0,
         "largest delay of a node after the sync edge", "chips", (0.0, LARGEST_DELAY))
-    drift: float = _option(0.0, "fastest change of a node's clock error", "1/s", (0.0, 5e-5))
     sensor: str = _option(IDEAL,
         "ideal: the curve alone; paper: lag and hysteresis too; fsr: voltages rise by a power law",
         "", None, (IDEAL, PAPER, FSR))
@@ -183,9 +187,13 @@ class SimOptions:
             adc_bits=self.adc_bits,
         )
 
-    @property
-    def clocks(self) -> ClockModel:
-        return ClockModel(self.clock_spread, self.delay_spread, self.drift, self.seed)
+    def clocks(self, nodes: int) -> NodeClocks | None:
+        """The nodes' own clocks; None where all share one."""
+        if not (self.clock_spread or self.delay_spread):
+            return None
+        rng = np.random.default_rng([self.seed, nodes])
+        delay = rng.uniform(0, self.delay_spread, nodes)
+        return NodeClocks(delay, rng.uniform(-self.clock_spread, self.clock_spread, nodes))
 
     @property
     def sensors(self) -> SensorModel:
@@ -290,17 +298,17 @@ class SimOptions:
                 f"a frame period of {samples} samples is more than the simulator makes, "
                 f"{MOST_SAMPLES}: lower samples_per_chip or frame_period_ms, or raise chip_us"
             )
-        node_chips = spec.nodes * spec.span_chips if self.clocks.at(1, 0.0) else 0
+        node_chips = spec.nodes * spec.span_chips if self.clocks(1) else 0
         if node_chips > MOST_NODE_CHIPS:
             raise SpecError(
                 f"{spec.nodes} nodes with clocks of their own, {spec.span_chips} chips each, are "
                 f"more than the simulator makes, {MOST_NODE_CHIPS} chips in all: lower nodes, or "
-                "leave out clock_spread, delay_spread and drift"
+                "leave out clock_spread and delay_spread"
             )
 
     def _longest_s(self, spec: FrameSpec) -> float:
         """The longest that a frame of the slowest node takes, s."""
-        slow = 1 + self.stretch + self.clocks.largest_rate
+        slow = 1 + self.stretch + self.clock_spread
         return spec.frame_s * slow + self.delay_spread * spec.chip_s
 
     def _pinned_fields(self) -> dict[str, Any]:

@@ -178,10 +178,7 @@ def decode(
     codes, rho, margin, doubtful, doubled, odd, uneven = _decide(frame)
     if uneven:
         doubtful |= _disturbed(frame)
-    # Words that their waveforms do not tell from some others', and rows that hold a part of a word,
-    # or more than noise and leakage.
-    unresolved = list(levels.unresolved)
-    doubtful[unresolved] |= active[unresolved]
+    # Rows that hold a part of a word, or more than noise and leakage.
     doubtful |= frame.astray | frame.hidden
     doubtful |= _silent_by_parts(frame) | _silent_elsewhere(frame)
     # Where somebody is out of place, any silent node may be the one that spoke; and where the level

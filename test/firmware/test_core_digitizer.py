@@ -44,7 +44,7 @@ from tactile_cdma.wire.packets import PacketParser, PacketWriter, wrap
 from test.support.core_digitizer import Board, CoreDigitizer, Pulse, of_kind
 from test.support.examples import examples
 
-LAYOUT = FrameLayout.of(FrameSpec(), 4)
+LAYOUT = FrameLayout.of(FrameSpec(scramble=True), 4)
 REFUSED = Result.UNSUPPORTED
 
 

@@ -66,7 +66,9 @@ def words_of(chips: NDArray[np.uint32]) -> tuple[Codes, NDArray[np.bool_]]:
     assert (talks == talks[0]).all(), "from the first chip to the last"
     levels = np.where(chips[:, np.newaxis] >> np.arange(NODES) & 1, 1, -1)
     rows = SPEC.book.rows(SPEC.rows) * SPEC.signs[:, np.newaxis]  # (16, order)
-    sums = np.einsum("bkn,nk->bn", levels.reshape(SPEC.bits, SPEC.order, NODES), rows)
+    assert SPEC.flips is not None, "ours are scrambled"
+    sent = levels.reshape(SPEC.bits, SPEC.order, NODES) * SPEC.flips[:, :, np.newaxis]
+    sums = np.einsum("bkn,nk->bn", sent, rows)
     assert (np.abs(sums[:, talks[0]]) == SPEC.order).all(), "whole words only"
     return (sums > 0).T @ (1 << np.arange(SPEC.bits)[::-1]), talks[0]
 
@@ -207,14 +209,16 @@ def test_a_single_resistor_makes_it_wired(image: Path, node: int) -> None:
 
 def test_what_it_refuses(image: Path) -> None:
     """Other layouts than its nodes', and touches that it does not know; then it goes on."""
-    layout = FrameLayout.of(FrameSpec(), 4)
+    layout = FrameLayout.of(SPEC, 4)
     with Bench(image, shape=floating) as bench:
         larger = FrameLayout.of(FrameSpec(nodes=64, frame_period_s=40e-3), 4)
-        bench.send(Configure(larger), Configure(replace(layout, polarity=-1)))
+        plain = FrameLayout.of(replace(SPEC, scramble=False), 4)
+        bench.send(Configure(larger), Configure(plain), Configure(replace(layout, polarity=-1)))
         bench.send(Touch(Scene.HOST, 17, 0), Configure(replace(layout, samples_per_chip=8)))
         bench.write(b"\0" + bytes.fromhex("02"))  # a broken packet
         bench.run(0.01)
         assert [ack.result for ack in bench.of(Ack)] == [
+            Result.UNSUPPORTED,
             Result.UNSUPPORTED,
             Result.UNSUPPORTED,
             Result.OUT_OF_RANGE,
@@ -263,7 +267,7 @@ def test_start_and_stop_at_any_time(image: Path) -> None:
 
 def test_silent_pins_leave_the_line_at_half_the_supply(image: Path) -> None:
     """They are released, and nothing in their pads pulls."""
-    writer, layout = PacketWriter(), FrameLayout.of(FrameSpec(), 4)
+    writer, layout = PacketWriter(), FrameLayout.of(SPEC, 4)
     with Rp2040(image, RESISTORS) as chip:
         chip.plug_usb()
         chip.run(0.05)

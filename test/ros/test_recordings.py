@@ -58,7 +58,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_node_replays_a_recording_as_decode_reads_it(recording: Path, tmp_path: Path) -> None:
     path = recording
     values = {**described_parameters(path), "amplitude_mv": 300.0}
-    pipeline = Pipeline(SkinConfig.of(values), background=False)
+    pipeline = Pipeline(SkinConfig.of(values))
     offline = {frame.sequence: frame for frame in raw_frames(path, pipeline)}
     with running(port=f"replay://{path}?speed=1", publish_voltage=True) as (_, client):
         wait_for(lambda: client.says("recording has ended"))

@@ -28,7 +28,7 @@ def silent_pipeline(compiled: bool = True) -> tuple[Pipeline, PacketWriter]:
     config = SkinConfig.of({"nodes": 16, "order": 20, "frame_period_ms": 1e3 * PERIOD_S})
     writer = PacketWriter()
     assert math.isclose(config.spec.frame_s, FRAME_S)
-    pipeline = Pipeline(config, background=False, compiled=compiled)
+    pipeline = Pipeline(config, compiled=compiled)
     pipeline.feed(writer.encode(introduction(config, quiet_uv=2000)), 0.0)
     assert pipeline.problem is None
     return pipeline, writer

@@ -71,7 +71,6 @@ WAYS = [
     pareto.DEFAULT,
     pareto.Way("gap", timing="gap"),
     pareto.Way("parity, chip means", 1, parity=True),
-    pareto.Way("late", 2, late=True, called=True),
     pareto.Way("dense", dense=True),
 ]
 

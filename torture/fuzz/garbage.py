@@ -116,4 +116,4 @@ def feed(kind: str, seed: int, most_bytes: int, most_s: float, pipeline: Pipelin
 
 def pipeline_for(kind: str) -> Pipeline:
     """The pipeline that this kind of garbage is meant for."""
-    return Pipeline(CONFIGS[KINDS[kind][0]], background=False)
+    return Pipeline(CONFIGS[KINDS[kind][0]])

@@ -103,7 +103,7 @@ def _true_stream() -> list[bytes]:
 @cache
 def _true_frames() -> dict[int, TactileFrame]:
     """By number on the wire, what these packets hold."""
-    pipeline = Pipeline(CONFIG, background=False)
+    pipeline = Pipeline(CONFIG)
     frames = [frame for packet in _true_stream() for frame in pipeline.feed(packet, 0.0)]
     assert len(frames) >= FRAMES - 1 and all(frame.words.active.all() for frame in frames)
     return {_number(frame): frame for frame in frames}
@@ -120,7 +120,7 @@ def read_line(data: bytes) -> None:
     bytes follow, and these.
     """
     stream = _true_stream()
-    pipeline = Pipeline(CONFIG, background=False)
+    pipeline = Pipeline(CONFIG)
     frames, place = pipeline.feed(stream[0], 0.0), 1
     left = len(stream) - 2  # the last two come in any case: what is lost shows by them
     while len(data) >= 2 and place < left:
@@ -157,7 +157,7 @@ def read_both_ways(data: bytes) -> None:
     The kernel and numpy must make the same of it. The data are pieces: how many packets pass (and
     whether the next comes twice), where its change begins, the length of the change, the change.
     """
-    ways = [Pipeline(CONFIG, background=False, compiled=compiled) for compiled in (True, False)]
+    ways = [Pipeline(CONFIG, compiled=compiled) for compiled in (True, False)]
     sent, place, stream = bytearray(_true_stream()[0]), 1, _true_stream()
     while len(data) >= 3 and place < len(stream):
         passed, begin, size = data[0] & 0x07, data[1], data[2] & 0x1F
@@ -187,7 +187,7 @@ def read_digitizer(data: bytes) -> None:
 
     The data are pieces: a type, then what is changed in a packet of it that makes sense.
     """
-    pipeline = Pipeline(CONFIG, background=False)
+    pipeline = Pipeline(CONFIG)
     pipeline.feed(wrap(_body(Info.TYPE, _templates()[Info.TYPE])), 0.0)
     t_host = 0.0
     for kind, payload in _changed(data, tuple(_templates())):
@@ -204,7 +204,7 @@ def read_offline(data: bytes) -> None:
     for kind, payload in _changed(data, (Info.TYPE,)):
         for info in PacketParser().feed(wrap(_body(kind, payload))):
             if isinstance(info, Info) and info.frame.nodes <= 256 and info.frame.order <= 512:
-                pipeline = Pipeline(SkinConfig.of(parameters_of(info)), background=False)
+                pipeline = Pipeline(SkinConfig.of(parameters_of(info)))
                 pipeline.feed(PacketWriter().encode(info), 0.0)
                 for packet in _true_stream()[1:]:
                     pipeline.feed(packet, 0.0)

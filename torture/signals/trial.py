@@ -236,7 +236,7 @@ class Trial:
         self.kind, self.skin = kind, skin
         self.faults = Faults(kind, skin, seed)
         self.tally = WordTally()
-        self._pipeline = Pipeline(skin.config, background=False)
+        self._pipeline = Pipeline(skin.config)
         self._oracle = Oracle()
         options = skin.simulator(seed, kind.range_v)
         self._digitizer = VirtualDigitizer(options, disturbance=self.faults)

@@ -21,7 +21,7 @@ from ...driver.digitizer import Source
 from ...driver.pipeline import TactileFrame
 from ...readings.contact import Contacts, ContactTracker
 from ...recording.offline import RawCapture
-from ...recording.recording_file import describe, is_recording, is_text, read_end
+from ...recording.recording_file import describe, is_recording, is_text, length_ns
 from ..samples import (
     DERIVED,
     NANO,
@@ -48,9 +48,9 @@ class RecordingSource:
         self.capture = RawCapture(path, asked)
         self.begin_ns = self.end_ns = 0
         if is_recording(path):
-            end = read_end(path)
+            length = length_ns(path)
             self.begin_ns = describe(path).wall_ns
-            self.end_ns = self.begin_ns + end.time_ns if end else 0
+            self.end_ns = self.begin_ns + length if length is not None else 0
         self.name = feature_name(self.capture.config.skin)
 
     @property

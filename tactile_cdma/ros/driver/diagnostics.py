@@ -109,9 +109,7 @@ class SkinReport:
         self._receiving = True
         judged = {entry: worst(self._settling[entry].settle(found[entry])) for entry in ENTRIES}
         level, text = judged[STREAM]
-        calling = pipeline.clocks is not None and pipeline.clocks.busy
-        good = "roll call: measuring the nodes' clocks" if calling else "receiving"
-        judged[STREAM] = level, text or good
+        judged[STREAM] = level, text or "receiving"
         level, text = judged[SOURCE]
         judged[SOURCE] = level, text or str(watch.source)
         return self._entries(judged, values)
@@ -186,19 +184,6 @@ def _node_values(driver: Driver, window: Window) -> Values:
         "SNR of the weakest node (dB)": f"{checkup.decibels(rho):.1f}" if node else "",
         "largest drift (mV)": f"{drift_v[drifting] * 1e3:.2f}, node {drifting + 1}",
         "nodes off their rest": listed(off) + ("; tare if nothing touches them" if off else ""),
-        **_clock_values(pipeline),
-    }
-
-
-def _clock_values(pipeline: Pipeline) -> Values:
-    clocks = pipeline.clocks
-    if clocks is None or not clocks.heard:
-        return {}
-    return {
-        "node clocks heard": clocks.heard,
-        "node clocks apart (chips)": f"{clocks.spread_chips:.2f}",
-        "nodes taken apart by": "least squares" if clocks.decorrelated else "correlation",
-        "nodes not told apart": listed(list(clocks.unresolved)),
     }
 
 

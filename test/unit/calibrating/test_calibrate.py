@@ -125,7 +125,7 @@ def test_a_bad_node_stops_all_unless_it_may_be_missing(
     assert config.calibration.curves[4] == SIMULATED
     capture = tmp_path / "skin.raw"
     record(capture, SimOptions(scene="all", threshold=0), 0.2)
-    readings = list(raw_frames(capture, Pipeline(config, background=False)))[-1].readings
+    readings = list(raw_frames(capture, Pipeline(config)))[-1].readings
     assert np.flatnonzero(readings.status & Status.UNCALIBRATED).tolist() == [4]
     for index in range(NODES):
         pressure_pa = config.calibration.curves[index].pressure(readings.voltage_v[index])

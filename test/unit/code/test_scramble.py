@@ -10,8 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile_cdma.base.arrays import Bools
-from tactile_cdma.clocks.decorrelate import Decorrelator
-from tactile_cdma.clocks.node_clocks import NodeClocks
 from tactile_cdma.code.codes import chip_flips, scrambler_state
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import FrameSpec
@@ -272,20 +270,3 @@ def test_a_lone_late_node_is_not_called_silence(samples_per_chip: int) -> None:
     assert len(decided[0]) >= 9 and all(decided[0])
     assert not decided[1]
     assert len(decided[2]) >= 9 and not any(decided[2])
-
-
-def test_nodes_a_chip_apart_are_told_apart() -> None:
-    """Rows of Paley's orders are each other's shifts; flipped, hardly two waveforms are alike."""
-
-    def skins_with_twins(scramble: bool) -> int:
-        count = 0
-        for seed in range(12):
-            spec = FrameSpec(
-                nodes=10, order=20, scramble=scramble, sign_seed=seed, frame_period_s=0.02
-            )
-            clocks = NodeClocks(np.arange(10) % 2.0, np.zeros(10), np.ones(10, bool))
-            count += bool(len(Decorrelator(spec, clocks, 4.0).unresolved))
-        return count
-
-    assert skins_with_twins(scramble=False) == 12
-    assert skins_with_twins(scramble=True) <= 2  # of so short a code some are, by chance

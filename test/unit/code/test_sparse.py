@@ -186,7 +186,6 @@ def test_chips_that_are_no_numbers_have_no_words() -> None:
         ({"timing": "gap", "samples_per_chip": 4}, "it must be 'line'"),
         ({"samples_per_chip": 4}, "it must be 1"),
         ({"amplitude_mv": 0.0}, "set amplitude_mv"),
-        ({"roll_call": True}, "set roll_call to false"),
     ],
 )
 def test_how_sparse_codes_cannot_be_read_is_refused(changes: dict[str, Any], reason: str) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from tactile_cdma.base.errors import BodyError
 from tactile_cdma.config.body_file import Body, read_body
+from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -32,7 +33,7 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
             parameters:
               nodes: 20
               frame_period_ms: 20
-              roll_call: true
+              nodes_repeat: true
               skin: 7
               parity: yes
               mount_xyz_m: [1, 2.5, -3]
@@ -47,7 +48,7 @@ def test_a_patch_takes_what_its_file_and_its_parameters_say(tmp_path: Path) -> N
         "frame_id": "palm",
         "nodes": 20,
         "frame_period_ms": 20.0,
-        "roll_call": True,
+        "nodes_repeat": True,
         "skin": "7",
         "parity": True,
         "mount_xyz_m": (1.0, 2.5, -3.0),
@@ -163,6 +164,9 @@ def test_the_shipped_body_is_one_that_drivers_take() -> None:
         "right_elbow": 25,
     }
     assert {patch.parameters["parent_frame"] for patch in body.patches} == {body.frame_id}
+    for patch in body.patches:
+        shared = read_file(patch.params_file) if patch.params_file else {}
+        assert SkinConfig.of({**shared, **patch.parameters}).spec.scramble
 
 
 def test_defaults_and_repeats_write_out_what_patches_have_in_common(tmp_path: Path) -> None:

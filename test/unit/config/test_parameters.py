@@ -31,6 +31,10 @@ ARGUMENTS = {"port": "", "params_file": "skin.yaml", "sim": "false", "namespace"
         ({"xyz": ""}, "'xyz' (there are namespace, params_file, port, sim, and the parameters"),
         ({"node": "9"}, "did you mean 'nodes'"),
         ({"threshold": "9"}, "the launch argument threshold is called active_share now"),
+        (
+            {"roll_call": "true"},
+            "the launch argument roll_call is gone: nodes keep time by the sync line",
+        ),
         ({"nodes": "many"}, "nodes must be an integer, got 'many'"),
         ({"nodes": "0"}, "nodes is 0; it must lie within"),
         ({"mount_xyz_m": "1, 2"}, "it must be 3 numbers"),
@@ -65,6 +69,12 @@ def test_nothing_shipped_asks_for_a_simulator_without_naming_it() -> None:
         assert not str(read_file(path).get("port", "")).startswith(SIMULATION)
 
 
+def test_all_skins_but_the_papers_are_scrambled() -> None:
+    files = [path for path in (ROOT / "config").glob("*.yaml") if path.name != "body.yaml"]
+    specs = {path.name: SkinConfig.of(read_file(path)).spec for path in files}
+    assert {name for name, spec in specs.items() if not spec.scramble} == {"paper_skin.yaml"}
+
+
 def test_every_default_lies_within_its_own_limits() -> None:
     for parameter in PARAMETERS:
         assert parameter.check(parameter.default) == parameter.default
@@ -84,8 +94,9 @@ def test_a_calibration_is_read_anew_without_the_other_files(tmp_path: Path) -> N
     assert again.layout is config.layout
 
 
-def test_the_shipped_file_is_the_default_configuration() -> None:
-    shipped, default = SkinConfig.of(read_file(ROOT / "config" / "skin.yaml")), SkinConfig.of({})
+def test_the_shipped_file_is_the_default_configuration_scrambled() -> None:
+    shipped = SkinConfig.of(read_file(ROOT / "config" / "skin.yaml"))
+    default = SkinConfig.of({"scramble": True})
     for name in (field.name for field in fields(SkinConfig)):
         if name not in ("calibration", "layout"):  # arrays
             assert getattr(shipped, name) == getattr(default, name)
@@ -159,6 +170,10 @@ def test_zero_amplitude_means_learnt_and_minus_one_natural_signs() -> None:
     [
         ("nodes: 16", "no 'ros__parameters' section"),
         ("/**: {ros__parameters: {nodess: 3}}", "did you mean 'nodes'"),
+        (
+            "/**: {ros__parameters: {roll_call: false}}",
+            "line 1: the parameter roll_call is gone: nodes keep time by the sync line now",
+        ),
         ("/**: {ros__parameters: {nodes: 0}}", "nodes is 0"),
         ("/**:\n  ros__parameters:\n    bits: 99\n", "line 3: bits is 99"),
         ("/**: {ros__parameters: {skin: {a: 1}}}", "keys with values"),
@@ -215,14 +230,14 @@ def test_values_have_the_types_that_ros_reads(tmp_path: Path) -> None:
     path = tmp_path / "types.yaml"
     path.write_text(
         "/**: {ros__parameters: {chip_us: 5e1, frame_period_ms: 20, sign_seed: 0x10, parity: yes,\n"
-        "  roll_call: OFF, digitizer_id: '0', mount_xyz_m: [1, -.5, 2.], skin: a b}}"
+        "  nodes_repeat: OFF, digitizer_id: '0', mount_xyz_m: [1, -.5, 2.], skin: a b}}"
     )
     assert read_file(path) == {
         "chip_us": 50.0,
         "frame_period_ms": 20.0,
         "sign_seed": 16,
         "parity": True,
-        "roll_call": False,
+        "nodes_repeat": False,
         "digitizer_id": "0",
         "mount_xyz_m": (1.0, -0.5, 2.0),
         "skin": "a b",

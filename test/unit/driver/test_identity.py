@@ -170,7 +170,7 @@ def test_a_recording_is_of_the_right_board_only(
 def test_values_of_one_board_are_not_those_of_another() -> None:
     """It answers in mid-stream, on a cable that was moved: its nodes have not spoken yet."""
     config, digitizer, writer = SkinConfig.of({}), Digitizer(), PacketWriter()
-    info, pipeline = introduction(config, digitizer), Pipeline(config, background=False)
+    info, pipeline = introduction(config, digitizer), Pipeline(config)
     valid = []
     for number, share in ((1, 1.0), (2, 0.0)):
         said = render(Skin(), Saying(share=share), Line(), digitizer, 5, seed=1)

@@ -257,7 +257,7 @@ def test_indices_of_any_size_give_the_same_frames(params: dict, begin: int) -> N
             "timing is 'line': connect the sync wire",
         ),
         ("drive=unipolar&bits=8", {}, r"bits 8 .*drive unipolar \(parameters: bipolar\)"),
-        ("scramble=true", {}, r"signs scrambled \(parameters: seeded\)"),
+        ("scramble=true", {}, r"scramble true \(parameters: scramble false\)"),
     ],
 )
 def test_a_digitizer_set_otherwise_is_reported_and_not_decoded(

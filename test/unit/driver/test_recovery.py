@@ -48,7 +48,7 @@ class Talk:
 
     def __init__(self, config: SkinConfig) -> None:
         self.config, self.now_s, self.frames = config, 50.0, list[TactileFrame]()
-        self.pipeline, self.session = Pipeline(config, background=False), Session(config)
+        self.pipeline, self.session = Pipeline(config), Session(config)
         self.deaf_until_s = self.mute_until_s = self.delay_s = 0.0
         self._under_way: deque[tuple[float, bytes]] = deque()
         self._sent = b""

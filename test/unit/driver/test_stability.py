@@ -166,7 +166,7 @@ def test_whatever_samples_come_every_reading_is_in_range_or_flagged(
         per_chip = 4
     values = {"samples_per_chip": per_chip, "timing": timing, "amplitude_mv": amplitude}
     config, rng = SkinConfig.of(values), np.random.default_rng(seed)
-    pipeline, writer = Pipeline(config, background=False), PacketWriter()
+    pipeline, writer = Pipeline(config), PacketWriter()
     pipeline.feed(b"\0" + writer.encode(info_of(config, volts_per_count)), 0.0)
     assert pipeline.problem is None
     at, frames = 0, []

@@ -2,7 +2,7 @@
 
 """The stream in the kernel gives what the one in numpy gives, to the bit, whatever happens."""
 
-import gc
+import math
 import os
 import threading
 from contextlib import suppress
@@ -15,20 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
-from tactile_cdma.code.transform import compiled_transform
+from tactile_cdma.code.transform import CompiledTransform
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.compiled_stream import CLOCKS_OF_NODES, CompiledStream, _rules
+from tactile_cdma.driver.compiled_stream import CompiledStream, _rules
 from tactile_cdma.driver.description import Description
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.session import Session
 from tactile_cdma.driver.stream import Decisions, NumpyStream
 from tactile_cdma.driver.timeline import Answer
 from tactile_cdma.framing.line_timing import CARRIED_FRAMES
 from tactile_cdma.readings import taxels
-from tactile_cdma.sim.digitizer import VirtualDigitizer
-from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Result
-from tactile_cdma.wire.messages import WIRE, Ack, Info, Packed, Quiet, RollCall, Samples, Status
+from tactile_cdma.wire.messages import WIRE, Ack, Info, Packed, Quiet, Samples, Status
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from test.support.examples import examples
 from test.support.same_frames import assert_same
@@ -60,13 +57,13 @@ def outcome(pipeline: Pipeline, data: bytes, chunk: int) -> tuple[list[TactileFr
     health = pipeline.health
     learnt = health.invalid.tolist(), health.suspect.tolist(), str(health.swing_v)
     counted = pipeline.counters, pipeline.packet_counts, pipeline.rejections
-    return frames, (*counted, pipeline.digitizer, pipeline.clocks, learnt)
+    return frames, (*counted, pipeline.digitizer, learnt)
 
 
 def compare(config: SkinConfig, data: bytes, chunk: int = 997) -> Pipeline:
     """Decode a stream both ways; returns the pipeline of the kernel's."""
-    pipeline = Pipeline(config, background=False)
-    reference = Pipeline(config, background=False, compiled=False)
+    pipeline = Pipeline(config)
+    reference = Pipeline(config, compiled=False)
     assert isinstance(pipeline.stream, CompiledStream)
     assert isinstance(reference.stream, NumpyStream)
     frames, told = outcome(pipeline, data, chunk)
@@ -142,7 +139,7 @@ def test_frames_are_those_of_numpy(parameters: dict[str, object], options: str) 
 def test_nearly_all_frames_of_a_sound_skin_are_decided_by_the_kernel(
     parameters: dict[str, object], options: str
 ) -> None:
-    pipeline = Pipeline(SkinConfig.of(parameters), background=False)
+    pipeline = Pipeline(SkinConfig.of(parameters))
     outcome(pipeline, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 200), 997)
     assert pipeline.decisions.compiled > 195 - (200 // CARRIED_FRAMES + 1)
     assert pipeline.decisions.python_share < 0.05
@@ -176,7 +173,7 @@ def test_words_of_a_sound_skin_are_read_in_one_call(
 def test_why_frames_are_decided_in_python_is_told(
     parameters: dict[str, object], options: str, reason: str
 ) -> None:
-    pipeline = Pipeline(SkinConfig.of(parameters), background=False)
+    pipeline = Pipeline(SkinConfig.of(parameters))
     outcome(pipeline, sent(tuple(parameters.items()), f"sim://?seed=1&{options}", 60), 997)
     assert pipeline.decisions.in_python.most_common(1)[0][0] == reason
     assert pipeline.decisions.python_share > 0.9
@@ -185,7 +182,7 @@ def test_why_frames_are_decided_in_python_is_told(
 
 def test_decisions_are_counted_from_any_moment() -> None:
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
-    pipeline = Pipeline(config, background=False)
+    pipeline = Pipeline(config)
     pipeline.feed(data[: len(data) // 3], 1.0)
     before = pipeline.decisions.since(Decisions())
     copied = before.compiled, before.reasons
@@ -203,7 +200,7 @@ def test_decisions_are_counted_from_any_moment() -> None:
 def test_any_split_gives_the_same(parameters: dict[str, object], chunk: int) -> None:
     config = SkinConfig.of(parameters)
     data = sent(tuple(parameters.items()), "sim://?seed=1&scene=moving", 40)
-    whole, parts = Pipeline(config, background=False), Pipeline(config, background=False)
+    whole, parts = Pipeline(config), Pipeline(config)
     expected = whole.feed(data, 1.0) + whole.flush()
     frames = [
         frame
@@ -286,7 +283,6 @@ SPOILT = {
     "a mark is missing": lambda n, p: other(p, sync=False) if is_samples(p) and n == 100 else p,
     "a mark too many": lambda n, p: other(p, sync=True) if is_samples(p) and n == 101 else p,
     "samples were lost": lambda n, p: other(p, overrun=True) if is_samples(p) and n == 100 else p,
-    "a roll call": lambda n, p: other(p, called=True) if is_samples(p) and n > 100 else p,
     "a packet is missing": lambda n, p: None if n == 100 else p,
     "time stands still": lambda n, p: (
         other(p, device_time_us=1000) if is_samples(p) and n > 100 else p
@@ -334,23 +330,6 @@ def test_packets_that_do_not_go_on_cost_the_same(what: str, options: str) -> Non
     compare(SkinConfig.of(SMALL), data)
 
 
-@pytest.mark.parametrize("options", ["clock_spread=0.01&delay_spread=0.5", "clock_spread=5e-5"])
-def test_a_roll_call_gives_the_same(options: str) -> None:
-    """Also of nodes whose clocks decide how every frame is read."""
-    config, data = SkinConfig.of(SMALL), b""
-    url = f"sim://?scene=all&threshold=0&speed=0&{options}"
-    digitizer = VirtualDigitizer(SimOptions.from_url(url), clock=lambda: 0.0)
-    digitizer.receive(Session(config).open())
-    for count in (20, 200):
-        for _ in range(count):
-            digitizer.advance(1)
-            data += digitizer.take(digitizer.pending)
-        digitizer.receive(PacketWriter(50).encode(RollCall()))
-    pipeline = compare(config, data)
-    assert pipeline.clocks is not None and pipeline.clocks.heard == 16
-    assert pipeline.decisions.in_python[CLOCKS_OF_NODES] >= 16
-
-
 @pytest.mark.parametrize("parameters", [SMALL, CHIPS])
 def test_packed_samples_are_followed_like_others(parameters: dict[str, object]) -> None:
     """Frame for frame the same, and by the kernel, though packets come in either form."""
@@ -367,8 +346,8 @@ def test_packed_samples_are_followed_like_others(parameters: dict[str, object]) 
     assert len(packed) < 0.85 * len(data)
     pipeline = compare(config, packed)
     assert pipeline.decisions.python_share < 0.05
-    plain, _ = outcome(Pipeline(config, background=False), data, 997)
-    frames, _ = outcome(Pipeline(config, background=False), packed, 997)  # at other times
+    plain, _ = outcome(Pipeline(config), data, 997)
+    frames, _ = outcome(Pipeline(config), packed, 997)  # at other times
     assert len(frames) == len(plain)
     for one, other in zip(frames, plain, strict=True):
         np.testing.assert_array_equal(one.words.codes, other.words.codes)
@@ -397,7 +376,7 @@ def test_a_line_that_is_stuck_at_a_rail_is_not_called_silent(options: str) -> No
 def test_frames_that_are_kept_stay_what_they_were() -> None:
     """Frames share no memory, though the kernel writes all correlations to one place."""
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=all&threshold=0", 20)
-    pipeline = Pipeline(config, background=False)
+    pipeline = Pipeline(config)
     pipeline.stream.give(data, 1.0, False)
     kept, copies = [], []
     needs_bytes = False
@@ -426,8 +405,8 @@ def wait_for_frames(pipeline: Pipeline, reader: int, count: int) -> list[Tactile
 @pytest.mark.parametrize("compiled", [True, False])
 def test_reading_a_file_gives_what_giving_bytes_gives(compiled: bool) -> None:
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
-    expected = Pipeline(config, background=False).feed(data, 1.0)
-    pipeline = Pipeline(config, background=False, compiled=compiled)
+    expected = Pipeline(config).feed(data, 1.0)
+    pipeline = Pipeline(config, compiled=compiled)
     reader, writer = os.pipe()
 
     def write() -> None:
@@ -474,7 +453,7 @@ def test_bytes_that_are_no_packets_do_not_hold_up_who_reads_them(compiled: bool)
 
 def test_counts_may_be_read_while_another_thread_waits() -> None:
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
-    pipeline = Pipeline(config, background=False)
+    pipeline = Pipeline(config)
     pipeline.feed(data[: len(data) // 4], 1.0)
     before = pipeline.packet_counts
     reader, writer = os.pipe()
@@ -499,8 +478,8 @@ def test_counts_may_be_read_while_another_thread_waits() -> None:
 
 def test_bytes_that_were_read_are_decoded_before_others_are_left_out() -> None:
     config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")
-    expected = Pipeline(config, background=False).feed(data, 1.0)
-    pipeline = Pipeline(config, background=False)
+    expected = Pipeline(config).feed(data, 1.0)
+    pipeline = Pipeline(config)
     half = len(data) // 2
     frames = pipeline.feed(data[:half], 1.0)
     reader, writer = os.pipe()
@@ -516,59 +495,47 @@ def test_bytes_that_were_read_are_decoded_before_others_are_left_out() -> None:
         np.testing.assert_array_equal(one.readings.pressure_pa, other_one.readings.pressure_pa)
 
 
-def test_arguments_that_do_not_fit_are_refused() -> None:
-    assert kernel.compiled is not None
-    config = SkinConfig.of(SMALL)
-    rules = _rules(Description(INFO, config, background=False), frames=True)
-    flips, rows = np.empty(0, np.float32), np.empty((10, 20), np.float32)
-    transform = compiled_transform(config.spec.book.plan, spreading=False)
-    with pytest.raises(TypeError, match="scanner: a Scanner of the kernel"):
-        kernel.compiled.Stream(3)
-    made = kernel.compiled.Stream(PacketParser().scanner)
-    with pytest.raises(TypeError, match="transform: a Transform of the kernel"):
-        made.describe(rules, made, flips, rows)
-    with pytest.raises(ValueError, match=r"stream_rules: .* bytes of settings"):
-        made.describe(rules["size"], transform, flips, rows)
-    with pytest.raises(ValueError, match="rows: "):
-        made.describe(rules, transform, flips, rows[:, :4].copy())
-    with pytest.raises(ValueError, match="rows: "):
-        made.describe(rules, compiled_transform((2, 2), spreading=False), flips, rows)
-    with pytest.raises(ValueError, match="flips: "):
-        made.describe(rules, transform, rows[0].copy(), rows)
-    for name, wrong in {
-        "nodes": 0,
-        "first": 5,
-        "chip": np.nan,
-        "rate_hz": -1,
-        "gap_size": 0,
-    }.items():
-        with pytest.raises(ValueError, match="rows: "):
-            spoilt = rules.copy()
-            spoilt[name] = wrong
-            made.describe(spoilt, transform, flips, rows)
-    made.describe(rules, transform, flips, rows)
-    timing = {"due": 1000, "over": 900, "uses": 1, "asks": False, "has_frame": True, "chip": 4.0}
+def test_settings_that_do_not_fit_are_refused() -> None:
+    made = CompiledStream(PacketParser(), Decisions())
+    rules = _rules(Description(INFO, SkinConfig.of(SMALL)), frames=True).at
+    transform = CompiledTransform(SkinConfig.of(SMALL).spec.book.plan, spreading=False)
+    code = kernel.ffi.new("struct frame_code *", {"transform": transform.at})
+    rows = kernel.pointer(np.empty((10, 20), np.float32), 10, 20)
+    nodes = rules.frame.frame.nodes
+    for struct, name, wrong in (
+        (rules.frame.frame, "nodes", 0),
+        (rules.frame.frame, "first", 5),
+        (rules.frame.frame, "order", 16),
+        (rules.frame, "chip", math.nan),
+        (rules, "rate_hz", -1),
+        (rules, "gap_size", 0),
+    ):
+        right = getattr(struct, name)
+        setattr(struct, name, wrong)
+        with pytest.raises(ValueError, match=r"stream_describe: .* does not fit the frames"):
+            made._answer("stream_describe", rules, code, rows)
+        setattr(struct, name, right)
+    assert rules.frame.frame.nodes == nodes
+    made._answer("stream_describe", rules, code, rows)
+    timing = {"due": 1000, "over": 900, "uses": 1, "has_frame": True, "chip": 4.0}
     timing |= {"until": 950.0, "heard": 800, "tail": 900, "tail_end": 910}
-    edges = np.arange(3, dtype=np.int32), np.zeros(3), np.ones(2), np.zeros(200, np.int32)
-    made.carry(kernel.settings("stream_timing", **timing), *edges)
+    edges = kernel.ffi.new("struct frame_edges *")
+    made._answer("stream_carry", kernel.struct("stream_timing", **timing).at, edges)
     for change in ({"due": 0}, {"over": 1 << 40}, {"tail": 700}, {"until": np.nan}, {"heard": 0}):
-        with pytest.raises(ValueError, match=r"due, over: |edges: "):
-            made.carry(kernel.settings("stream_timing", **timing | change), *edges)
-    with pytest.raises(ValueError, match="edges: "):
-        made.carry(kernel.settings("stream_timing", **timing), *edges[:3], edges[0])
+        spoilt = kernel.struct("stream_timing", **timing | change).at
+        with pytest.raises(ValueError, match=r"stream_carry: .* does not fit the frames"):
+            made._answer("stream_carry", spoilt, edges)
+
+
+def test_answers_that_nobody_asked_for_are_refused() -> None:
+    made = CompiledStream(PacketParser(), Decisions())
     made.give(b"\1\2", 0.0, False)
     with pytest.raises(RuntimeError, match="not used up"):
         made.give(b"\3", 0.0, False)
     for answer, arguments in (
-        (made.open, (1,)),
-        (made.decide, (1, 2, 0.0, 0.0)),
-        (made.look, (1,)),
+        ("stream_decide", (1, 2, 0.0, 0.0)),
+        ("stream_look", (1,)),
+        ("stream_place", (Answer.TAKE, 0, False, 0.0, 0.0, made._cut_short)),
     ):
-        with pytest.raises(ValueError, match="nothing of the kind was asked"):
-            answer(*arguments)
-    with pytest.raises(ValueError, match="nothing of the kind was asked"):
-        made.place(Answer.TAKE, 0, False, 0.0, 0.0)
-    with pytest.raises(ValueError, match="answer: "):
-        made.place(17, 0, False, 0.0, 0.0)
-    del made, answer
-    gc.collect()
+        with pytest.raises(ValueError, match=f"{answer}: not asked for"):
+            made._answer(answer, *arguments)

@@ -29,7 +29,7 @@ def heard(
 ) -> list[TactileFrame]:
     """Frames of a stream whose packets of samples are edited, by the number of the frame."""
     config = SkinConfig.of(parameters)  # type: ignore[arg-type]
-    pipeline, writer = Pipeline(config, background=False, compiled=compiled), PacketWriter()
+    pipeline, writer = Pipeline(config, compiled=compiled), PacketWriter()
     found, number = [], -1
     for packet in PacketParser().feed(stream(config, url, frames)):
         kept: Received | None = packet
@@ -111,18 +111,6 @@ def test_after_a_restart_of_the_stream_every_node_is_unheard(compiled: bool) -> 
     assert [unheard(f) for f in frames[25:38]] == [0] * 13
     assert max(map(unheard, frames[38:45])) >= 14
     assert unheard(frames[-1]) == 0
-
-
-def test_in_a_roll_call_silence_says_nothing(compiled: bool) -> None:
-    """Whoever is not called is silent, whatever presses."""
-
-    def called(number: int, packet: Samples | Quiet) -> Samples | Quiet:
-        return replace(packet, called=True) if 40 <= number < 44 else packet
-
-    frames = heard(called, compiled)
-    before, during = frames[35], frames[42]
-    assert unheard(before) == 0
-    assert unheard(during) == 16
 
 
 def test_a_clock_that_begins_anew_leaves_nothing_held() -> None:

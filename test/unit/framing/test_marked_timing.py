@@ -5,7 +5,13 @@
 import numpy as np
 
 from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.framing.marked_timing import MarkedFrame, MarkedLine, MarkedTiming, Verdict
+from tactile_cdma.framing.marked_timing import (
+    CarriedTiming,
+    MarkedFrame,
+    MarkedLine,
+    MarkedTiming,
+    Verdict,
+)
 from tactile_cdma.framing.timing import MISFIT, QuietBlock, SampleBlock
 
 SPEC = FrameSpec()
@@ -18,15 +24,10 @@ class Scripted:
     def __init__(self, line: MarkedLine) -> None:
         self.line = line
         self.verdicts: list[Verdict] = []
-        self.opened: list[tuple[int, bool, int | None]] = []
         self.frames: list[tuple[int, int, bool]] = []
         self.asked: list[int] = []
         self.forgotten = 0
-        self.carried = None
-
-    def open(self, start: int, called: bool, since: int | None) -> int:
-        self.opened.append((start, called, since))
-        return self.line.size
+        self.carried = CarriedTiming(line.size)
 
     def recognise(self, frame: MarkedFrame) -> Verdict:
         self.frames.append((frame.start, frame.volts.size, frame.final))
@@ -45,8 +46,8 @@ def scripted() -> tuple[MarkedTiming, Scripted]:
     return MarkedTiming(line, recogniser), recogniser
 
 
-def block(index: int, size: int = PERIOD, called: bool = False) -> SampleBlock:
-    return SampleBlock(index, np.zeros(size, np.float32), sync=True, called=called)
+def block(index: int, size: int = PERIOD) -> SampleBlock:
+    return SampleBlock(index, np.zeros(size, np.float32), sync=True)
 
 
 def test_a_recogniser_gets_the_samples_that_it_asks_for() -> None:
@@ -72,20 +73,6 @@ def test_rejections_are_counted_and_told() -> None:
     recogniser.verdicts = [Verdict(rejected=MISFIT)]
     assert timing.feed(block(0)) == []
     assert (timing.rejections.total, recogniser.forgotten) == (1, 1)
-
-
-def test_frames_are_opened_with_their_distance_unless_a_hole_lies_between() -> None:
-    timing, recogniser = scripted()
-    timing.feed(block(0))
-    timing.feed(block(PERIOD, called=True))
-    timing.quiet(QuietBlock(2 * PERIOD, PERIOD, 0.0, 1e-6, sync=True))
-    timing.feed(block(4 * PERIOD))
-    assert recogniser.opened == [
-        (0, False, None),
-        (PERIOD, True, PERIOD),
-        (2 * PERIOD, False, PERIOD),
-        (4 * PERIOD, False, None),
-    ]
 
 
 def test_a_recogniser_is_told_how_many_frames_it_was_not_asked_about() -> None:

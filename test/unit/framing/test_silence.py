@@ -55,7 +55,7 @@ def packets(config: SkinConfig, query: str, seconds: float, quiet: int) -> list[
 
 
 def decoded(config: SkinConfig, received: list[object]) -> tuple[Pipeline, list[TactileFrame]]:
-    pipeline, writer = Pipeline(config, background=False), PacketWriter()
+    pipeline, writer = Pipeline(config), PacketWriter()
     return pipeline, [f for p in received for f in pipeline.feed(writer.encode(p), 0.0)]
 
 

@@ -101,7 +101,7 @@ def test_a_replay_is_decoded_bit_for_bit_as_it_was_live(live: Live, speed: float
 
 def test_decoding_the_file_gives_the_same(live: Live) -> None:
     path, frames = live
-    offline = list(raw_frames(path, Pipeline(CONFIG, background=False)))
+    offline = list(raw_frames(path, Pipeline(CONFIG)))
     assert_same(offline[: len(frames)], frames, at_host=False)
     assert len(offline) - len(frames) in (0, 1)  # at the end of a file a last frame is given up
     for one, other in zip(offline, frames, strict=False):

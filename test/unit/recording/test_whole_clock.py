@@ -241,7 +241,7 @@ def test_a_crystal_that_warms_up_is_followed_for_hours() -> None:
 def test_a_recording_that_grows_meanwhile_is_stamped_to_its_end(tmp_path: Path) -> None:
     first, second = session(100), session(100, begin_s=100 * PERIOD_S + 0.7)
     clocks = fitted_clocks(CONFIG, read_bytes(write(tmp_path / "a.skin", first)))
-    pipeline = Pipeline(CONFIG, background=False, clocks=clocks)
+    pipeline = Pipeline(CONFIG, clocks=clocks)
     grown = write(tmp_path / "b.skin", first, second)
     stamps_s = [f.t_host for data, t in read_bytes(grown) for f in pipeline.feed(data, t)]
     assert len(stamps_s) > 160

@@ -30,7 +30,7 @@ def test_every_option_can_be_given() -> None:
         "&samples_per_chip=8&timing=line&integrated=0&offset=-0.2&jitter=0.05&threshold=3"
         "&heartbeat=10&speed=0&adc_bits=10&rail=2.5&rows=3&columns=4&pitch_mm=5&start_phase=0.5"
         "&parity=1&resync_chips=32&guard_chips=1&scramble=0&codes=orthogonal"
-        "&clock_spread=0.01&delay_spread=0.5&drift=1e-6"
+        "&clock_spread=0.01&delay_spread=0.5"
         "&sensor=paper&hysteresis=2&mismatch=0.05&warming=20&sensor_noise=0.002&dead=3,12&stuck=5"
         "&dead_after=2.5&layout="
     )
