@@ -153,13 +153,13 @@ class Detector:
         return loudness
 
     def learn(self, noise: float, found: float) -> float:
-        """The noise, V², after a frame of so much: as the kernel does it."""
+        """Return the noise, V², after a frame of so much."""
         assert self.kernel is not None
         return float(kernel.compiled.sparse_learn(self.kernel.at, noise, found))
 
 
 def _compiled(spec: FrameSpec, rules: kernel.Held) -> kernel.Held:
-    """The kernel's struct sparse."""
+    """Make the kernel's struct sparse."""
     assert spec.flips is not None
     bits, order, pointer = spec.line_bits, spec.order, kernel.pointer
     walsh = CompiledTransform(spec.book.plan, spreading=True)

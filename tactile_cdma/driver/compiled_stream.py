@@ -206,7 +206,7 @@ class CompiledStream:
             raise ValueError(f"{function}: not asked for, does not fit the frames, or no memory")
 
     def _decided(self, is_heard: bool) -> FrameLevels:
-        """A frame that the kernel has decided."""
+        """Return a frame that the kernel has decided."""
         line, found, about = self._line, self._found, self._about
         assert line is not None, "only marked frames are found in the kernel"
         known, start = self._rest.known, about.start
@@ -274,7 +274,7 @@ class CompiledStream:
         self._answer("stream_look", timing.due)
 
     def _volts(self) -> Floats32:
-        """The samples that the kernel hands on: they are lent until it is answered."""
+        """Return the samples that the kernel hands on: they are lent until it is answered."""
         about = self._about
         return np.frombuffer(kernel.ffi.buffer(about.volts, 4 * about.count), np.float32)
 

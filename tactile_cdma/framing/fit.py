@@ -361,7 +361,7 @@ def even_words(line: Line, fit: Fit, spec: FrameSpec, words: WordFit) -> WordFit
 
 
 class Code(kernel.Held):
-    """How the kernel spreads and correlates frames of a specification: its struct fit_code.
+    """Tells the kernel how frames of a specification are spread and read: its struct fit_code.
 
     refining: how it refines their fit, its struct fit_refining.
     """

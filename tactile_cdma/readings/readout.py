@@ -46,7 +46,7 @@ class Kept(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What the kernel reads of a frame: of n nodes, and of t taxels.
+    """Holds what the kernel reads of a frame: of n nodes, and of t taxels.
 
     words: (3, n) float32, amplitude, V, ρ and margin. flags: (4, n) bool, active nodes, and
     doubtful, doubled and odd words. readings: (2, t) float32, pressure, Pa, and voltage, V. codes:
@@ -61,7 +61,7 @@ class Frame(NamedTuple):
 
 
 class Readout(kernel.Held):
-    """The kernel's struct readout for a skin, and the arrays that it shares with the stages.
+    """Keeps the kernel's struct readout for a skin, and the arrays that it shares with the stages.
 
     So any frame may be read either way: by it, or by `decode`, NodeHealth and Taxels.update.
 
@@ -183,7 +183,7 @@ class Readout(kernel.Held):
         return look
 
     def found(self) -> Frame:
-        """The frame that was read last."""
+        """Return the frame that was read last."""
         words, flags, readings, codes, status = self._found
         return Frame(words.copy(), flags.copy(), readings.copy(), codes.copy(), status.copy())
 
