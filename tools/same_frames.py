@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.codes import code_book
-from tactile_cdma.code.transform import compiled_transform
+from tactile_cdma.code.transform import CompiledTransform
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.same_frames import assert_same
 from test.support.simulated import run, stream
@@ -53,9 +53,9 @@ def transforms(values: dict[int, NDArray[np.float32]]) -> dict[int, bytes]:
     for order, chips in values.items():
         results = set()
         for lanes in (1, 4, 8):
-            if lanes <= kernel.compiled.LANES:
+            if lanes <= kernel.compiled.transform_lanes():
                 out = np.empty_like(chips)
-                compiled_transform(code_book(order).plan, False, lanes).multiply(chips, out)
+                CompiledTransform(code_book(order).plan, False, lanes).multiply(chips, out)
                 results.add(out.tobytes())
         if len(results) > 1:
             raise SystemExit(f"order {order}: the bits depend on the number of lanes")

@@ -132,7 +132,7 @@ class PacketParser:
 
 
 class CompiledScanner(kernel.Held):
-    """What PacketParser does with bytes, without knowing what packets mean: kernel/scanner.h."""
+    """Does what PacketParser does with bytes, without knowing what they mean: kernel/scanner.h."""
 
     def __init__(self, most_repeated: int) -> None:
         made = kernel.compiled.scanner_new(most_repeated)
@@ -140,15 +140,15 @@ class CompiledScanner(kernel.Held):
         self._told = kernel.compiled.scanner_told(made)
 
     def counts(self) -> dict[str, int]:
-        """The fields of Counters that a scanner knows."""
+        """Return the fields of Counters that a scanner knows."""
         return {name: getattr(self._told, name) for name in _SCANNED}
 
     def held(self) -> int:
-        """Bytes of an incomplete packet that are held back."""
+        """Count the bytes of an incomplete packet that are held back."""
         return int(kernel.compiled.scanner_held(self.at))
 
     def feed(self, data: bytes) -> list[Found]:
-        """Type, sequence and payload of the packets that these bytes complete."""
+        """Return type, sequence and payload of the packets that these bytes complete."""
         library, packets, taken = kernel.compiled, [], 0
         packet, given = kernel.ffi.new("struct scanner_packet *"), kernel.ffi.from_buffer(data)
         at = kernel.ffi.cast("uint8_t *", given)
@@ -165,7 +165,7 @@ class CompiledScanner(kernel.Held):
 
 
 def content_of(packet: Any) -> Found:
-    """What the kernel's struct scanner_packet holds."""
+    """Return what the kernel's struct scanner_packet holds."""
     library, ffi = kernel.compiled, kernel.ffi
     samples = library.scanner_samples(packet)
     payload: bytes | SampleBytes

@@ -41,7 +41,7 @@ def compiled_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
 
 
 def failure_of(reader: Any) -> OSError:
-    """Why the kernel's struct reader could not read."""
+    """Return why the kernel's struct reader could not read."""
     failure = reader.failure
     return OSError("end of file") if failure < 0 else OSError(failure, os.strerror(failure))
 
