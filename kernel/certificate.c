@@ -8,7 +8,7 @@
 
 #include "sums.h"
 
-#define SIDE 2            /* chips beside a frame that are looked at, and by which things may be off */
+#define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
 #define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
 #define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
 
@@ -27,6 +27,7 @@ struct certifier {
     float *level;  /* (k) of each bit, V */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
+    float beside[2 * CERTIFICATE_MOST_BESIDE]; /* V, what is left beside the frame */
     struct words_measures measures;
 };
 
@@ -143,8 +144,9 @@ VECTORS static void take_off(const float *from, float share, size_t size, float 
         left[i] -= share * from[i];
 }
 
-/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. */
-static void take_leakage(const struct certifier *certifier, float *beside)
+/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two.
+ * chip_before, chip_after: next to the frame. */
+static void take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
 {
     const float *model = certifier->model;
     float *left = left_of(certifier);
@@ -163,12 +165,12 @@ static void take_leakage(const struct certifier *certifier, float *beside)
     early = fmin(fmax(early, -most), most);
     take_off(model, (float)late, chips - 1, left + 1);
     take_off(model + 1, (float)early, chips - 1, left);
-    beside[1] -= (float)early * model[0];
-    beside[2] -= (float)late * model[chips - 1];
+    *chip_before -= (float)early * model[0];
+    *chip_after -= (float)late * model[chips - 1];
 }
 
 /* The chips beside a frame without the level that goes on there; of unipolar drive it ends with the words. */
-static void level_beside(const struct certifier *certifier, float *beside)
+static void level_beside(const struct certifier *certifier, size_t side, float *beside)
 {
     const struct code *code = &certifier->code;
     const float *level = certifier->level;
@@ -177,9 +179,9 @@ static void level_beside(const struct certifier *certifier, float *beside)
     if (code->unipolar)
         return;
     float before = level[0] + 0.5f * (level[0] - level[1]), after = level[last] + 0.5f * (level[last] - level[last - 1]);
-    for (size_t i = 0; i < SIDE; i++) {
+    for (size_t i = 0; i < side; i++) {
         beside[i] -= before;
-        beside[SIDE + i] -= after;
+        beside[side + i] -= after;
     }
 }
 
@@ -226,7 +228,8 @@ struct reading {
     double total, left;           /* sum of squares of what is left, and over `free` */
     double more;                  /* that edges of the words may leave */
     size_t speakers;
-    float beside[2 * SIDE];       /* what is left beside the frame; NaN where not seen */
+    const float *before, *after;  /* what is left of `side` chips beside the frame; NaN where not seen */
+    size_t side;
 };
 
 /* Factor by which a mean of so many squares may exceed that of noise; cube root of Wilson and Hilferty 1931. */
@@ -309,7 +312,7 @@ static double twin(const struct certifier *certifier, const struct reading *read
     const struct code *code = &certifier->code;
     const size_t bits = code->bits, order = code->order, lag = (size_t)abs(twin->shift);
     const float *sent = certifier->rows + code->first + twin->sent;
-    const float *beside = twin->shift > 0 ? reading->beside + SIDE : reading->beside + SIDE - lag;
+    const float *beside = twin->shift > 0 ? reading->after : reading->before + reading->side - lag;
     bool seen = !isnan(beside[0]) && !isnan(beside[lag - 1]);
     double sum = 0;
 
@@ -342,8 +345,9 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
     double least = fmax(certifier->limits.atom * reading->least, noise);
 
     for (size_t i = 0; i < SIDE; i++) {
-        certifier->padded[i] = isnan(reading->beside[i]) ? 0 : reading->beside[i];
-        left_of(certifier)[chips + i] = isnan(reading->beside[SIDE + i]) ? 0 : reading->beside[SIDE + i];
+        float before = reading->before[reading->side - SIDE + i], after = reading->after[i];
+        certifier->padded[i] = isnan(before) ? 0 : before;
+        left_of(certifier)[chips + i] = isnan(after) ? 0 : after;
     }
     for (size_t shift = 0; shift < SHIFT_COUNT; shift++) {
         float *rows = certifier->work;
@@ -392,8 +396,9 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
 {
     const struct code *code = &certifier->code;
     const size_t chips = code->bits * code->order;
-    const float *beside = shift > 0 ? reading->beside + SIDE : reading->beside + SIDE + shift;
-    const size_t lag = (size_t)abs(shift), hidden = shift > 0 ? chips - lag : 0;
+    const size_t lag = (size_t)abs(shift);
+    const float *beside = shift > 0 ? reading->after : reading->before + reading->side - lag;
+    const size_t hidden = shift > 0 ? chips - lag : 0;
     bool seen = true;
 
     for (size_t i = 0; i < chips; i++) {
@@ -413,35 +418,47 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
     code_rows(code, rows, rows);
 }
 
-/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all. */
-static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words)
+/* Sum of squares of chips beside the frame, where seen. */
+static double sum_beside(const float *beside, size_t count)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < count; i++)
+        sum += isnan(beside[i]) ? 0 : (double)beside[i] * (double)beside[i];
+    return sum;
+}
+
+/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all.
+ * One that leaves out loud chips of this frame is none, nor is any that leaves out more. sign: later, or earlier. */
+static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words,
+                             int sign)
 {
     const struct code *code = &certifier->code;
-    const size_t chips = code->bits * code->order;
+    const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *level = certifier->level;
-    double weakest = reading->weakest, base = reading->total, value = 0;
+    double weakest = reading->weakest, cut = 0, value = 0;
+    double beside = sum_beside(reading->before, side) + sum_beside(reading->after, side);
+    double worse = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
+    double base = reading->total + beside + worse;
     bool differ;
 
-    for (size_t i = 0; i < 2 * SIDE; i++)
-        base += isnan(reading->beside[i]) ? 0 : (double)reading->beside[i] * (double)reading->beside[i];
-    base += 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
-    for (size_t number = 0; number < SHIFT_COUNT; number++) {
-        int shift = SHIFTS[number];
+    for (size_t lag = 1; lag <= side; lag++) {
         float *rows = certifier->work;
-        double cut = 0;
-        read_shifted(certifier, reading, shift, rows);
-        for (size_t i = 0; i < (size_t)abs(shift); i++) {
-            double chip = shift > 0 ? (double)(read[i] - level[0]) : (double)(read[chips - 1 - i] - level[code->bits - 1]);
-            cut += chip * chip;
-        }
-        double left = rows_left(certifier, rows, words, &differ) + cut;
+        double chip = sign > 0 ? (double)(read[lag - 1] - level[0])
+                               : (double)(read[chips - lag] - level[code->bits - 1]);
+        cut += chip * chip;
+        if (cut > base)
+            break;
+        read_shifted(certifier, reading, sign * (int)lag, rows);
+        double covered = sum_beside(sign > 0 ? reading->after : reading->before + side - lag, lag);
+        double left = rows_left(certifier, rows, words, &differ) + cut + beside - covered;
         if (differ)
             value = fmax(value, base / fmax(left, 1e-30));
-        for (size_t bit = 1; abs(shift) == 1 && bit < code->bits; bit++) {
+        for (size_t bit = 1; lag == 1 && bit < code->bits; bit++) {
             memcpy(certifier->other, certifier->rows, bit * code->order * sizeof *rows);
             memcpy(certifier->other + bit * code->order, rows + bit * code->order,
                    (code->bits - bit) * code->order * sizeof *rows);
-            left = rows_left(certifier, certifier->other, words, &differ);
+            left = rows_left(certifier, certifier->other, words, &differ) + beside - covered;
             if (differ)
                 value = fmax(value, base / fmax(left, 1e-30));
         }
@@ -457,8 +474,11 @@ static double rest(const struct certifier *certifier, const struct reading *read
     double least = limits->deviations * sqrt(reading->view->noise) + limits->beside * reading->least, most = 0;
     double mean = 0, variance = 0, bits = (double)code->bits;
 
-    for (size_t i = 0; i < 2 * SIDE; i++)
-        most = isnan(reading->beside[i]) ? most : fmax(most, fabs((double)reading->beside[i]));
+    for (size_t i = 0; i < SIDE; i++) {
+        float before = reading->before[reading->side - 1 - i], after = reading->after[i];
+        most = isnan(before) ? most : fmax(most, fabs((double)before));
+        most = isnan(after) ? most : fmax(most, fabs((double)after));
+    }
     for (size_t bit = 0; bit < code->bits; bit++)
         mean += (double)certifier->level[bit] / bits;
     for (size_t bit = 0; bit < code->bits; bit++)
@@ -562,11 +582,14 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->work);
     code_chips(code, certifier->work, certifier->model);
     leave(certifier, view->chips, left_of(certifier));
-    memcpy(reading.beside, view->beside, sizeof reading.beside);
+    reading.side = view->side;
+    reading.before = certifier->beside;
+    reading.after = certifier->beside + view->side;
+    memcpy(certifier->beside, view->beside, 2 * view->side * sizeof *view->beside);
     if (has_level)
-        level_beside(certifier, reading.beside);
+        level_beside(certifier, view->side, certifier->beside);
     if (reading.speakers)
-        take_leakage(certifier, reading.beside);
+        take_leakage(certifier, certifier->beside + view->side - 1, certifier->beside + view->side);
     double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
     reading.free = fmax((double)chips - taken, 1);
     reading.total = sums_power(left_of(certifier), chips);
@@ -592,8 +615,9 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
     shifted_atoms(certifier, &reading, words, &atoms, &rivals);
     value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
-    if (!code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few)
-        rivals = fmax(rivals, shifted_frames(certifier, &reading, words));
+    for (int sign = -1; sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few;
+         sign += 2)
+        rivals = fmax(rivals, shifted_frames(certifier, &reading, words, sign));
     value[CLAUSE_RIVALS] = rivals;
     value[CLAUSE_REST] = rest(certifier, &reading);
     value[CLAUSE_WORDS] = parts ? 2 : 0;

@@ -45,11 +45,15 @@ struct certificate_limits {
     double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
 };
 
-/* Chips as they were received. beside: two chips before the frame and two after it, V, NaN where not seen. noise: V², of
- * a chip at rest; 0: unknown. level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
+#define CERTIFICATE_MOST_BESIDE 16
+
+/* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two at
+ * least. noise: V², of a chip at rest; 0: unknown. level_unknown: the line's level at rest is, so that a word on row 0
+ * may be it. */
 struct certificate_view {
     const float *chips;
-    float beside[4];
+    size_t side;
+    float beside[2 * CERTIFICATE_MOST_BESIDE];
     double noise;
     bool level_unknown;
 };

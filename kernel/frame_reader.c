@@ -8,7 +8,6 @@
 
 #include "sums.h"
 
-#define SIDE 2       /* chips beside a frame that are looked at */
 #define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
 #define LEARNT 8     /* of these, until then it is unknown */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
@@ -23,7 +22,8 @@ struct frame_reader {
     size_t count;                 /* of those, ever */
     double *sums;                 /* of the samples of a frame */
     size_t room;
-    float *levels;                /* (span + 2·SIDE) V, chips by a fit, with those beside and pauses */
+    size_t begin;                 /* sample at which the frame is expected to begin */
+    float *levels;                /* (span + 2·side) V, chips by a fit, with those beside and pauses */
     float *chips;                 /* (k, N) of these */
     float *scratch;
 };
@@ -38,7 +38,7 @@ struct frame_reader *frame_reader_new(const struct code *code, const struct fram
     reader->code = *code;
     reader->rules = *rules;
     reader->certifier = certifier_new(code, limits, expected, broken);
-    reader->levels = malloc((code->span + 2 * SIDE) * sizeof(float));
+    reader->levels = malloc((code->span + 2 * rules->side) * sizeof(float));
     reader->chips = malloc(code->bits * code->order * sizeof(float));
     reader->scratch = malloc(fit_scratch(code) * sizeof(float));
     if (reader->certifier && reader->levels && reader->chips && reader->scratch)
@@ -63,6 +63,14 @@ void frame_reader_reset(struct frame_reader *reader)
 {
     reader->carried = reader->proposed = (struct fit){0};
     reader->count = 0;
+}
+
+void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter)
+{
+    reader->carried = *fit;
+    reader->rules.earliest = fit->start - scatter;
+    reader->rules.latest = fit->start + scatter;
+    reader->begin = (size_t)fmax(0, ceil(fit->start));
 }
 
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit)
@@ -155,9 +163,10 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
 {
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
-    const float *levels = reader->levels + SIDE;
+    const size_t side = reader->rules.side;
+    const float *levels = reader->levels + side;
 
-    fit_levels(line, fit, reader->rules.refining.blur, SIDE, code->span + 2 * SIDE, reader->levels);
+    fit_levels(line, fit, reader->rules.refining.blur, side, code->span + 2 * side, reader->levels);
     if (code->span == chips)
         memcpy(reader->chips, levels, chips * sizeof *levels);
     else
@@ -268,8 +277,10 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
 {
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
-    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, 0, !rest->known};
+    struct certificate_view view = {.chips = reader->chips, .side = reader->rules.side, .level_unknown = !rest->known};
 
+    for (size_t i = 0; i < 2 * view.side; i++)
+        view.beside[i] = NAN;
     for (size_t i = 0; i < chips; i++)
         reader->chips[i] = volts[i] - (float)found->level;
     view.noise = noise_of_frames(reader);
@@ -305,13 +316,13 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     }
     take_chips(reader, &line, &fit);
     const float *levels = reader->levels;
-    const size_t after = SIDE + reader->code.span;
-    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, rest->noise, !rest->known};
-    for (size_t i = 0; i < SIDE; i++) {
-        if (fit.start - (double)(SIDE - i) * fit.chip > -EDGE - 0.1)
-            view.beside[i] = levels[i];
-        if (end + (double)(i + 1) * fit.chip < (double)count - EDGE + 0.1)
-            view.beside[SIDE + i] = levels[after + i];
+    const size_t side = rules->side, after = side + reader->code.span;
+    struct certificate_view view = {.chips = reader->chips, .side = side, .noise = rest->noise, .level_unknown = !rest->known};
+    for (size_t i = 0; i < side; i++) {
+        bool before_seen = fit.start - (double)(side - i) * fit.chip > -EDGE - 0.1;
+        bool after_seen = end + (double)(i + 1) * fit.chip < (double)count - EDGE + 0.1;
+        view.beside[i] = before_seen ? levels[i] : NAN;
+        view.beside[side + i] = after_seen ? levels[after + i] : NAN;
     }
     /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
     size_t begin = (size_t)fmax(0, ceil(fit.start)), stop = (size_t)fmin((double)count, floor(end));
@@ -326,15 +337,34 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     return certify(reader, &view, power, within, words, found);
 }
 
+void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,
+                            const struct fit *fit, size_t count, double *powers)
+{
+    if (!make_room(reader, size))
+        count = 0;
+    struct fit_line line = {size, volts, reader->sums, level};
+    struct fit at = *fit;
+
+    if (count)
+        fit_sums(volts, size, level, reader->sums);
+    for (size_t i = 0; i < count; i++, at.start += at.chip) {
+        double power;
+        take_chips(reader, &line, &at);
+        double left = certifier_left(reader->certifier, reader->chips, &power);
+        powers[i] = power - left;
+    }
+}
+
 enum frame_look frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
                                   const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
 
     *found = (struct frame_found){.level = rest->level};
-    if (count < rules->size || !make_room(reader, count))
+    const float *frame = volts + reader->begin;
+    if (count < reader->begin + rules->size || !make_room(reader, count))
         return FRAME_INCOMPLETE;
-    struct samples_sums sums = samples_add(volts, rules->size);
+    struct samples_sums sums = samples_add(frame, rules->size);
     double mean = sums.sum / (double)rules->size, power = sums.squares / (double)rules->size;
     if (isnan(power))
         return FRAME_ABSURD;
@@ -344,7 +374,7 @@ enum frame_look frame_reader_read(struct frame_reader *reader, const float *volt
         power -= mean * mean;
     else
         power += found->level * (found->level - 2 * mean);
-    found->clipped = share_clipped(rules, volts, rules->size);
+    found->clipped = share_clipped(rules, frame, rules->size);
     if (found->clipped > rules->clipped)
         return FRAME_AT_RAIL;
     if (power <= rules->silent_power) {
