@@ -79,14 +79,18 @@ void certifier_free(struct certifier *certifier)
 
 /* ---- words ------------------------------------------------------------------------------------- */
 
-/* Words of constant amplitude: rows that hold ±amplitude where a node spoke, (k, N). */
+/* Words of constant amplitude: rows that hold ±amplitude where a node spoke, (k, N); what they hold where it is
+ * broken. */
 VECTORS static void make_symbols(const struct code *code, const float *restrict rows, const float *restrict amplitude,
-                                 const uint8_t *restrict active, float *restrict symbols)
+                                 const uint8_t *restrict active, const uint8_t *restrict broken,
+                                 float *restrict symbols)
 {
     memset(symbols, 0, code->bits * code->order * sizeof *symbols);
     for (size_t at = code->first; at < code->bits * code->order; at += code->order)
-        for (size_t i = 0; i < code->nodes; i++)
-            symbols[at + i] = active[i] ? copysignf(amplitude[i], rows[at + i]) : 0;
+        for (size_t i = 0; i < code->nodes; i++) {
+            float level = rows[at + i], word = active[i] ? copysignf(amplitude[i], level) : 0;
+            symbols[at + i] = broken[i] ? level : word;
+        }
 }
 
 /* Who spoke, and how many; weakest: V, of those. */
@@ -529,6 +533,26 @@ static bool may_be_level(const struct certifier *certifier)
     return positive == 0 || positive == code->bits;
 }
 
+/* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
+ * it says what is wrong with these. */
+static bool is_understood(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const struct certificate_limits *limits = &certifier->limits;
+    double bits = (double)code->bits, share = limits->row * reading->swing, total = reading->total, uneven = 0;
+    double noise = reading->view->noise * most_noise(reading->free, limits->deviations);
+
+    for (size_t i = 0; i < code->nodes; i++) {
+        double amplitude = (double)words->amplitude[i];
+        double over = (double)certifier->measures.squares[i] - bits * amplitude * amplitude;
+        if (words->active[i] && over > bits * share * share) {
+            total -= over * (double)code->order;
+            uneven++;
+        }
+    }
+    return uneven <= limits->uneven * (double)(reading->speakers + 1) && total / reading->free < noise + reading->more;
+}
+
 /* ---- a frame ----------------------------------------------------------------------------------- */
 
 double certifier_left(struct certifier *certifier, const float *chips, double *power)
@@ -579,7 +603,7 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     reading.speakers = find_speakers(certifier, view->noise, words, &reading.weakest);
     reading.swing = isnan(code->swing) ? (double)certifier->expected[0] : (double)code->swing;
     reading.least = fmin(reading.swing, reading.weakest);
-    make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->work);
+    make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->broken, certifier->work);
     code_chips(code, certifier->work, certifier->model);
     leave(certifier, view->chips, left_of(certifier));
     reading.side = view->side;
@@ -591,6 +615,8 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     if (reading.speakers)
         take_leakage(certifier, certifier->beside + view->side - 1, certifier->beside + view->side);
     double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
+    for (size_t i = 0; i < code->nodes; i++)
+        taken += certifier->broken[i] ? (double)code->bits : 0;
     reading.free = fmax((double)chips - taken, 1);
     reading.total = sums_power(left_of(certifier), chips);
     reading.left = fmax(reading.total / reading.free, 1e-12 * reading.swing * reading.swing);
@@ -625,6 +651,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     certificate->noise = noise;
     certificate->swing = reading.swing;
     certificate->speakers = reading.speakers;
+    certificate->understood = is_understood(certifier, &reading, words);
     bool hidden = hides_nodes(certifier, &reading, words, noise);
     for (size_t i = 0; i < code->nodes; i++)
         words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
@@ -632,12 +659,20 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
         words->doubtful[0] = 1;
 }
 
+double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause)
+{
+    size_t worst = 0;
+
+    for (size_t i = 1; i < CERTIFICATE_CLAUSES; i++)
+        if (certificate->value[i] > certificate->value[worst])
+            worst = i;
+    if (clause)
+        *clause = (enum certificate_clause)worst;
+    return certificate->value[worst];
+}
+
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)
 {
-    double most = 0;
-
-    for (size_t clause = 0; clause < CERTIFICATE_CLAUSES; clause++)
-        most = fmax(most, certificate->value[clause]);
-    if (!(most < 1))
+    if (!(certificate_worst(certificate, NULL) < 1))
         memset(words->doubtful, 1, certifier->code.nodes);
 }

@@ -43,6 +43,7 @@ struct certificate_limits {
     double weak;                 /* share below which a word may be a part of one */
     double loud_share;           /* of the loudest word, above which another is a word as well */
     double unknown_noise;        /* noises of a level below which nothing is a word, where A is unknown */
+    double uneven;               /* share of nodes whose words may be uneven in a frame that is understood */
 };
 
 #define CERTIFICATE_MOST_BESIDE 16
@@ -58,16 +59,22 @@ struct certificate_view {
     bool level_unknown;
 };
 
-/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every clause. */
+/* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
+ * clause. understood: but for words of few nodes, which are uneven, the energy is no more than noise. */
 struct certificate {
     double left, noise, swing, value[CERTIFICATE_CLAUSES];
     size_t speakers;
+    bool understood;
 };
+
+/* The value of the clause that is nearest to its limit, or farthest beyond; through `clause`, if not NULL, which. */
+double certificate_worst(const struct certificate *certificate, enum certificate_clause *clause);
 
 struct certifier;
 
 /* The code, what it points to, expected and broken are kept. expected: (n) V, amplitude of every node; written to
- * where the code says that it is unknown. broken: (n) nodes that are known for uneven words. NULL: no memory. */
+ * where the code says that it is unknown. broken: (n) nodes that are known for uneven words: whatever is on their rows is
+ * taken for theirs. NULL: no memory. */
 struct certifier *certifier_new(const struct code *code, const struct certificate_limits *limits, float *expected,
                                 const uint8_t *broken);
 void certifier_free(struct certifier *certifier);

@@ -59,6 +59,21 @@ void frame_reader_free(struct frame_reader *reader)
     free(reader);
 }
 
+const struct frame_rules *frame_reader_rules(const struct frame_reader *reader)
+{
+    return &reader->rules;
+}
+
+size_t frame_reader_nodes(const struct frame_reader *reader)
+{
+    return reader->code.nodes;
+}
+
+double frame_reader_span(const struct frame_reader *reader)
+{
+    return (double)reader->code.span;
+}
+
 void frame_reader_reset(struct frame_reader *reader)
 {
     reader->carried = reader->proposed = (struct fit){0};

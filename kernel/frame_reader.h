@@ -48,6 +48,7 @@ enum frame_look {
     FRAME_AT_RAIL,    /* so many that whoever spoke may not show */
     FRAME_NOISY,      /* noise would hide words */
     FRAME_MISFIT,     /* something was sent that no words explain */
+    FRAME_LOOKS
 };
 
 /* start, chip: samples, of the first chip's begin and of a chip. noise: V RMS, of a chip. clipped: share of samples. */
@@ -63,6 +64,10 @@ struct frame_reader;
 struct frame_reader *frame_reader_new(const struct code *code, const struct frame_rules *rules,
                                       const struct certificate_limits *limits, float *expected, const uint8_t *broken);
 void frame_reader_free(struct frame_reader *reader);
+const struct frame_rules *frame_reader_rules(const struct frame_reader *reader);
+size_t frame_reader_nodes(const struct frame_reader *reader);
+/* Chips from a frame's begin to its end. */
+double frame_reader_span(const struct frame_reader *reader);
 /* Forgets the timing and the noise of frames before. */
 void frame_reader_reset(struct frame_reader *reader);
 

@@ -8,6 +8,22 @@
 
 #define BLOCK 128 /* nodes that are measured together: their sums stay in the nearest cache */
 
+struct words words_in(uint8_t *memory, size_t nodes)
+{
+    float *floats = (float *)(void *)memory;
+    uint8_t *flags = memory + 16 * nodes;
+
+    return (struct words){.amplitude = floats,
+                          .rho = floats + nodes,
+                          .margin = floats + 2 * nodes,
+                          .codes = (int32_t *)(void *)(floats + 3 * nodes),
+                          .active = flags,
+                          .doubtful = flags + nodes,
+                          .doubled = flags + 2 * nodes,
+                          .odd = flags + 3 * nodes,
+                          .faint = flags + 4 * nodes};
+}
+
 /* ---- measure ----------------------------------------------------------------------------------- */
 
 INLINE void measure_block(const float *levels, size_t step, size_t bits, size_t nodes,

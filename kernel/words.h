@@ -36,6 +36,11 @@ struct words {
     float *amplitude, *rho, *margin;
 };
 
+/* Words in memory of so many bytes a node, which begins where floats may: amplitude, rho, margin, codes, then the flags in
+ * their order above. */
+#define WORDS_BYTES 21
+struct words words_in(uint8_t *memory, size_t nodes);
+
 /* Measures levels: k rows of n values, `step` values from row to row. */
 void words_measure(const float *levels, size_t step, size_t bits, size_t nodes, const struct words_measures *measures);
 

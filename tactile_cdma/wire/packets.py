@@ -15,7 +15,7 @@ import struct
 import zlib
 from array import array
 from dataclasses import dataclass, fields, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from ..base import kernel
 from ._protocol import MAX_GAP, MAX_SAMPLES, VERSION, PacketType, Result
@@ -63,6 +63,7 @@ class Counters:
 
 
 _COUNTERS = tuple(field.name for field in fields(Counters))
+_SCANNED = tuple(name for name in _COUNTERS if name != "unknown")
 
 
 class PacketParser:
@@ -83,8 +84,8 @@ class PacketParser:
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
         """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
-        scanner = Scanner if kernel.compiled is None else kernel.compiled.Scanner
-        self.scanner: Scanner = scanner(most_repeated)
+        kind = Scanner if kernel.compiled is None else CompiledScanner
+        self.scanner: Scanner | CompiledScanner = kind(most_repeated)
         self._refused = Counters()  # what was intact, but cannot be used
 
     @property
@@ -130,11 +131,55 @@ class PacketParser:
         return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
-class Scanner:
-    """What PacketParser does with bytes, without knowing what packets mean.
+class CompiledScanner(kernel.Held):
+    """What PacketParser does with bytes, without knowing what packets mean: kernel/scanner.h."""
 
-    The compiled kernel has the same.
-    """
+    def __init__(self, most_repeated: int) -> None:
+        made = kernel.compiled.scanner_new(most_repeated)
+        super().__init__(made, kernel.compiled.scanner_free)
+        self._told = kernel.compiled.scanner_told(made)
+
+    def counts(self) -> dict[str, int]:
+        """The fields of Counters that a scanner knows."""
+        return {name: getattr(self._told, name) for name in _SCANNED}
+
+    def held(self) -> int:
+        """Bytes of an incomplete packet that are held back."""
+        return int(kernel.compiled.scanner_held(self.at))
+
+    def feed(self, data: bytes) -> list[Found]:
+        """Type, sequence and payload of the packets that these bytes complete."""
+        library, packets, taken = kernel.compiled, [], 0
+        packet, given = kernel.ffi.new("struct scanner_packet *"), kernel.ffi.from_buffer(data)
+        at = kernel.ffi.cast("uint8_t *", given)
+        while taken < len(data):
+            taken += library.scanner_take(self.at, at + taken, len(data) - taken, packet)
+            if packet.payload:
+                packets.append(content_of(packet))
+        library.scanner_tell(self.at)
+        return packets
+
+    def skip(self) -> None:
+        kernel.compiled.scanner_skip(self.at)
+        kernel.compiled.scanner_tell(self.at)
+
+
+def content_of(packet: Any) -> Found:
+    """What the kernel's struct scanner_packet holds."""
+    library, ffi = kernel.compiled, kernel.ffi
+    samples = library.scanner_samples(packet)
+    payload: bytes | SampleBytes
+    if samples:
+        head, counts = ffi.new("struct tp_samples *"), ffi.new("int16_t[]", samples)
+        library.scanner_copy_samples(packet, head, counts)
+        payload = head.device_time_us, head.first_index, head.flags, bytes(ffi.buffer(counts))
+    else:
+        payload = bytes(ffi.buffer(packet.payload, packet.size))
+    return packet.type, packet.sequence, payload
+
+
+class Scanner:
+    """As CompiledScanner."""
 
     def __init__(self, most_repeated: int) -> None:
         self._most_repeated = most_repeated

@@ -4,6 +4,7 @@
 
 import os
 import select
+from typing import Any
 
 from ..base import kernel
 
@@ -30,5 +31,19 @@ def numpy_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
     return data, had_waited
 
 
-# The kernel's waits for the end of a packet: a tty gives large ones in parts.
-read_file = kernel.either("read_packets", numpy_read)
+def compiled_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
+    """As numpy_read, and waits for the end of a packet: a tty gives large ones in parts."""
+    reader = kernel.ffi.new("struct reader *")
+    size = kernel.compiled.reader_read(reader, file, timeout_ms)
+    if size < 0:
+        raise failure_of(reader)
+    return bytes(kernel.ffi.buffer(reader.bytes, size)), reader.backlog
+
+
+def failure_of(reader: Any) -> OSError:
+    """Why the kernel's struct reader could not read."""
+    failure = reader.failure
+    return OSError("end of file") if failure < 0 else OSError(failure, os.strerror(failure))
+
+
+read_file = numpy_read if kernel.compiled is None else compiled_read

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""Binds the kernel's frame reader (kernel/frame_reader.h): samples of one frame → LineFrame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import kernel
+from ..base.arrays import Bools, Floats32
+from ..base.errors import SpecError
+from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
+from ..code.transform import compiled_transform
+from ..code.twins import TWIN, twins
+from ..words.words import Words
+from ..wire._protocol import TAIL_CHIPS
+from .frames import Certificate, LineFrame, Rejections
+from .limits import members
+
+REACHES = np.array([0.5, 0.5, 0.25, 0.12])
+"""Part of a chip on either side of an edge in which samples tell how late it comes: first as wide
+as an edge may be off, and again for those that were farther off, last as narrow as edges a tenth of
+a chip off ideal allow."""
+BLUR = 0.3
+"""Samples around an edge of which it is uncertain on which side of it they were taken: a sample
+counts in full beyond 0.15 samples from an edge."""
+SETTLED_CHIPS = 0.02
+"""Change of a frame's edges, chips, below which refinement ends: 1e-3 of the words' power."""
+CHIP_ERROR = 0.01
+"""Share by which chips may be shorter than nominal, or longer than the longest stretch: a third of
+a chip at the end of a frame of 32."""
+BLIND_RHO = 2.5
+"""ρ below which words are not found, so that their absence says nothing: at ρ = 3 one frame in
+5,000 is missed at order 20 (make bench-error)."""
+CLIPPED, DEAFENED = 0.5, 0.25
+"""Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
+which a lone node has half of its amplitude, where silence begins, halved."""
+KEPT, REFINED, MISFIT = 0.67, 3e-3, 0.5
+"""Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
+again); that a carried timing may leave before it is refined (edges 0.04 chip off); and that nothing
+explains."""
+SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
+"""Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
+RAIL_MARGIN = 1e-3
+"""Distance from a rail, relative to the range, within which a sample counts as clipped: one count
+of a 10-bit converter."""
+Rails = tuple[float, float] | None
+
+
+class FrameReader:
+    """Reads the frames of one digitizer; which timing the frames before had is carried over.
+
+    expected_v: (n,) float32, V, the amplitude to expect of each node; may be changed. broken: (n,)
+    uint8, nodes whose words are known to be uneven; may be changed.
+    """
+
+    def __init__(
+        self,
+        spec: FrameSpec,
+        rate_hz: float,
+        rails_v: Rails = None,
+        active_share: float = 0.5,
+    ) -> None:
+        """Raise SpecError at a rate that frames cannot be read at.
+
+        rails_v: lowest and highest level that is not cut off, V; None: unknown. active_share: of a
+        node's amplitude, above which its word counts.
+        """
+        self.spec, self.chip = spec, rate_hz * spec.chip_s
+        self.integrated = abs(self.chip - 1) < 0.01
+        if not (self.integrated or self.chip >= 1.9):
+            raise SpecError(
+                f"{self.chip:.2g} samples per chip: line timing takes one integrated value per "
+                f"chip ({1 / spec.chip_s:.6g} Hz) or at least two samples"
+            )
+        swing_v = spec.node_swing_v
+        self.expected_v = np.full(spec.nodes, swing_v or 0.0, np.float32)
+        self.broken = np.zeros(spec.nodes, np.uint8)
+        self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
+        code = _code(spec, active_share)
+        rules = kernel.struct("frame_rules", **self._rules(rails_v))
+        limits = kernel.struct("certificate_limits", **members())
+        nodes = spec.nodes
+        self._held = kernel.Held(
+            kernel.compiled.frame_reader_new(
+                code.at,
+                rules.at,
+                limits.at,
+                kernel.pointer(self.expected_v, nodes, written=True),
+                kernel.pointer(self.broken, nodes),
+            ),
+            kernel.compiled.frame_reader_free,
+            code,
+            rules,
+        )
+        self.at = self._held.at
+        self._found = kernel.ffi.new("struct frame_found *")
+        self._rest = kernel.ffi.new("struct frame_rest *")
+        self._counts = [0] * kernel.compiled.FRAME_LOOKS
+
+    def _rules(self, rails_v: Rails) -> dict[str, Any]:
+        """Return the members of the kernel's struct frame_rules."""
+        spec, chip, swing_v = self.spec, self.chip, self.spec.node_swing_v
+        low, high = rails_v or (-math.inf, math.inf)
+        margin = RAIL_MARGIN * (high - low) if rails_v else 0.0
+        most_noise = math.inf
+        if swing_v is not None:
+            most_noise = swing_v * math.sqrt(spec.order) / BLIND_RHO
+        return {
+            "integrated": self.integrated,
+            "mean_is_offset": (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR,
+            "searches": not (self.integrated or spec.resync_chips),
+            "size": self.size,
+            "chip": chip,
+            "least_chip": (1 - CHIP_ERROR) * chip,
+            "most_chip": (1 + CHIP_ERROR) * (1 + MAX_STRETCH) * chip,
+            "earliest": -1.0,
+            "latest": 0.5,
+            "tail": TAIL_CHIPS,
+            "rail_low": low + margin,
+            "rail_high": high - margin,
+            "silent_power": (SILENT_SHARE * (swing_v or 0.0)) ** 2,
+            "silent_chip": SILENT_CHIP * (swing_v or 0.0),
+            "most_noise": most_noise,
+            "deafened": DEAFENED,
+            "clipped": CLIPPED,
+            "kept": KEPT,
+            "refined": REFINED,
+            "misfit": MISFIT,
+            "blur": BLUR,
+            "settled_chips": SETTLED_CHIPS,
+            "turns": len(REACHES),
+            "reaches": REACHES,
+        }
+
+    def learn_rest(self, level_v: float, chip_noise_v2: float) -> None:
+        """Take this for the line at rest: its level, V, and the variance of a chip's level, V²."""
+        rest = self._rest
+        rest.level, rest.noise, rest.known = level_v, chip_noise_v2, True
+
+    def propose(self, start: float, chip: float) -> None:
+        """Try this timing on the next frame, too: begin and duration of a chip, samples."""
+        kernel.compiled.frame_reader_propose(
+            self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        )
+
+    def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
+        """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.
+
+        first_index: of the first sample in the stream.
+        """
+        samples, memory = np.ascontiguousarray(volts, np.float32), words_memory(self.spec.nodes)
+        lib, found = kernel.compiled, self._found
+        where = kernel.pointer(memory, memory.size, written=True)
+        words = kernel.ffi.new("struct words *", lib.words_in(where, self.spec.nodes))
+        given = kernel.pointer(samples, samples.size)
+        look = lib.frame_reader_read(
+            self.at, given, samples.size, True, False, self._rest, words, found
+        )
+        if look > lib.FRAME_READ:
+            self._counts[look] += 1
+            return None
+        return line_frame(found, look == lib.FRAME_READ, memory, first_index, self.spec.nodes)
+
+    @property
+    def rejections(self) -> Rejections:
+        """Frames that `read` rejected."""
+        return rejections_of(self._counts)
+
+
+def line_frame(
+    found: Any, has_words: bool, memory: NDArray[np.uint8], first_index: int, nodes: int
+) -> LineFrame:
+    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps."""
+    words = certificate = None
+    told = found.certificate
+    if has_words:
+        words = words_of(memory, nodes, found.noise)
+        certificate = Certificate(told.left, told.noise, told.swing, *told.value)
+    start = first_index + found.start
+    return LineFrame(
+        start, found.chip, words, certificate, told.understood, found.noise, found.level,
+        found.clipped,
+    )  # fmt: skip
+
+
+def words_memory(nodes: int) -> NDArray[np.uint8]:
+    """Return memory for the words of a frame: see words_in in kernel/words.h."""
+    return np.empty(kernel.compiled.WORDS_BYTES * nodes, np.uint8)
+
+
+def words_of(memory: NDArray[np.uint8], nodes: int, noise_rms_v: float) -> Words:
+    """Return the words that the kernel has written there."""
+    amplitude_v, rho, margin = memory[: 12 * nodes].view(np.float32).reshape(3, nodes)
+    codes = memory[12 * nodes : 16 * nodes].view(np.int32)
+    flags: Bools = memory[16 * nodes :].view(np.bool_).reshape(5, nodes)
+    active, doubtful, doubled, odd, faint = flags
+    return Words(
+        active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, faint, noise_rms_v
+    )
+
+
+def rejections_of(counts: Any) -> Rejections:
+    """Return the kernel's counts of rejected frames, by enum frame_look."""
+    lib = kernel.compiled
+    return Rejections(
+        incomplete=counts[lib.FRAME_INCOMPLETE],
+        absurd=counts[lib.FRAME_ABSURD],
+        at_rail=counts[lib.FRAME_AT_RAIL],
+        noisy=counts[lib.FRAME_NOISY],
+        misfit=counts[lib.FRAME_MISFIT],
+    )
+
+
+def _code(spec: FrameSpec, active_share: float) -> kernel.Held:
+    """Return the kernel's struct code, with all that it points to."""
+    spare, swing_v = spec.spare_rows, spec.node_swing_v
+    correlates = compiled_transform(spec.book.plan, spreading=False)
+    spreads = compiled_transform(spec.book.plan, spreading=True)
+    pairs = np.zeros(0, TWIN)
+    if not spec.scramble:
+        pairs = twins(spec.order, spec.first_row, spec.nodes)
+    given = kernel.ffi.from_buffer("struct code_twin[]", pairs) if pairs.size else kernel.ffi.NULL
+    flips = kernel.ffi.NULL
+    if spec.flips is not None:
+        flips = np.ascontiguousarray(spec.flips, np.float32)
+    held = kernel.struct(
+        "code",
+        bits=spec.line_bits,
+        order=spec.order,
+        nodes=spec.nodes,
+        first=spec.first_row,
+        span=spec.span_chips,
+        spare=spare.start,
+        spare_count=spare.stop - spare.start,
+        unipolar=spec.drive == UNIPOLAR,
+        scrambled=spec.scramble,
+        parity=spec.parity,
+        swing=math.nan if swing_v is None else swing_v,
+        active_share=active_share,
+        correlate=correlates.at,
+        spread=spreads.at,
+        flips=flips,
+        places=spec.places.astype(np.int32),
+        sign_mask=spec.sign_mask,
+        twins=given,
+        twin_count=pairs.size,
+    )
+    return kernel.Held(held.at, None, held, correlates, spreads, given)
