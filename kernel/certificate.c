@@ -27,7 +27,7 @@ struct certifier {
     float *level;  /* (k) of each bit, V */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
-    float beside[2 * CERTIFICATE_MOST_BESIDE]; /* V, what is left beside the frame */
+    float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
     struct words_measures measures;
 };
 
@@ -233,6 +233,8 @@ struct reading {
     double more;                  /* that edges of the words may leave */
     size_t speakers;
     const float *before, *after;  /* what is left of `side` chips beside the frame; NaN where not seen */
+    const float *shown_before, *shown_after; /* of these, with what leaks from the frame, */
+    double shown;                 /* and the sum of squares of what is left with leakage, there and in the frame */
     size_t side;
 };
 
@@ -401,7 +403,7 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
     const struct code *code = &certifier->code;
     const size_t chips = code->bits * code->order;
     const size_t lag = (size_t)abs(shift);
-    const float *beside = shift > 0 ? reading->after : reading->before + reading->side - lag;
+    const float *beside = shift > 0 ? reading->shown_after : reading->shown_before + reading->side - lag;
     const size_t hidden = shift > 0 ? chips - lag : 0;
     bool seen = true;
 
@@ -441,9 +443,9 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
     const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *level = certifier->level;
     double weakest = reading->weakest, cut = 0, value = 0;
-    double beside = sum_beside(reading->before, side) + sum_beside(reading->after, side);
+    double beside = sum_beside(reading->shown_before, 2 * side);
     double worse = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
-    double base = reading->total + beside + worse;
+    double base = reading->shown + worse;
     bool differ;
 
     for (size_t lag = 1; lag <= side; lag++) {
@@ -454,7 +456,7 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
         if (cut > base)
             break;
         read_shifted(certifier, reading, sign * (int)lag, rows);
-        double covered = sum_beside(sign > 0 ? reading->after : reading->before + side - lag, lag);
+        double covered = sum_beside(sign > 0 ? reading->shown_after : reading->shown_before + side - lag, lag);
         double left = rows_left(certifier, rows, words, &differ) + cut + beside - covered;
         if (differ)
             value = fmax(value, base / fmax(left, 1e-30));
@@ -612,6 +614,10 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     memcpy(certifier->beside, view->beside, 2 * view->side * sizeof *view->beside);
     if (has_level)
         level_beside(certifier, view->side, certifier->beside);
+    memcpy(certifier->leaked, certifier->beside, 2 * view->side * sizeof *view->beside);
+    reading.shown_before = certifier->leaked;
+    reading.shown_after = certifier->leaked + view->side;
+    reading.shown = sums_power(left_of(certifier), chips) + sum_beside(certifier->leaked, 2 * view->side);
     if (reading.speakers)
         take_leakage(certifier, certifier->beside + view->side - 1, certifier->beside + view->side);
     double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);

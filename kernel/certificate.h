@@ -46,7 +46,7 @@ struct certificate_limits {
     double uneven;               /* share of nodes whose words may be uneven in a frame that is understood */
 };
 
-#define CERTIFICATE_MOST_BESIDE 16
+#define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
 
 /* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two at
  * least. noise: V², of a chip at rest; 0: unknown. level_unknown: the line's level at rest is, so that a word on row 0
@@ -54,7 +54,7 @@ struct certificate_limits {
 struct certificate_view {
     const float *chips;
     size_t side;
-    float beside[2 * CERTIFICATE_MOST_BESIDE];
+    float beside[CERTIFICATE_BESIDE];
     double noise;
     bool level_unknown;
 };

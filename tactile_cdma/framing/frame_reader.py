@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Bools, Floats32
+from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
-from ..code.transform import compiled_transform
+from ..code.transform import CompiledTransform
 from ..code.twins import TWIN, twins
-from ..words.words import Words
+from ..words.words import words_memory, words_of
 from ..wire._protocol import TAIL_CHIPS
 from .frames import Certificate, LineFrame, Rejections
 from .limits import members
@@ -64,24 +64,29 @@ class FrameReader:
         rate_hz: float,
         rails_v: Rails = None,
         active_share: float = 0.5,
+        swing_v: float | None = None,
+        side_chips: int = 2,
     ) -> None:
         """Raise SpecError at a rate that frames cannot be read at.
 
         rails_v: lowest and highest level that is not cut off, V; None: unknown. active_share: of a
-        node's amplitude, above which its word counts.
+        node's amplitude, above which its word counts. swing_v: amplitude of a node's row, V; the
+        specification's by default. side_chips: before and after a frame, that are looked at where
+        they are seen.
         """
         self.spec, self.chip = spec, rate_hz * spec.chip_s
+        self.swing_v = spec.node_swing_v if swing_v is None else swing_v
         self.integrated = abs(self.chip - 1) < 0.01
         if not (self.integrated or self.chip >= 1.9):
             raise SpecError(
                 f"{self.chip:.2g} samples per chip: line timing takes one integrated value per "
                 f"chip ({1 / spec.chip_s:.6g} Hz) or at least two samples"
             )
-        swing_v = spec.node_swing_v
-        self.expected_v = np.full(spec.nodes, swing_v or 0.0, np.float32)
+        self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
         self.broken = np.zeros(spec.nodes, np.uint8)
+        self._side_chips = side_chips
         self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
-        code = _code(spec, active_share)
+        code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
         limits = kernel.struct("certificate_limits", **members())
         nodes = spec.nodes
@@ -100,16 +105,14 @@ class FrameReader:
         self.at = self._held.at
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
+        self._memory = words_memory(spec.nodes)
         self._counts = [0] * kernel.compiled.FRAME_LOOKS
 
     def _rules(self, rails_v: Rails) -> dict[str, Any]:
         """Return the members of the kernel's struct frame_rules."""
-        spec, chip, swing_v = self.spec, self.chip, self.spec.node_swing_v
+        spec, chip, swing_v = self.spec, self.chip, self.swing_v
         low, high = rails_v or (-math.inf, math.inf)
         margin = RAIL_MARGIN * (high - low) if rails_v else 0.0
-        most_noise = math.inf
-        if swing_v is not None:
-            most_noise = swing_v * math.sqrt(spec.order) / BLIND_RHO
         return {
             "integrated": self.integrated,
             "mean_is_offset": (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR,
@@ -121,11 +124,12 @@ class FrameReader:
             "earliest": -1.0,
             "latest": 0.5,
             "tail": TAIL_CHIPS,
+            "side": self._side_chips,
             "rail_low": low + margin,
             "rail_high": high - margin,
             "silent_power": (SILENT_SHARE * (swing_v or 0.0)) ** 2,
             "silent_chip": SILENT_CHIP * (swing_v or 0.0),
-            "most_noise": most_noise,
+            "most_noise": blinding_noise_v(swing_v, spec.order),
             "deafened": DEAFENED,
             "clipped": CLIPPED,
             "kept": KEPT,
@@ -148,23 +152,85 @@ class FrameReader:
             self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
         )
 
+    def expect(self, start: float, chip: float, scatter: float) -> None:
+        """Expect the next frame to begin within ±scatter of a start, with such chips; samples."""
+        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        kernel.compiled.frame_reader_expect(self.at, fit, scatter)
+
+    def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
+        """Return the power that words explain, V², of frames that each begin a chip later.
+
+        volts: (m,), of which start and chip, samples, are those of the first frame.
+        """
+        powers = np.empty(count)
+        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        samples, out = kernel.pointer(volts, volts.size), kernel.pointer(powers, count, written=True)
+        kernel.compiled.frame_reader_explained(
+            self.at, samples, volts.size, self._rest.level, fit, count, out
+        )
+        return powers
+
+    def look(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
+        """Read one frame, and return the kernel's verdict (enum frame_look); see `taken`.
+
+        volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
+        needed.
+        """
+        lib, nodes = kernel.compiled, self.spec.nodes
+        self._memory = words_memory(nodes)
+        words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
+        look: int = lib.frame_reader_read(
+            self.at,
+            kernel.pointer(volts, volts.size),
+            volts.size,
+            final,
+            searches,
+            self._rest,
+            kernel.ffi.new("struct words *", words),
+            self._found,
+        )
+        self._has_words = look == lib.FRAME_READ
+        return look
+
+    def sum_up(self, mean_v: float, variance_v2: float) -> int:
+        """Return the verdict on samples in which nobody spoke, of which this is known."""
+        self._has_words = False
+        look: int = kernel.compiled.frame_reader_sum_up(
+            self.at, self._rest, mean_v, variance_v2, self._found
+        )
+        return look
+
+    @property
+    def due_chips(self) -> float:
+        """Chips from a frame's begin until it can be read."""
+        return float(self.spec.span_chips + TAIL_CHIPS)
+
+    @property
+    def silent_power(self) -> float:
+        """Power of samples below which nobody speaks, V²."""
+        return float((SILENT_SHARE * (self.swing_v or 0.0)) ** 2)
+
+    @property
+    def more(self) -> int:
+        """Samples that the last frame needs beside those that were given."""
+        return int(self._found.more)
+
+    def taken(self, first_index: int) -> LineFrame:
+        """Return the frame that was read last; first_index: of its samples in the stream."""
+        return line_frame(
+            self._found, self._has_words, self._memory, first_index, self.spec.nodes
+        )
+
     def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
         """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.
 
         first_index: of the first sample in the stream.
         """
-        samples, memory = np.ascontiguousarray(volts, np.float32), words_memory(self.spec.nodes)
-        lib, found = kernel.compiled, self._found
-        where = kernel.pointer(memory, memory.size, written=True)
-        words = kernel.ffi.new("struct words *", lib.words_in(where, self.spec.nodes))
-        given = kernel.pointer(samples, samples.size)
-        look = lib.frame_reader_read(
-            self.at, given, samples.size, True, False, self._rest, words, found
-        )
-        if look > lib.FRAME_READ:
+        look = self.look(np.ascontiguousarray(volts, np.float32))
+        if look > kernel.compiled.FRAME_READ:
             self._counts[look] += 1
             return None
-        return line_frame(found, look == lib.FRAME_READ, memory, first_index, self.spec.nodes)
+        return self.taken(first_index)
 
     @property
     def rejections(self) -> Rejections:
@@ -181,27 +247,10 @@ def line_frame(
     if has_words:
         words = words_of(memory, nodes, found.noise)
         certificate = Certificate(told.left, told.noise, told.swing, *told.value)
-    start = first_index + found.start
     return LineFrame(
-        start, found.chip, words, certificate, told.understood, found.noise, found.level,
-        found.clipped,
+        first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
+        found.noise, found.level, found.clipped,
     )  # fmt: skip
-
-
-def words_memory(nodes: int) -> NDArray[np.uint8]:
-    """Return memory for the words of a frame: see words_in in kernel/words.h."""
-    return np.empty(kernel.compiled.WORDS_BYTES * nodes, np.uint8)
-
-
-def words_of(memory: NDArray[np.uint8], nodes: int, noise_rms_v: float) -> Words:
-    """Return the words that the kernel has written there."""
-    amplitude_v, rho, margin = memory[: 12 * nodes].view(np.float32).reshape(3, nodes)
-    codes = memory[12 * nodes : 16 * nodes].view(np.int32)
-    flags: Bools = memory[16 * nodes :].view(np.bool_).reshape(5, nodes)
-    active, doubtful, doubled, odd, faint = flags
-    return Words(
-        active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, faint, noise_rms_v
-    )
 
 
 def rejections_of(counts: Any) -> Rejections:
@@ -216,11 +265,24 @@ def rejections_of(counts: Any) -> Rejections:
     )
 
 
-def _code(spec: FrameSpec, active_share: float) -> kernel.Held:
+def blinding_noise_v(swing_v: float | None, order: int) -> float:
+    """Return the noise of a chip, V RMS, beyond which words are missed; infinite if unknown."""
+    return math.inf if swing_v is None else swing_v * math.sqrt(order) / BLIND_RHO
+
+
+def hides_silence(clipped: float, noise_rms_v: float, spec: FrameSpec) -> bool:
+    """Whether a frame without words cannot be called silent, as a node that spoke might not show.
+
+    clipped: share of its samples at a rail. noise_rms_v: of one chip's level, V; NaN if unknown.
+    """
+    return clipped > DEAFENED or noise_rms_v > blinding_noise_v(spec.node_swing_v, spec.order)
+
+
+def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel.Held:
     """Return the kernel's struct code, with all that it points to."""
-    spare, swing_v = spec.spare_rows, spec.node_swing_v
-    correlates = compiled_transform(spec.book.plan, spreading=False)
-    spreads = compiled_transform(spec.book.plan, spreading=True)
+    spare = spec.spare_rows
+    correlates = CompiledTransform(spec.book.plan, spreading=False)
+    spreads = CompiledTransform(spec.book.plan, spreading=True)
     pairs = np.zeros(0, TWIN)
     if not spec.scramble:
         pairs = twins(spec.order, spec.first_row, spec.nodes)
