@@ -12,6 +12,7 @@ import dataclasses
 import json
 import textwrap
 import zlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ import numpy as np
 from tactile_cdma.code.codes import code_book, row_signs
 from tactile_cdma.code.frame import UNIPOLAR, FrameSpec
 from tactile_cdma.code.sparse import code_digits, code_numbers, code_places
+from tactile_cdma.config.parameters import read_file
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.hardware.node_memory import node_memory
 from tactile_cdma.wire._protocol import PacketType, Result, Scene, SyncMode
 from tactile_cdma.wire.cobs import cobs_decode, cobs_encode
@@ -35,7 +38,6 @@ from tactile_cdma.wire.messages import (
     Packed,
     Packet,
     Quiet,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -44,6 +46,7 @@ from tactile_cdma.wire.messages import (
 )
 from tactile_cdma.wire.packets import PacketWriter
 
+DEMO_PARAMS = Path(__file__).resolve().parents[1] / "config" / "demo_skin.yaml"
 PAPER = FrameLayout.of(
     FrameSpec(order=16, first_row=0, sign_seed=None, polarity=-1), samples_per_chip=8
 )
@@ -111,11 +114,6 @@ PACKETS: dict[str, tuple[int, Packet]] = {
     "get info": (0, GetInfo()),
     "start": (1, Start()),
     "stop": (65_535, Stop()),
-    "samples, of a roll call": (
-        261,
-        Samples(3, 4, np.array([7, -7], dtype=np.int16), sync=True, called=True),
-    ),
-    "roll call": (3, RollCall()),
     "pack": (4, Pack()),
     "touch": (5, Touch(Scene.HOST, 16, 1023)),
     "bootsel": (6, Bootsel()),
@@ -201,8 +199,8 @@ def code_vectors() -> str:
 
 
 def demo_memories() -> str:
-    """C: the memories of a demonstrator's nodes, which are those of the default skin."""
-    spec = FrameSpec()
+    """C: the memories of a demonstrator's nodes, which are those of its parameter file."""
+    spec = SkinConfig.of(read_file(DEMO_PARAMS)).spec
     memories = [node_memory(spec, node + 1, rest=DEMO_REST) for node in range(spec.nodes)]
     rows = [
         textwrap.fill(

@@ -18,5 +18,7 @@ packets to what is published, and everything published is compared with what was
 A run that is interrupted goes on where it was, if no code has changed.
 
 The sums that must be 0 are over all conditions; the shares of right words and of silences that are
-flagged leave out the rough ones (`Condition.rough`), on which flags are due.
+flagged leave out the rough ones (`Condition.rough`), on which flags are due. Sound conditions run
+twice, plain and with a scrambled skin, and both have shares of their own; `plain_few` is of the
+plain ones in which three nodes or fewer speak, words and silences together.
 """

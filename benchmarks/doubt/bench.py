@@ -19,6 +19,7 @@ from ..report import QUICK, ROOT, Report
 from . import lines, mixtures, stamps, touches, zeros
 from .kept import Kept, Result, loaded_code
 from .tally import Condition, Tally, total
+from .words import LineCondition
 
 SOURCES: tuple[Callable[[], Iterator[Condition]], ...] = (
     lines.conditions,
@@ -36,6 +37,8 @@ ALL_RIGHT = 0.99
 """Share of right words beyond which a condition is left out of the picture."""
 SEARCHED = "gap:"
 """Frames of these are searched for, which takes ten times as long: half as many recordings."""
+FEW = 3
+"""Speakers up to which a frame has few: shifted frames and twins of rows are likeliest there."""
 SHOWN = 5
 """False claims of a recording that are listed."""
 PROGRESS_S = 20.0
@@ -111,7 +114,14 @@ def main() -> None:
         keep=False,
     )
     everything = total(tallies.values())
-    sound = total([Tally(), *(tallies[some.name] for some in chosen if not some.rough)])
+    sound = [some for some in chosen if isinstance(some, LineCondition) and not some.rough]
+
+    def of(is_meant: Callable[[LineCondition], bool]) -> Tally:
+        return total([Tally(), *(tallies[some.name] for some in sound if is_meant(some))])
+
+    plain = of(lambda some: not some.skin.scramble)
+    few = of(lambda some: not some.skin.scramble and some.most_speakers <= FEW)
+    scrambled = of(lambda some: some.skin.scramble)
     report.finish(
         picture(tallies),
         words=everything.words,
@@ -122,8 +132,11 @@ def main() -> None:
         stale_claims=everything.stale_claims,
         false_zeros=everything.false_zeros,
         stamps_off=everything.stamps_off,
-        right_flagged_share=round(sound.flagged_share, 4),
-        silent_flagged_share=round(sound.silent_flagged_share, 4),
+        right_flagged_share=round(plain.flagged_share, 4),
+        silent_flagged_share=round(plain.silent_flagged_share, 4),
+        plain_few_flagged_share=round(few.doubted_share, 4),
+        scrambled_flagged_share=round(scrambled.flagged_share, 4),
+        scrambled_silent_flagged_share=round(scrambled.silent_flagged_share, 4),
     )
     path.unlink()
 

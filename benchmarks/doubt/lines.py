@@ -157,8 +157,30 @@ SPARSE_LINES = (
 which the noise is learnt, are flagged; `make bench-sparse` counts what is certain."""
 
 
+SCRAMBLED_FAULTS = frozenset({
+    "a node 0.6 chip late",
+    "a node 2 chips late",
+    "a node drops out",
+    "hum of 2 A",
+    "20 jumps/s of A",
+    *(f"order {order}, {speak} speak, {fault}"
+      for order, speak in ((16, 1), (24, 3))
+      for fault in ("marks 1 or 2 chips late", "a sample dropped or doubled")),
+})  # fmt: skip
+"""Rough conditions that also run scrambled, named without their timing: one fault each."""
+
+
 def conditions() -> Iterator[Condition]:
-    """All conditions; names begin with how frames are timed."""
+    """All conditions, and after a sound one the same scrambled, where its skin can be."""
+    for condition in plain_conditions():
+        yield condition
+        _, _, fault = condition.name.partition(": ")
+        if condition.can_scramble and (not condition.rough or fault in SCRAMBLED_FAULTS):
+            yield condition.scrambled()
+
+
+def plain_conditions() -> Iterator[Condition]:
+    """All conditions as they are written here; names begin with how frames are timed."""
     for name, digitizer in TIMINGS.items():
         for condition in SKINS + TIMES + VOLTAGES + RAILS + CLAIMS:
             yield replace(condition, name=f"{name}: {condition.name}", digitizer=digitizer)

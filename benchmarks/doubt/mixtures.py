@@ -2,7 +2,8 @@
 
 """Mixtures drawn at random: a skin of any order, how it talks, and one to four effects at once.
 
-A mixture is given by its number, so that one that goes wrong can be looked at again:
+A mixture is given by its number, so that one that goes wrong can be looked at again; from MIXTURES
+on, numbers are those of the same mixtures with scrambled skins:
 
     make bench-doubt ONLY="mixture 17:"
 
@@ -25,7 +26,9 @@ from ..report import QUICK
 from .tally import Tally
 from .words import TIMINGS, LineCondition
 
-MIXTURES = 40 if QUICK else 200
+MIXTURES = 200
+DRAWN, TWINS = (40, 20) if QUICK else (MIXTURES, MIXTURES)
+"""How many mixtures run, and of how many of them the scrambled twins."""
 ORDERS = (
     *(4, 8, 12, 16, 20, 24, 28, 32, 36, 40, 44, 48, 60, 64, 68, 72),
     *(96, 100, 128, 144, 200, 256, 400, 512, 768, 1024),
@@ -231,12 +234,18 @@ EFFECTS: tuple[Effect, ...] = (
 
 
 def conditions() -> Iterator[Mixture]:
-    """The first mixtures."""
-    return map(mixture_of, range(MIXTURES))
+    """The first mixtures, and the scrambled twins of those whose skins are plain and can be."""
+    yield from map(mixture_of, range(DRAWN))
+    for number in range(TWINS):
+        if mixture_of(number).can_scramble:
+            yield mixture_of(MIXTURES + number)
 
 
 def mixture_of(number: int) -> Mixture:
     """The mixture of a number."""
+    if number >= MIXTURES:
+        _, _, drawn = (plain := mixture_of(number - MIXTURES)).name.partition(":")
+        return replace(plain, name=f"mixture {number}:{drawn}").scrambled()
     draw = np.random.default_rng(number)
     timing = str(draw.choice(list(TIMINGS)))
     skin, count = draw_skin(draw), int(draw.integers(1, 5))

@@ -66,6 +66,12 @@ class Tally(NamedTuple):
         return self.silent_flagged / max(self.silences, 1)
 
     @property
+    def doubted_share(self) -> float:
+        """Share of right words and silences, together, that are flagged."""
+        flagged = self.flagged + self.silent_flagged
+        return flagged / max(self.right + self.flagged + self.silences, 1)
+
+    @property
     def false(self) -> int:
         """All that was claimed, without a flag, and is not so."""
         held = self.stale_claims + self.false_zeros + self.stamps_off

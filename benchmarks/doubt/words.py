@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketWriter
-from tactile_cdma.words.decode import Words
+from tactile_cdma.words.words import Words
 from test.support.independent_line import (
     SILENT,
     Digitizer,
@@ -26,6 +26,7 @@ from test.support.independent_line import (
     Talk,
     Truth,
     code_book,
+    flips,
     render,
     row_sign,
 )
@@ -47,6 +48,8 @@ LEARNING = 30
 """Frames until a decoder may know the raster of frame starts."""
 MOST_SHIFT = 4
 """Chips by which another frame may be shifted to tie with the true one."""
+LEAST_SCRAMBLED = 4
+"""Least order that docs/signal-model.md lets be scrambled."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,27 @@ class LineCondition:
     learnt: bool = False
     lost: float = 0.0
     rough: bool = False
+
+    @property
+    def most_speakers(self) -> int:
+        """Number of nodes that may transmit in one frame."""
+        talk, speakers = self.talk, self.talk.speakers
+        if talk.together or not talk.share:
+            return talk.together
+        if speakers is None:
+            return self.skin.nodes
+        return speakers if isinstance(speakers, int) else len(speakers)
+
+    @property
+    def can_scramble(self) -> bool:
+        """Whether this is a plain skin that could be scrambled."""
+        skin = self.skin
+        seeded = skin.sign_seed is not None and not (skin.scramble or skin.sparse)
+        return seeded and skin.drive == "bipolar" and skin.order >= LEAST_SCRAMBLED
+
+    def scrambled(self) -> Self:
+        """The same condition with a scrambled skin; its recordings are drawn anew."""
+        return replace(self, name=f"{self.name}, scrambled", skin=replace(self.skin, scramble=True))
 
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
         """Render a recording, decode it and compare; also the first unflagged words."""
@@ -263,12 +287,13 @@ def rival(skin: Skin, codes: Ints) -> tuple[int, Ints] | None:
     chips = skin.waveforms(codes).sum(axis=0) / skin.amplitude_v
     rows = np.arange(skin.first_row, skin.first_row + skin.nodes)
     signs = np.array([row_sign(int(row), skin.sign_seed) for row in rows])
+    flipped = flips(skin.bits, skin.order, skin.sign_seed or 0) if skin.scramble else 1
     sent = skin.polarity * signs[:, None] * code_book(skin.order)[rows].astype(float)
     for shift in (*range(-MOST_SHIFT, 0), *range(1, MOST_SHIFT + 1)):
         cut = chips[:shift] if shift > 0 else chips[shift:]
         if not chips.any() or cut.any():
             continue
-        moved = np.roll(chips, -shift).reshape(-1, skin.order)
+        moved = np.roll(chips, -shift).reshape(-1, skin.order) * flipped
         levels = moved @ sent.T / skin.order
         spoke = np.abs(levels).mean(axis=0) > 0.5
         if np.allclose(np.sign(levels) * spoke @ sent, moved):

@@ -96,14 +96,6 @@ static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
     return TP_RESULT_OK;
 }
 
-static enum tp_result call_roll(struct dg *dg)
-{
-    if (!dg->running || !dg->setup.marked || dg->setup.asked.integrated)
-        return TP_RESULT_UNSUPPORTED;
-    pulses_call(&dg->pulses);
-    return TP_RESULT_OK;
-}
-
 static enum tp_result divide(struct dg *dg, const struct tp_groups *asked)
 {
     if (!tp_groups_in_range(asked))
@@ -136,7 +128,6 @@ static enum tp_result obey(struct dg *dg)
     case TP_GET_INFO:
     case TP_START:
     case TP_STOP:
-    case TP_ROLL_CALL:
     case TP_PACK:
         if (dg->reader.payload_size != 0)
             return TP_RESULT_BAD_LENGTH;
@@ -165,8 +156,6 @@ static enum tp_result obey(struct dg *dg)
         start(dg);
     else if (type == TP_STOP)
         dg_stop(dg);
-    else if (type == TP_ROLL_CALL)
-        return call_roll(dg);
     else if (type == TP_PACK)
         dg->stream.packs = true;
     return TP_RESULT_OK;

@@ -16,6 +16,7 @@ const struct tp_configure setup_default = {
         .frame_period_us = 12800,
         .first_row = 1,
         .sign_seed = 1,
+        .signs = TP_SIGNS_SCRAMBLED,
         .polarity = TP_POLARITY_NORMAL,
         .samples_per_chip = 4,
     },

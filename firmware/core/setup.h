@@ -35,7 +35,7 @@ struct setup {
     struct stride period, chip, guard;
 };
 
-/* In force before any CONFIGURE: the defaults of the host's driver. */
+/* In force before any CONFIGURE: the skin of config/skin.yaml. */
 extern const struct tp_configure setup_default;
 
 /* Derives the settings for `asked`, whose fields are all within their ranges. Returns false and leaves

@@ -20,7 +20,7 @@ from ..config.skin_config import SkinConfig
 from ..recording.offline import RawCapture, decode_scope
 from ..recording.recording_file import is_text
 from ..recording.scope_csv import read_scope_csv
-from ..words.decode import Words
+from ..words.words import Words
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
-    """One frame for people and JSON: active nodes only, nodes counted from 1 as in the paper."""
+    """Describe a frame for people and JSON: active nodes only, counted from 1 as in the paper."""
     voltage_v = config.adc.voltage(words.codes)
     pressure_pa = config.calibration.curves.pressure(voltage_v.astype(np.float32))
     bits = word_bits(words.codes, config.spec.bits)

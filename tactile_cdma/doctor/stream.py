@@ -11,18 +11,16 @@ from numpy.typing import NDArray
 
 from ..base.errors import PortError
 from ..base.text import listed
-from ..code.amplitude import ACTIVE_SHARE, FAINT_SHARE
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
-from ..driver.compiled_stream import GAP_TIMING
+from ..driver.checkup import CLIPPED_SHARE, DOUBTED_FOR, DOUBTED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
 from ..driver.pipeline import Pipeline, TactileFrame
-from ..driver.stream import NUMPY, Decisions
-from ..framing.timing import silence_hidden
+from ..driver.stream import Decisions
+from ..framing.frame_reader import hides_silence
+from ..framing.limits import LIMITS
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
-from ..words.health import NodeHealth, NodeState
-from ..words.limits import DOUBLE_SHARE, LOW_RHO
+from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
 from .report import Check, ok, problem, warning
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
@@ -38,16 +36,6 @@ the sensors' range, and fewer than FEW_BEYOND once they are inverted. Chosen."""
 UNCLEAR_SHARE = 0.25
 """Share of frames without a clear word, yet in doubt, above which something is sent. Chosen: noise
 alone has 0.1 of them, as long as no amplitude is known."""
-MUCH_IN_PYTHON = 0.2
-"""Share of frames decided in Python above which that is explained. Chosen: a sound skin with marked
-frames has less than 0.05."""
-IN_PYTHON_BECAUSE = {
-    NUMPY: "tactile-cdma doctor tells why the kernel is not used",
-    GAP_TIMING: "as always without frame marks (timing: gap)",
-}
-"""What it means that most of those frames were decided there for this reason."""
-DOUBTED_BECAUSE = "as where nodes stretch their frames, or with noise, hum or clipping on the line"
-"""The same for any other reason, which is a doubt about the samples."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 
@@ -74,7 +62,7 @@ class DecodedStream:
 def judge(
     chunks: Chunks, config: SkinConfig, seconds: float, no_frames: str | None = None
 ) -> Iterator[Check]:
-    """All checks of a stream; amplitudes are measured before they are compared with config's.
+    """Run all checks of a stream; amplitudes are measured before they are compared with config's.
 
     seconds: how long it was to be listened to. no_frames: why there are none.
     Raises PortError where bytes in which there were frames hold none after all.
@@ -100,7 +88,7 @@ def judge(
         if unclear:  # by chance, as long as no amplitude is known
             text += f" {unclear} of {len(words)} frames may hold a word."
         noise_v = float(np.nanmedian([each.noise_rms_v for each in words]))
-        if unclear > UNCLEAR_SHARE * len(words) or silence_hidden(clipped, noise_v, config.spec):
+        if unclear > UNCLEAR_SHARE * len(words) or hides_silence(clipped, noise_v, config.spec):
             text = "something is sent, but no word is clear: who spoke cannot be told on this line"
         yield problem("nodes", text)
         yield from _left_out(decoded, 0.0)
@@ -116,19 +104,21 @@ def judge(
     yield from _nodes(decoded, seconds)
 
 
-def decided(decisions: Decisions) -> Check:
-    """Where frames were decided, which tells what they cost, and what the line is like."""
-    text = f"{decisions.python_share:.0%} of {decisions.total} frames decided in Python"
-    if decisions.in_python:
-        text = f"{text}: {decisions.reasons}"
-    if decisions.python_share > MUCH_IN_PYTHON:
-        [(leading, _)] = decisions.in_python.most_common(1)
-        text = f"{text}; this takes more CPU, {IN_PYTHON_BECAUSE.get(leading, DOUBTED_BECAUSE)}"
-    return ok("kernel", text)
+def certified(decisions: Decisions) -> Check:
+    """How many frames are in doubt, and why; see Certificate."""
+    doubted = decisions.doubts.total()
+    text = f"{doubted} of {decisions.frames} frames in doubt"
+    if not doubted:
+        return ok("certificate", text)
+    text = f"{text} ({decisions.reasons})"
+    if doubted <= DOUBTED_SHARE * decisions.frames:
+        return ok("certificate", text)
+    [(leading, _)] = decisions.doubts.most_common(1)
+    return warning("certificate", f"{text}: {DOUBTED_FOR[leading]}")
 
 
 def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
-    """Decoded with this amplitude of a node's code; None: learnt from every frame.
+    """Decode with this amplitude of a node's code; None: learnt from every frame.
 
     From one value per chip, silence can't be told without an amplitude: there it is the stated one.
     Raises PortError where that gives no frame.
@@ -140,8 +130,8 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
     active_share = config.active_share if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, active_share=active_share))
     if swing_v is not None:
-        # Words are read by it, frames found without: what the digitizer leaves out was set by
-        # another amplitude, and a pipeline refuses a stream that does not fit its own.
+        # Frames are read by it, though the configuration has none: what the digitizer leaves out was
+        # set by another amplitude, and a pipeline refuses a stream that does not fit its own.
         unipolar = config.spec.drive == UNIPOLAR
         measured = replace(spec, amplitude_v=2 * swing_v if unipolar else swing_v)
         pipeline.health = NodeHealth(measured)
@@ -153,18 +143,18 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
     if not frames:
         raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
-    active = np.array([frame.words.active & (frame.words.rho > LOW_RHO) for frame in frames])
+    active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
     return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, pipeline)
 
 
 def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
-    """Whether words of this amplitude, V, may be among the samples that are left out.
+    """Check whether words of this amplitude, V, may be among the samples that are left out.
 
     A word turns by twice its amplitude.
     """
     info = decoded.pipeline.digitizer.info
     left_out_v = info.quiet_uv * 1e-6 if info else 0.0
-    if left_out_v > 2 * ACTIVE_SHARE * swing_v:
+    if left_out_v > 2 * decoded.pipeline.config.active_share * swing_v:
         yield warning(
             "quiet",
             "the digitizer leaves out what differs by less than "
@@ -221,7 +211,7 @@ def _noise(decoded: DecodedStream) -> Iterator[Check]:
     rho = rho[:, decoded.active.any(axis=0)]
     weakest = float(np.nanmin(np.nanmedian(rho, axis=0)))
     text = f"{noise_v * 1e3:.2f} mV rms a chip, weakest node {decibels(weakest):.0f} dB"
-    if weakest < 2 * LOW_RHO:
+    if weakest < 2 * LIMITS.low_rho:
         yield warning("noise", f"{text}: look for what disturbs the line, or for that node's wire")
     else:
         yield ok("noise", text)
@@ -245,7 +235,7 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
 
 
 def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
-    """Inverted, nodes at rest read beyond the sensors' range, and nothing reads as if at rest."""
+    """Check the polarity: if inverted, nodes at rest read beyond the sensors' range."""
     codes = np.array([frame.words.codes for frame in decoded.frames])[decoded.active]
     lowest = config.adc.code(config.curve.voltage_v[-1])
     beyond = float((codes < lowest).mean())

@@ -2,44 +2,87 @@
 
 """What a digitizer's INFO says about decoding its packets of samples."""
 
+from __future__ import annotations
+
+import math
+
 import numpy as np
 
+from ..base import kernel
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.gaps.gap_timing import GapTiming
-from ..framing.line_timing import LineTiming
-from ..framing.sparse_timing import SparseTiming
-from ..framing.timing import QuietBlock, SampleBlock
-from ..wire.messages import Info, Quiet, Samples
-from .timeline import Pace
+from ..framing.frame_reader import FrameReader
+from ..framing.proposals import Proposer
+from ..wire.messages import Info
+from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Pace
+
+ABSURD_V = 1e6
+"""Level that no digitizer reports, V: such samples are treated like NaN."""
+LEAST_REST = 16
+"""Gap samples that an estimate of level and noise takes, collected over several short gaps: the
+variance of 16 samples is right to a third (√(2/15))."""
+GAP_WEIGHT = 0.25
+"""Weight of the newest gap in the running noise estimate: averages about seven gaps."""
+MOST_RISE, LEAST_RISE = 4.0, 1e-3
+"""Times that the noise may rise from gap to gap, since a burst within one gap must not excuse the
+next frame; and share of a node's amplitude, RMS, that it may have in any case."""
+MOST_WAITS = 64
+"""Frames that are read after a search in vain until the next one: half a second at 128 Hz."""
+MOST_STRETCHED = 1.12
+"""Nominal durations that a frame of the longest chips lasts: MAX_STRETCH and its error."""
 
 
 class Description:
     """How samples are to be understood, for a digitizer that is set as its INFO says.
 
-    timing: finds the frames. pace: what the digitizer's packets may claim.
+    reader: reads the frames. gaps: finds them where they are not marked, else None. proposer:
+    searches for the timing of marked ones. pace: what the digitizer's packets may claim.
     """
 
-    def __init__(self, info: Info, config: SkinConfig) -> None:
-        """Raises SpecError for a sampling that cannot be decoded."""
+    def __init__(self, info: Info, config: SkinConfig, swing_v: float | None) -> None:
+        """Raise SpecError for a sampling that cannot be decoded.
+
+        swing_v: amplitude of a node's row, V; None: unknown.
+        """
         self.info, self.spec = info, config.spec
         spec, rate_hz = config.spec, info.sample_rate_hz
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         rails_v = float(low_v), float(high_v)
         self.pace = Pace(info, spec)
-        self.timing: LineTiming | SparseTiming | GapTiming
+        self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v)
+        self.proposer = Proposer(spec, self.reader.chip)
+        self.gaps = None
         if config.timing == GAP:
-            self.timing = GapTiming(spec, rate_hz, rails_v)
-        elif spec.sparse:
-            self.timing = SparseTiming(spec, rate_hz, rails_v)
-        else:
-            self.timing = LineTiming(spec, rate_hz, rails_v)
+            from ..framing.gaps.gap_timing import GapTiming
+            self.gaps = GapTiming(self.reader, rate_hz)
 
-    def block(self, index: int, packet: Samples | Quiet) -> SampleBlock | QuietBlock:
-        """A packet in volts. index: of its first sample in the stream."""
-        info, marks = self.info, (packet.sync, packet.turn)
-        if isinstance(packet, Samples):
-            return SampleBlock(index, info.volts(packet.counts), *marks)
-        mean_v = (packet.mean - info.zero_count) * info.volts_per_count
-        variance_v2 = packet.variance * info.volts_per_count**2
-        return QuietBlock(index, packet.count, mean_v, variance_v2, *marks)
+    def rules(self, frames: bool) -> kernel.Held:
+        """Return the kernel's struct stream_rules; frames: see Pipeline."""
+        info, spec, pace, chip = self.info, self.spec, self.pace, self.reader.chip
+        gap_size = math.ceil(spec.order * chip)
+        pause_s = spec.frame_period_s - MOST_STRETCHED * spec.frame_s
+        marked = frames and self.gaps is None
+        return kernel.struct(
+            "stream_rules",
+            marked=marked,
+            in_blocks=frames and not marked,
+            zero_count=info.zero_count,
+            volts_per_count=info.volts_per_count,
+            most_volts=ABSURD_V,
+            gap_size=gap_size,
+            sure_gap=min(gap_size, max(0, int(pause_s / spec.chip_s * chip))),
+            least_rest=LEAST_REST,
+            gap_weight=GAP_WEIGHT,
+            rise=MOST_RISE,
+            rise_v2=(LEAST_RISE * 0.25 * (spec.node_swing_v or 0.0)) ** 2,
+            most_waits=MOST_WAITS,
+            rate_hz=pace.rate_hz,
+            slack_s=CLOCK_SLACK_S,
+            slack=CLOCK_TOLERANCE,
+            gap_s=pace.gap_s,
+            gaps=pace.gaps,
+            least_gap_s=pace.least_gap_s,
+            most_device_us=MAX_DEVICE_TIME_US,
+            most_quiet=pace.longest_quiet,
+            most_quiet_v2=pace.most_quiet_v2,
+        )

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import operator
+from dataclasses import astuple, dataclass, fields, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -73,23 +74,26 @@ class LineFrame:
     start: stream index, fractional, at which the first chip begins; sample i is instant i.
     chip_samples: duration of a chip, samples.
     words: of the nodes; None where the line held too little power for any.
-    certificate: of these words; None without.
+    certificate: of these words; None without. speakers: how many nodes spoke.
     understood: words of few nodes are uneven, and without these the certificate would hold: they
         say something of their nodes.
     noise_rms_v: noise of one chip's level, V. level_v: of the line in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
     turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
+    crowded: more nodes spoke than sparse codes tell apart, or such that these do not.
     """
 
     start: float
     chip_samples: float
     words: Words | None
     certificate: Certificate | None
+    speakers: int
     understood: bool
     noise_rms_v: float
     level_v: float
     clipped: float
     turn: int = 0
+    crowded: bool = False
 
     def in_turn(self, turn: int) -> LineFrame:
         """Return the same frame, of this turn."""
@@ -115,3 +119,12 @@ class Rejections:
     def total(self) -> int:
         """All of them."""
         return self.incomplete + self.absurd + self.at_rail + self.noisy + self.misfit
+
+    @property
+    def leading(self) -> str:
+        """The most frequent reason."""
+        return max((item.name for item in fields(self)), key=lambda name: getattr(self, name))
+
+    def since(self, before: Rejections) -> Rejections:
+        """Return those since a moment, of which `before` is the count."""
+        return Rejections(*map(operator.sub, astuple(self), astuple(before)))

@@ -53,6 +53,10 @@ class Contacts:
     lower_bound: (c,) bool, force, area and pressure are at least this: a taxel in or beside the
         contact may carry more than it reads, or has no certain reading.
     taxels: per contact the indices of its taxels, rising.
+
+    The columns of moments are sums over taxels, in one array that the kernel fills; those of course
+    are what is smoothed together. Messages hold neither, so their layout (ros/common/touches.py) is
+    another.
     """
 
     coverage: Coverage

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import secrets
 import time
@@ -18,13 +17,12 @@ from ..base.errors import CaptureError
 from ..base.named_file import naming, open_named
 from ..config.parameters import Value
 from .container import (
+    HEAD_BYTES,
     MAGIC,
     MOST_BYTES,
-    POSITION,
     SUFFIX,
     Chunk,
     Description,
-    EndRecord,
     RecordingEncoder,
     RecordingParser,
     losses,
@@ -109,32 +107,33 @@ class Survey:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file begins, or is named, as a recording; raises CaptureError if unreadable."""
+    """Tell whether a file begins or is named as a recording; raises CaptureError if unreadable."""
     with naming(path, CaptureError), open_named(path) as file:
         return file.read(len(MAGIC)) == MAGIC or path.suffix == SUFFIX
 
 
 def describe(path: Path) -> Description:
-    """A recording's description of itself; raises CaptureError where it is none."""
-    parser = RecordingParser()
-    for _ in read_chunks(path, parser):
-        break
-    if parser.description is not None:
-        return parser.description
-    if (end := read_end(path)) is None:
+    """Return a recording's description of itself; raises CaptureError where it is none."""
+    description = _beginning(path).description or _end(path).description
+    if description is None:
         raise CaptureError(f"{path}: not a recording of tactile-cdma, or its beginning is damaged")
-    return end.description
+    return description
+
+
+def length_ns(path: Path) -> int | None:
+    """Return a recording's length, ns; None where its end is missing or damaged."""
+    return _end(path).end_ns
 
 
 def read_pieces(path: Path) -> Iterator[bytes]:
-    """The bytes of a file, piece by piece; raises CaptureError."""
+    """Yield the bytes of a file, piece by piece; raises CaptureError."""
     with naming(path, CaptureError), open_named(path) as file:
         while data := file.read(_READ_BYTES):
             yield data
 
 
 def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Iterator[Chunk]:
-    """The chunks of a recording from a position in the file on; the parser keeps count.
+    """Yield a recording's chunks from a position in the file on; the parser, of `seek`, counts.
 
     Raises CaptureError where the file cannot be read, or is of another version.
     """
@@ -152,20 +151,35 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
         raise CaptureError(f"{path}: {error}") from None
 
 
-def read_end(path: Path) -> EndRecord | None:
-    """The last record, without reading the others; None where it is missing or damaged."""
-    with naming(path, CaptureError), open_named(path) as file:
-        size = file.seek(0, 2)
-        if size < POSITION.size:
-            return None
-        file.seek(-POSITION.size, 2)
-        (position,) = POSITION.unpack(file.read(POSITION.size))
-        if not size - 2 * MOST_BYTES < position < size:
-            return None
-        file.seek(position)
-        parser = RecordingParser(resumed=True)
-        parser.feed(file.read())
-        return parser.end
+def seek(path: Path, time_ns: int) -> tuple[RecordingParser, int]:
+    """Find a parser and a position in the file for all chunks from a time on, and few before."""
+    if (identity := _beginning(path).identity) is None or time_ns <= 0:
+        return RecordingParser(), 0
+    low, high = 0, path.stat().st_size
+    while high - low > MOST_BYTES:
+        middle = (low + high) // 2
+        first = next(read_chunks(path, RecordingParser(identity), middle), None)
+        if first is not None and first.time_ns < time_ns:
+            low = middle
+        else:
+            high = middle
+    return RecordingParser(identity if low else None), low
+
+
+def _beginning(path: Path) -> RecordingParser:
+    """Return a parser that has read the beginning of a recording, with a chunk if there is one."""
+    parser = RecordingParser()
+    next(read_chunks(path, parser), None)
+    return parser
+
+
+def _end(path: Path) -> RecordingParser:
+    """Return a parser that has read the end of a recording, if it is one."""
+    parser = RecordingParser(_beginning(path).identity)
+    size = path.stat().st_size
+    for _ in read_chunks(path, parser, max(0, size - HEAD_BYTES - MOST_BYTES)):
+        pass
+    return parser
 
 
 def survey(path: Path) -> Survey:
@@ -174,29 +188,17 @@ def survey(path: Path) -> Survey:
     parser, last_ns = RecordingParser(), 0
     for chunk in read_chunks(path, parser):
         last_ns = chunk.time_ns
-    end, notes = parser.end, losses(parser)
-    if end is not None and not notes and _sha256(path, end.position) != end.sha256:
-        notes = ("the file's checksum is wrong",)
     return Survey(
-        length_s=(end.time_ns if end else last_ns) * 1e-9,
+        length_s=(last_ns if parser.end_ns is None else parser.end_ns) * 1e-9,
         chunks=parser.chunks,
         bytes=parser.bytes,
         lost_bytes=parser.lost_bytes,
-        notes=notes,
+        notes=losses(parser),
     )
 
 
-def _sha256(path: Path, size: int) -> str:
-    """Of the first bytes of a file."""
-    digest = hashlib.sha256()
-    for data in read_pieces(path):
-        digest.update(data[:size])
-        size -= min(size, len(data))
-    return digest.hexdigest()
-
-
 def is_text(path: Path) -> bool:
-    """Whether a capture is text of a scope rather than raw packets, each of which ends with a zero.
+    """Tell whether a capture is a scope's text rather than raw packets, which end with zeros.
 
     Raises CaptureError where it cannot be read, is empty, or is a table that was exported.
     """
@@ -217,7 +219,7 @@ def is_text(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
-    """Bytes of a port, and when they were read, s on the monotonic clock of the recording host.
+    """Yield a port's bytes, and when they were read, s on the recording host's monotonic clock.
 
     From a recording, or from a file of the bytes alone, which has no times: 0 then.
     Raises CaptureError where it cannot be read.
@@ -232,5 +234,5 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
 
 
 def capture_notes(path: Path) -> tuple[str, ...]:
-    """What is wrong with a file that read_bytes reads, one sentence each."""
+    """Return what is wrong with a file that read_bytes reads, one sentence each."""
     return survey(path).notes if is_recording(path) else ()

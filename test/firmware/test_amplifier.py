@@ -482,11 +482,15 @@ def converted(counts: NDArray[np.float64]) -> NDArray[np.int_]:
 def test_the_weakest_bit_keeps_its_level(skin: str) -> None:
     """Behind the RP2040's converter, whose codes 512, 1536, 2560 and 3584 are wide."""
     spec = SkinConfig.of(read_file(ROOT / "config" / f"{skin}.yaml")).spec
-    assert spec.amplitude_v is not None
+    assert spec.amplitude_v is not None and spec.flips is not None
     rng, amplitude = np.random.default_rng(1), spec.amplitude_v / 3.3 * 4096
     for _ in range(5):
         codes = rng.integers(0, 1024, spec.nodes)
         line = line_chips(spec, codes, np.ones(spec.nodes, bool), amplitude_v=1.0)
-        read = converted(2048 + amplitude * line + rng.standard_normal(line.shape)) / amplitude
-        levels = (read - read.mean()) @ spec.node_rows.T.astype(np.float32) / spec.order
+        read, gap = (
+            converted(2048 + amplitude * volts + rng.standard_normal(line.shape)) / amplitude
+            for volts in (line, 0 * line)
+        )
+        chips = (read - gap.mean()) * spec.flips
+        levels = chips @ spec.node_rows.T.astype(np.float32) / spec.order
         assert np.abs(levels).min() > 0.94

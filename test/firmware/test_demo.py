@@ -36,7 +36,6 @@ from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
     Info,
-    RollCall,
     Samples,
     Start,
     Stop,
@@ -66,7 +65,9 @@ def words_of(chips: NDArray[np.uint32]) -> tuple[Codes, NDArray[np.bool_]]:
     assert (talks == talks[0]).all(), "from the first chip to the last"
     levels = np.where(chips[:, np.newaxis] >> np.arange(NODES) & 1, 1, -1)
     rows = SPEC.book.rows(SPEC.rows) * SPEC.signs[:, np.newaxis]  # (16, order)
-    sums = np.einsum("bkn,nk->bn", levels.reshape(SPEC.bits, SPEC.order, NODES), rows)
+    assert SPEC.flips is not None, "ours are scrambled"
+    sent = levels.reshape(SPEC.bits, SPEC.order, NODES) * SPEC.flips[:, :, np.newaxis]
+    sums = np.einsum("bkn,nk->bn", sent, rows)
     assert (np.abs(sums[:, talks[0]]) == SPEC.order).all(), "whole words only"
     return (sums > 0).T @ (1 << np.arange(SPEC.bits)[::-1]), talks[0]
 
@@ -78,8 +79,8 @@ class Core:
         self._core, self._chips = core, np.empty(SPEC.chips + 1, np.uint32)
         assert core.shim_demo_begin(-1) == SPEC.chips
 
-    def frame(self, call: bool = False) -> tuple[Codes, NDArray[np.bool_]]:
-        self._core.shim_demo_frame(call, self._chips.ctypes.data_as(ctypes.c_void_p))
+    def frame(self) -> tuple[Codes, NDArray[np.bool_]]:
+        self._core.shim_demo_frame(self._chips.ctypes.data_as(ctypes.c_void_p))
         assert self._chips[-1] == self._chips[-2] & 0xFFFF, "all release the line as it is"
         return words_of(self._chips[:-1])
 
@@ -87,13 +88,12 @@ class Core:
         return int(self._core.shim_demo_touch(scene, node, code))
 
 
-def test_every_word_of_the_table_and_of_a_roll_call(core: ctypes.CDLL) -> None:
+def test_every_word_of_the_table(core: ctypes.CDLL) -> None:
     nodes, board, spoke = Nodes(), Core(core), np.zeros(NODES, int)
     for number in range(2 * 724):
-        turn = number - 300 if 300 <= number < 300 + NODES else None  # while it is pressed
-        codes, talks = board.frame(call=number == 300)
+        codes, talks = board.frame()
         expected = all_scenes(number)
-        np.testing.assert_array_equal(talks, nodes.speak(number, expected, turn), f"{number}")
+        np.testing.assert_array_equal(talks, nodes.speak(number, expected), f"{number}")
         np.testing.assert_array_equal(codes[talks], expected[talks], f"frame {number}")
         spoke += talks
     assert (spoke > 2 * 724 // 78).all(), "all of them were touched"
@@ -159,9 +159,9 @@ def test_every_word_of_the_hosts_scene(image: Path, mode: str) -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_every_word_from_power_up_on(image: Path, mode: str) -> None:
-    """At rest only heartbeats speak; from a roll call the driver takes no words."""
-    heard = listen(MODES[mode], 1.2, {0.4: [RollCall()]})
-    assert len(heard.called) == NODES and heard.lost_samples == 0
+    """At rest only heartbeats speak."""
+    heard = listen(MODES[mode], 1.2)
+    assert heard.lost_samples == 0
     right, wrong = count_words(heard, all_scenes)
     assert wrong == 0 and right >= NODES - 3
 
@@ -207,14 +207,16 @@ def test_a_single_resistor_makes_it_wired(image: Path, node: int) -> None:
 
 def test_what_it_refuses(image: Path) -> None:
     """Other layouts than its nodes', and touches that it does not know; then it goes on."""
-    layout = FrameLayout.of(FrameSpec(), 4)
+    layout = FrameLayout.of(SPEC, 4)
     with Bench(image, shape=floating) as bench:
         larger = FrameLayout.of(FrameSpec(nodes=64, frame_period_s=40e-3), 4)
-        bench.send(Configure(larger), Configure(replace(layout, polarity=-1)))
+        plain = FrameLayout.of(replace(SPEC, scramble=False), 4)
+        bench.send(Configure(larger), Configure(plain), Configure(replace(layout, polarity=-1)))
         bench.send(Touch(Scene.HOST, 17, 0), Configure(replace(layout, samples_per_chip=8)))
         bench.write(b"\0" + bytes.fromhex("02"))  # a broken packet
         bench.run(0.01)
         assert [ack.result for ack in bench.of(Ack)] == [
+            Result.UNSUPPORTED,
             Result.UNSUPPORTED,
             Result.UNSUPPORTED,
             Result.OUT_OF_RANGE,
@@ -263,7 +265,7 @@ def test_start_and_stop_at_any_time(image: Path) -> None:
 
 def test_silent_pins_leave_the_line_at_half_the_supply(image: Path) -> None:
     """They are released, and nothing in their pads pulls."""
-    writer, layout = PacketWriter(), FrameLayout.of(FrameSpec(), 4)
+    writer, layout = PacketWriter(), FrameLayout.of(SPEC, 4)
     with Rp2040(image, RESISTORS) as chip:
         chip.plug_usb()
         chip.run(0.05)

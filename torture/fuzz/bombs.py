@@ -24,7 +24,7 @@ from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.readings.calibration_file import read_calibration
 from tactile_cdma.recording.container import MAGIC, RecordingParser
 from tactile_cdma.recording.container import MOST_BYTES as MOST_RECORD
-from tactile_cdma.recording.recording_file import describe, is_text, read_bytes, read_end, survey
+from tactile_cdma.recording.recording_file import describe, is_text, length_ns, read_bytes, survey
 from tactile_cdma.recording.scope_csv import MOST_CSV_BYTES, read_scope_csv
 from tactile_cdma.rest.rest_file import read_rest
 
@@ -45,7 +45,7 @@ OTHERS: dict[str, Callable[[Path], object]] = {
     "scope": read_scope_csv,
     "recording": describe,
     "whole recording": survey,
-    "end of recording": read_end,
+    "end of recording": length_ns,
     "node memory": read_memory,
 }
 """The readers of users' files."""

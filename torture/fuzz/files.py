@@ -35,7 +35,15 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.calibration_file import read_calibration
 from tactile_cdma.recording.container import Description, RecordingEncoder, RecordingParser
 from tactile_cdma.recording.offline import RawCapture, decode_scope
-from tactile_cdma.recording.recording_file import describe, is_text, read_bytes, survey
+from tactile_cdma.recording.recording_file import (
+    describe,
+    is_text,
+    length_ns,
+    read_bytes,
+    read_chunks,
+    seek,
+    survey,
+)
 from tactile_cdma.recording.scope_csv import read_scope_csv
 from tactile_cdma.rest.rest_file import RestState, read_rest, write_rest
 from test.support.calibrations import write_calibration
@@ -92,13 +100,14 @@ def _read_recording(path: Path) -> None:
         for chunk in one_by_one.feed(data[begin : begin + size])
     ]
     assert chunks == split + one_by_one.finish(), "other chunks when split otherwise"
-    seen = [(p.description, p.end, p.damaged, p.lost_bytes) for p in (at_once, one_by_one)]
+    seen = [(p.description, p.end_ns, p.damaged, p.lost_bytes) for p in (at_once, one_by_one)]
     assert seen[0] == seen[1], "other counts when split otherwise"
     described, surveyed = describe(path), survey(path)
     described.wall_s(described.t_host(0))
     assert surveyed.bytes == sum(len(chunk.data) for chunk in chunks)
-    if at_once.end is not None:
-        at_once.end.position_of(0)
+    length_ns(path)
+    for _ in read_chunks(path, *seek(path, 10**9)):
+        pass
 
 
 def _read_capture(path: Path) -> None:

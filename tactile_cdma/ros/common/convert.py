@@ -159,6 +159,9 @@ MOST_M = 1e4
 def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
     """Pressures, Pa, NaN without a reading, and status of a frame's taxels, (t,) each.
 
+    It does for a message object, which viewers and programs get, what read_array does for bytes,
+    in 18 µs instead of 7.
+
     Raises MessageError where its fields contradict each other.
     """
     pressure_pa = np.array(message.pressure, dtype=np.float32)

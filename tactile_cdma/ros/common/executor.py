@@ -3,8 +3,9 @@
 """An executor that keeps its wait set, and that no callback ends.
 
 rclpy's own gathers all that a node has and makes a new wait set before every callback, and once
-more after it, as every callback wakes the executor. That takes 0.5 to 1 ms a message for a node
-with 20 services and topics, several times what the message itself does.
+more after it, as every callback wakes the executor. A message to a node of 10 services, 10
+publishers and 10 subscriptions takes 0.78 ms of CPU by its SingleThreadedExecutor, 0.14 by its
+EventsExecutor and 0.09 to 0.13 by this one (rclpy 7.1.5, 1,000 messages at 200 Hz).
 
 rclpy.experimental.EventsExecutor costs as little as this one, but in Jazzy's rclpy (7.1.5) it calls
 nobody while it waits without a time limit, fails where a callback wants what the middleware knows

@@ -34,6 +34,19 @@ STATE = np.dtype(
 )
 """The other numbers of a TactileContact as they lie in the message from a multiple of 8 on, in the
 units of TactileContact.msg; taxels: how many."""
+
+
+def packer(kind: np.dtype[np.void]) -> Struct:
+    """Packs an element of a kind, such as STATE, from its numbers, without making an array."""
+    assert kind.fields is not None
+    parts = [part for part, *_ in kind.fields.values()]
+    return Struct("<" + "".join(_format(part.base) * (*part.shape, 1)[0] for part in parts))
+
+
+def _format(number: np.dtype[np.generic]) -> str:
+    return f"{number.itemsize}x" if number.kind == "V" else number.char
+
+
 _ID, _STATE = np.dtype((np.void, ID.itemsize)), np.dtype((np.void, STATE.itemsize))
 _SEQUENCE, _COVERAGE, _AREA, _SUMS = Struct("<QIf"), Struct("<II2?"), Struct("<f"), Struct("<9d")
 

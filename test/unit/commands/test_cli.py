@@ -88,9 +88,13 @@ def test_people_get_a_line_per_frame(capture: Path, printed: Printed) -> None:
     assert "kPa" in printed("decode", capture).out.splitlines()[0]
 
 
-def test_a_parameter_file_serves_decoding(capture: Path, printed: Printed) -> None:
-    said = printed("decode", capture, "--json", "--params", ROOT / "config/skin.yaml")
+def test_a_parameter_file_serves_decoding(tmp_path: Path, capture: Path, printed: Printed) -> None:
+    params = tmp_path / "plain.yaml"
+    params.write_text("/**: {ros__parameters: {nodes: 16, amplitude_mv: 300.0}}")
+    said = printed("decode", capture, "--json", "--params", params)
     assert len(frames_of(said.out)) > 60
+    said = printed("decode", capture, "--params", ROOT / "config/skin.yaml", code=1).err
+    assert "scramble false (parameters: scramble true)" in said
     said = printed("decode", capture, "--order", "24", code=1).err
     assert "order 20 (parameters: 24)" in said
 

@@ -9,6 +9,7 @@ import pytest
 
 from tactile_cdma.base.errors import BodyError
 from tactile_cdma.config.body_file import Body, read_body
+from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -163,6 +164,9 @@ def test_the_shipped_body_is_one_that_drivers_take() -> None:
         "right_elbow": 25,
     }
     assert {patch.parameters["parent_frame"] for patch in body.patches} == {body.frame_id}
+    for patch in body.patches:
+        shared = read_file(patch.params_file) if patch.params_file else {}
+        assert SkinConfig.of({**shared, **patch.parameters}).spec.scramble
 
 
 def test_defaults_and_repeats_write_out_what_patches_have_in_common(tmp_path: Path) -> None:

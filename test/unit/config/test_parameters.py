@@ -69,6 +69,12 @@ def test_nothing_shipped_asks_for_a_simulator_without_naming_it() -> None:
         assert not str(read_file(path).get("port", "")).startswith(SIMULATION)
 
 
+def test_all_skins_but_the_papers_are_scrambled() -> None:
+    files = [path for path in (ROOT / "config").glob("*.yaml") if path.name != "body.yaml"]
+    specs = {path.name: SkinConfig.of(read_file(path)).spec for path in files}
+    assert {name for name, spec in specs.items() if not spec.scramble} == {"paper_skin.yaml"}
+
+
 def test_every_default_lies_within_its_own_limits() -> None:
     for parameter in PARAMETERS:
         assert parameter.check(parameter.default) == parameter.default
@@ -88,8 +94,9 @@ def test_a_calibration_is_read_anew_without_the_other_files(tmp_path: Path) -> N
     assert again.layout is config.layout
 
 
-def test_the_shipped_file_is_the_default_configuration() -> None:
-    shipped, default = SkinConfig.of(read_file(ROOT / "config" / "skin.yaml")), SkinConfig.of({})
+def test_the_shipped_file_is_the_default_configuration_scrambled() -> None:
+    shipped = SkinConfig.of(read_file(ROOT / "config" / "skin.yaml"))
+    default = SkinConfig.of({"scramble": True})
     for name in (field.name for field in fields(SkinConfig)):
         if name not in ("calibration", "layout"):  # arrays
             assert getattr(shipped, name) == getattr(default, name)

@@ -23,7 +23,7 @@ from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.wire._protocol import VERSION
 from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
-from tactile_cdma.words.decode import Words
+from tactile_cdma.words.words import Words
 from test.support.examples import examples
 from test.support.simulated import configuration, run, stream
 
@@ -257,7 +257,7 @@ def test_indices_of_any_size_give_the_same_frames(params: dict, begin: int) -> N
             "timing is 'line': connect the sync wire",
         ),
         ("drive=unipolar&bits=8", {}, r"bits 8 .*drive unipolar \(parameters: bipolar\)"),
-        ("scramble=true", {}, r"signs scrambled \(parameters: seeded\)"),
+        ("scramble=true", {}, r"scramble true \(parameters: scramble false\)"),
     ],
 )
 def test_a_digitizer_set_otherwise_is_reported_and_not_decoded(

@@ -83,7 +83,7 @@ def test_program_and_record_are_one_file(tmp_path: Path, printed: Printed) -> No
         flash = from_hex(path.read_text())
         assert flash.startswith(PROGRAM) and set(flash[len(PROGRAM) : 0x3000]) == {0xFF}
         assert flash[0x3000:0x3003] == bytes([1, 0, 16])
-        assert flash[0x3003:] == node_memory(FrameSpec(), number)
+        assert flash[0x3003:] == node_memory(FrameSpec(scramble=True), number)
         out = printed("node", "--read", path).out
         assert f"{number} of 16\n" in out and "memory, of a node with 16 MHz" in out
 
@@ -95,7 +95,7 @@ def test_an_image_for_any_node_says_so(tmp_path: Path, printed: Printed, refused
     out = printed("node", "--read", image).out
     assert "of any node with 8 MHz" in out and "once in 78 frames\n" in out
     assert "1 to 16 of 16: it takes its number when it is pressed" in out
-    flash, first = from_hex(image.read_text()), node_memory(FrameSpec(), 1)
+    flash, first = from_hex(image.read_text()), node_memory(FrameSpec(scramble=True), 1)
     for octets, told in (
         ({0x3003 + 2 * len(first): 0}, "memory 3 of 16: this is not a node's memory"),
         (dict(enumerate(first, 0x3003 + len(first))), "memory 2 of 16 is that of node 1"),

@@ -26,7 +26,7 @@ def test_generated_files_are_fresh() -> None:
 
 
 def test_check_tells_what_is_stale_and_writes_nothing(tmp_path: Path) -> None:
-    for folder in ("firmware", "docs"):
+    for folder in ("firmware", "docs", "config"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
     for folder in PACKAGE:
         copied = tmp_path / "tactile_cdma" / folder

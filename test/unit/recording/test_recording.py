@@ -17,7 +17,6 @@ from tactile_cdma.recording.container import (
     HEAD_BYTES,
     MAGIC,
     MOST_BYTES,
-    MOST_ENTRIES,
     SUFFIX,
     Chunk,
     Description,
@@ -29,8 +28,9 @@ from tactile_cdma.recording.recording_file import (
     describe,
     is_recording,
     is_text,
+    length_ns,
     read_chunks,
-    read_end,
+    seek,
     survey,
 )
 
@@ -63,7 +63,7 @@ def parsed(raw: bytes, sizes: list[int] | None = None) -> tuple[RecordingParser,
 
 def state(parser: RecordingParser) -> tuple[object, ...]:
     counts = parser.damaged, parser.lost_bytes, parser.chunks, parser.bytes
-    return parser.description, parser.end, counts
+    return parser.description, parser.end_ns, counts
 
 
 def is_part(some: list[Chunk], whole: list[Chunk]) -> bool:
@@ -79,7 +79,7 @@ def test_what_was_written_is_read_in_any_pieces(payloads: list[bytes], sizes: li
     parser, chunks = parsed(raw, sizes)
     assert chunks == [Chunk(i * 10**9, payload) for i, payload in enumerate(payloads)]
     assert parser.description == ABOUT
-    assert parser.end is not None and parser.end.time_ns == len(payloads) * 10**9
+    assert parser.end_ns == len(payloads) * 10**9
     assert (parser.damaged, parser.lost_bytes) == (0, 0)
     assert state(parser) == state(parsed(raw)[0])
 
@@ -94,7 +94,7 @@ def test_a_cut_file_gives_what_is_before_the_cut(
     cut = data.draw(st.integers(0, len(raw) - 1))
     parser, chunks = parsed(raw[:cut])
     assert chunks == whole[: len(chunks)]
-    assert parser.end is None and parser.lost_bytes == parser.damaged == 0
+    assert parser.end_ns is None and parser.lost_bytes == parser.damaged == 0
     written = [place + len(payload) <= cut for place, payload in _places(payloads)]
     assert len(chunks) == sum(written)
 
@@ -120,9 +120,9 @@ def test_a_flipped_byte_costs_one_record_and_is_counted(
     parser, chunks = parsed(bytes(raw), sizes)
     assert is_part(chunks, whole)
     assert len(chunks) >= len(whole) - 1
-    assert parser.damaged == (1 if parser.end else 0)  # a lost end looks like a cut
+    assert parser.damaged == (parser.end_ns is not None)  # a lost end looks like a cut
     assert parser.description == ABOUT  # it is there twice
-    if parser.end:
+    if parser.end_ns is not None:
         assert parser.lost_bytes == sum(map(len, payloads)) - parser.bytes
     assert state(parser) == state(parsed(bytes(raw))[0])
 
@@ -140,7 +140,7 @@ def test_missing_and_foreign_bytes_never_make_data(
     parser, chunks = parsed(raw[:begin] + insert + raw[end:])
     if first_ours:  # else the inserted recording is what the file is one of
         assert is_part(chunks, whole)
-        if parser.end:
+        if parser.end_ns is not None:
             assert parser.lost_bytes == sum(map(len, payloads)) - parser.bytes
             assert parser.damaged or parser.lost_bytes or (begin == end and not insert)
 
@@ -158,38 +158,44 @@ def test_large_pieces_are_divided_and_come_back_whole() -> None:
     assert parser.damaged == 0
 
 
-def test_the_index_stays_small_and_leads_to_every_time() -> None:
-    encoder = RecordingEncoder(ABOUT, 5)
-    raw = bytearray(encoder.begin())
-    for second in range(3 * MOST_ENTRIES):
-        raw += encoder.chunk(b"x", 5.0 + second)
-    parser, chunks = parsed(bytes(raw) + encoder.end(5.0 + 3 * MOST_ENTRIES))
-    end = parser.end
-    assert end is not None and MOST_ENTRIES / 3 < len(end.index) <= MOST_ENTRIES
-    for second in (0, 17, 2 * MOST_ENTRIES + 1):
-        position = end.position_of(second * 10**9)
-        assert position is not None
-        resumed = RecordingParser(resumed=True)
-        after = resumed.feed(bytes(raw[position:]))
-        assert second - 4 <= after[0].time_ns / 1e9 <= second
-        assert after == chunks[-len(after) :]
+@pytest.mark.parametrize("cut", [0, 300_000])
+def test_reading_begins_anywhere(tmp_path: Path, cut: int) -> None:
+    path, encoder, seconds = tmp_path / "some.skin", RecordingEncoder(ABOUT, 5), 60
+    piece = encoded([b"of another"], identity=6) * 400  # whose records are not taken for ours
+    raw = encoder.begin()
+    for second in range(seconds):
+        raw += encoder.chunk(piece, 5.0 + second)
+    raw += encoder.end(5.0 + seconds)
+    assert len(raw) > 5 * MOST_BYTES
+    path.write_bytes(raw[: len(raw) - cut])
+    whole = list(read_chunks(path, RecordingParser()))
+    assert len(whole) == seconds - (2 if cut else 0)
+    for time_ns in (-1, 0, 1, 17_000_000_000, 17_500_000_000, 10**12):
+        parser, position = seek(path, time_ns)
+        found = list(read_chunks(path, parser, position))
+        before = [chunk for chunk in found if chunk.time_ns < time_ns]
+        assert found[len(before) :] == [chunk for chunk in whole if chunk.time_ns >= time_ns]
+        assert sum(len(chunk.data) for chunk in before) < 2 * MOST_BYTES
+        assert parser.lost_bytes == parser.damaged == 0
+        assert (parser.end_ns is None) == bool(cut)
 
 
-def test_another_version_is_refused() -> None:
-    raw = encoded([b"x"])
-    head = RecordingEncoder(ABOUT, 77).begin()
-    newer = RecordingEncoder(ABOUT, 77)
-    text = head[len(MAGIC) + HEAD_BYTES :].replace(b'"version": 1', b'"version": 2')
-    record = newer._record(b"H", text)
-    with pytest.raises(CaptureError, match="version 2"):
-        parsed(MAGIC + record + raw[len(head) :])
+@pytest.mark.parametrize(("version", "whose"), [(1, "an older"), (3, "another"), ("x", "another")])
+def test_another_version_is_refused(version: object, whose: str) -> None:
+    raw, encoder = encoded([b"x"]), RecordingEncoder(ABOUT, 77)
+    head = encoder.begin()
+    text = head[len(MAGIC) + HEAD_BYTES :].replace(
+        b'"version": 2', json.dumps({"version": version}).encode()[1:-1]
+    )
+    with pytest.raises(CaptureError, match=f"version {version}, made by {whose} version"):
+        parsed(MAGIC + encoder._record(b"H", text) + raw[len(head) :])
 
 
 @pytest.mark.parametrize(
     "content",
     [
         *(b"{", b"\xff\xfe", b"[1]", b"[" * 99_999),
-        *(b'{"version": 1}', b'{"wall_ns": "x"}', b'{"parameters": [1]}'),
+        *(b'{"version": 2}', b'{"wall_ns": "x"}', b'{"parameters": [1]}'),
     ],
 )
 def test_a_description_that_makes_no_sense_is_damage(content: bytes) -> None:
@@ -203,22 +209,15 @@ def test_a_description_that_makes_no_sense_is_damage(content: bytes) -> None:
     assert parser.damaged == 1
 
 
-SOUND = '{"description": ABOUT, "sha256": "", "index": [[0, 1]]}'
-IMPOSSIBLE = "[1e999, 0]", "[0, -5]", f"[0, {2**70}]", "[NaN, 1]", "[0, 1.5]", "[1]"
-
-
-@pytest.mark.parametrize(
-    "content", ["x", "{}", SOUND, *(SOUND.replace("[0, 1]", it) for it in IMPOSSIBLE)]
-)
-def test_an_end_that_makes_no_sense_is_none(content: str) -> None:
+@pytest.mark.parametrize("change", [{"wall_ns": -1}, {"baud": 1.5}, {"monotonic_ns": 2**70}])
+def test_an_end_that_makes_no_sense_is_none(change: dict[str, object]) -> None:
     encoder = RecordingEncoder(ABOUT, 77)
     head = encoder.begin()
-    begin = head + encoder.chunk(b"x", 5.0)
-    said = content.replace("ABOUT", head[len(MAGIC) + HEAD_BYTES :].decode()).encode()
-    place = struct.pack("<Q", len(begin)) if content != "x" else b""
-    parser, chunks = parsed(begin + encoder._record(b"F", said + place))
-    assert chunks == [Chunk(0, b"x")]
-    assert (parser.end is None) == (content != SOUND)
+    begin, said = head + encoder.chunk(b"x", 5.0), json.loads(head[len(MAGIC) + HEAD_BYTES :])
+    for content, is_sound in ((said, True), (said | change, False)):
+        parser, chunks = parsed(begin + encoder._record(b"F", json.dumps(content).encode()))
+        assert chunks == [Chunk(0, b"x")]
+        assert (parser.end_ns is not None) == is_sound
 
 
 @pytest.fixture
@@ -257,7 +256,7 @@ def test_a_file_that_was_cut_is_read_and_said_to_be(file: Path) -> None:
     found = survey(file)
     assert "cut short" in found.notes[0]
     assert 1500 < found.bytes < 2600 and found.bytes % 100 == 0
-    assert read_end(file) is None
+    assert length_ns(file) is None
 
 
 def test_what_is_written_is_there_before_the_end(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, FrameSpec
-from tactile_cdma.words.decode import Words
+from tactile_cdma.words.words import Words
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
 from test.support.correlations import read_chips
 
