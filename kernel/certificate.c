@@ -28,6 +28,7 @@ struct certifier {
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
     float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
+    double explained, worse; /* V²: sum of squares of the chips that the words explain; by which rivals must explain less */
     struct words_measures measures;
 };
 
@@ -396,6 +397,18 @@ static double rows_left(struct certifier *certifier, const float *rows, const st
     return total * (double)code->order;
 }
 
+/* Sum of squares, V², that words of one amplitude explain of rows (k, N), and whether they are others than a frame's. */
+static double rows_explained(struct certifier *certifier, const float *rows, const struct words *words, bool *differ)
+{
+    const struct code *code = &certifier->code;
+    double sum = 0;
+
+    rows_left(certifier, rows, words, differ);
+    for (size_t i = 0; i < code->nodes; i++)
+        sum += (double)certifier->mean[i] * (double)certifier->mean[i];
+    return sum * (double)(code->bits * code->order);
+}
+
 /* The frame's chips without levels, read later by a shift; chips beside the frame that were not seen are those that the
  * words would have there. */
 static void read_shifted(struct certifier *certifier, const struct reading *reading, int shift, float *rows)
@@ -442,10 +455,9 @@ static double shifted_frames(struct certifier *certifier, const struct reading *
     const struct code *code = &certifier->code;
     const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *level = certifier->level;
-    double weakest = reading->weakest, cut = 0, value = 0;
+    double cut = 0, value = 0;
     double beside = sum_beside(reading->shown_before, 2 * side);
-    double worse = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
-    double base = reading->shown + worse;
+    double base = reading->shown + certifier->worse;
     bool differ;
 
     for (size_t lag = 1; lag <= side; lag++) {
@@ -640,19 +652,23 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     const struct reading reading = find_rest(certifier, view, words);
     const double noise = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
+    bool differ;
 
     words_decide(&certifier->measures, code->nodes, (unsigned)code->bits, code->parity, certifier->expected,
                  code->sign_mask, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
     bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
+    certifier->explained = rows_explained(certifier, certifier->rows, NULL, &differ);
+    certifier->worse = 2 * certifier->limits.log_odds * reading.shown / reading.free +
+                       certifier->limits.better * reading.weakest * reading.weakest;
+    value[CLAUSE_REST] = rest(certifier, &reading);
+    value[CLAUSE_WORDS] = parts ? 2 : 0;
     shifted_atoms(certifier, &reading, words, &atoms, &rivals);
     value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
     for (int sign = -1; sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few;
          sign += 2)
         rivals = fmax(rivals, shifted_frames(certifier, &reading, words, sign));
     value[CLAUSE_RIVALS] = rivals;
-    value[CLAUSE_REST] = rest(certifier, &reading);
-    value[CLAUSE_WORDS] = parts ? 2 : 0;
     certificate->left = reading.left;
     certificate->noise = noise;
     certificate->swing = reading.swing;
@@ -675,6 +691,20 @@ double certificate_worst(const struct certificate *certificate, enum certificate
     if (clause)
         *clause = (enum certificate_clause)worst;
     return certificate->value[worst];
+}
+
+void certifier_compare(struct certifier *certifier, const float *chips, const struct words *words,
+                       struct certificate *certificate)
+{
+    double *value = &certificate->value[CLAUSE_RIVALS];
+    bool differ;
+
+    if (!certificate->speakers)
+        return;
+    code_rows(&certifier->code, chips, certifier->work);
+    double less = certifier->explained - rows_explained(certifier, certifier->work, words, &differ);
+    if (differ)
+        *value = fmax(*value, certifier->worse / fmax(less, 1e-6 * certifier->worse));
 }
 
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)

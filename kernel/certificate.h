@@ -83,6 +83,11 @@ void certifier_free(struct certifier *certifier);
 void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                     struct certificate *certificate);
 
+/* How near chips that are read elsewhere come to being other words that explain as much as those of the frame read last;
+ * of CLAUSE_RIVALS, whose value is raised to it. */
+void certifier_compare(struct certifier *certifier, const float *chips, const struct words *words,
+                       struct certificate *certificate);
+
 /* Puts in doubt what the values of a certificate ask for; after whoever has more to add to them did. */
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words);
 

@@ -11,6 +11,7 @@
 #define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
 #define LEARNT 8     /* of these, until then it is unknown */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
+#define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
 #define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
 
 struct frame_reader {
@@ -23,6 +24,9 @@ struct frame_reader {
     double *sums;                 /* of the samples of a frame */
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
+    bool is_free, measures;       /* it may begin whole chips beside that, too; that is refined in any case */
+    struct fit places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
+    size_t place_count;
     float *levels;                /* (span + 2·side) V, chips by a fit, with those beside and pauses */
     float *chips;                 /* (k, N) of these */
     float *scratch;
@@ -80,12 +84,14 @@ void frame_reader_reset(struct frame_reader *reader)
     reader->count = 0;
 }
 
-void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter)
+void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures)
 {
     reader->carried = *fit;
     reader->rules.earliest = fit->start - scatter;
     reader->rules.latest = fit->start + scatter;
     reader->begin = (size_t)fmax(0, ceil(fit->start));
+    reader->is_free = isinf(scatter);
+    reader->measures = measures;
 }
 
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit)
@@ -225,16 +231,56 @@ static bool find_fit(struct frame_reader *reader, const struct fit_line *line, d
         }
         take_chips(reader, line, &fit);
         over = certifier_left(reader->certifier, reader->chips, &of_chips);
-        if (!any || over < 0.98 * *left) {
+        if (!any || over < 0.98 * *left || reader->measures) {
             *best = fit;
             *left = over;
             *power = of_chips;
         }
         any = true;
-        if (*left < MORE_NOISE * noise + rules->refined * *power)
+        if (*left < MORE_NOISE * noise + rules->refined * *power && !reader->measures)
             break;
     }
     return any;
+}
+
+/* Power, V², that the words of a fit explain. */
+static double explained_by(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
+{
+    double power;
+
+    take_chips(reader, line, fit);
+    double left = certifier_left(reader->certifier, reader->chips, &power);
+    return power - left;
+}
+
+/* Moves a frame that may begin anywhere by whole chips to where its words explain most, and keeps the other places at
+ * which they explain nearly as much: each with its own best timing, as that of one suits the words of no other. */
+static void choose_place(struct frame_reader *reader, const struct fit_line *line, struct fit *best)
+{
+    const int side = (int)reader->rules.side;
+    const struct fit here = *best;
+    double most = explained_by(reader, line, best), least = NEAR * most;
+
+    reader->place_count = 0;
+    for (int shift = -side; shift <= side; shift++) {
+        struct fit there = {here.start + shift * here.chip, here.chip}, refined;
+        if (!shift || explained_by(reader, line, &there) < least)
+            continue;
+        refined = fit_refine(&reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY, INFINITY,
+                             reader->scratch);
+        if (fabs(refined.start - there.start) < here.chip / 2 && is_possible(reader, line, &refined))
+            there = refined;
+        if (!is_possible(reader, line, &there))
+            continue;
+        double power = explained_by(reader, line, &there);
+        struct fit *place = &reader->places[reader->place_count++];
+        *place = there;
+        if (power > most) {
+            *place = *best;
+            *best = there;
+            most = power;
+        }
+    }
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------ */
@@ -264,14 +310,18 @@ static double noise_of_frames(const struct frame_reader *reader)
 }
 
 /* Words and certificate of the chips in the reader. beside: see certificate_view. */
-static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, double power, double within,
-                               const struct words *words, struct frame_found *found)
+static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
+                               double power, double within, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     struct certificate *certificate = &found->certificate;
 
     certifier_read(reader->certifier, view, words, certificate);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
+    for (size_t i = 0; line && i < reader->place_count; i++) {
+        take_chips(reader, line, &reader->places[i]);
+        certifier_compare(reader->certifier, reader->chips, words, certificate);
+    }
     found->noise = certificate->noise * sqrt((double)reader->code.order);
     if (certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
                               : certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit)) {
@@ -301,7 +351,7 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     view.noise = noise_of_frames(reader);
     found->start = 0;
     found->chip = 1;
-    enum frame_look look = certify(reader, &view, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
+    enum frame_look look = certify(reader, &view, NULL, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
     reader->seen[reader->count++ % SEEN] = found->certificate.left;
     if (look == FRAME_READ && count > chips) /* a value was taken twice */
         memset(words->doubtful, 1, code->nodes);
@@ -323,6 +373,12 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     if (searches && rules->searches && left > rules->misfit * rules->misfit * power + 3 * rest->noise)
         return FRAME_SEARCH;
     reader->proposed.chip = 0;
+    reader->place_count = 0;
+    if (reader->is_free) {
+        choose_place(reader, &line, &fit);
+        take_chips(reader, &line, &fit);
+        certifier_left(reader->certifier, reader->chips, &power);
+    }
     double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
     if (missing > EDGE && !final) {
         reader->carried = fit;
@@ -349,7 +405,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     found->start = fit.start;
     found->chip = fit.chip;
     found->clipped = share_clipped(rules, volts + begin, stop - begin);
-    return certify(reader, &view, power, within, words, found);
+    return certify(reader, &view, &line, power, within, words, found);
 }
 
 void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,

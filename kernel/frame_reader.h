@@ -74,8 +74,9 @@ void frame_reader_reset(struct frame_reader *reader);
 /* Tries this timing on the next frame, too; see FRAME_SEARCH. */
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
 
-/* The next frame begins by so many samples, at most, before or after a fit's start, with such chips. */
-void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter);
+/* The next frame begins by so many samples, at most, before or after a fit's start, with such chips; infinite: or whole
+ * chips beside that. measures: start and chip are refined in any case. */
+void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures);
 
 /* Power, V², that words explain of the chips of `count` fits, of which each begins a chip later. */
 void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,

@@ -113,6 +113,7 @@ class FrameReader:
         spec, chip, swing_v = self.spec, self.chip, self.swing_v
         low, high = rails_v or (-math.inf, math.inf)
         margin = RAIL_MARGIN * (high - low) if rails_v else 0.0
+        self._within_v = low + margin, high - margin
         return {
             "integrated": self.integrated,
             "mean_is_offset": (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR,
@@ -152,10 +153,13 @@ class FrameReader:
             self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
         )
 
-    def expect(self, start: float, chip: float, scatter: float) -> None:
-        """Expect the next frame to begin within ±scatter of a start, with such chips; samples."""
+    def expect(self, start: float, chip: float, scatter: float, measures: bool = True) -> None:
+        """Expect the next frame to begin within ±scatter of a start, with such chips; samples.
+
+        measures: both are refined in any case.
+        """
         fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        kernel.compiled.frame_reader_expect(self.at, fit, scatter)
+        kernel.compiled.frame_reader_expect(self.at, fit, scatter, measures)
 
     def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
         """Return the power that words explain, V², of frames that each begin a chip later.
@@ -199,6 +203,11 @@ class FrameReader:
             self.at, self._rest, mean_v, variance_v2, self._found
         )
         return look
+
+    def is_deaf(self, volts: Floats32) -> bool:
+        """Whether so many samples are at a rail that a node may speak unheard."""
+        low_v, high_v = self._within_v
+        return float(np.mean((volts <= low_v) | (volts >= high_v))) > DEAFENED
 
     @property
     def due_chips(self) -> float:

@@ -36,6 +36,8 @@ GAP_WEIGHT = 0.25
 """Weight of the newest gap in the running noise estimate: averages about seven gaps."""
 MOST_RISE = 4.0
 """Times that the noise may rise from gap to gap: a burst in one must not excuse the next frame."""
+MEASURED = 8
+"""Frames that the raster places until a start is measured again: a crystal drifts by less."""
 LOST_AGAIN = 3
 """Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
@@ -78,7 +80,7 @@ class GapTiming:
         self._heard_one = self._fresh = False
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
-        self._failures = 0
+        self._failures = self._placed_ones = 0
         self.reset()
 
     @property
@@ -176,7 +178,9 @@ class GapTiming:
         first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
         self._learn_rest(expected.start)
         scatter = SCATTERS * expected.scatter
-        self._reader.expect(expected.start - first, expected.chip, scatter)
+        self._placed_ones += 1
+        measures = self._placed_ones % MEASURED == 0
+        self._reader.expect(expected.start - first, expected.chip, scatter, measures)
         look = self._reader.look(self._take(first, end), final, searches=True)
         if look == lib.FRAME_NEEDS_MORE:
             self.due = end + max(1, self._reader.more)
@@ -256,6 +260,10 @@ class GapTiming:
             return int(lib.FRAME_MISFIT)
         start, chip = fit
         first = self._first = max(0, math.floor(start - SIDE_CHIPS * chip))
+        stop = max(0, math.floor(start - SETTLING * chip))
+        near = volts[max(0, stop - self._rest_size) : stop]
+        if near.size >= LEAST_REST:  # hum moves the level from gap to gap
+            reader.learn_rest(float(near.mean(dtype=np.float64)), self._noise)
         last = math.ceil(start + (spec.span_chips * 1.01 + SIDE_CHIPS + 1) * chip)
         reader.expect(start - first, chip, math.inf)
         return reader.look(volts[first:last])
@@ -276,7 +284,8 @@ class GapTiming:
         else:
             self._level = frame.level_v
             self._heard_one, self._failures = True, 0
-            if frame.certificate is not None and frame.certificate.rivals < 1:
+            is_measured = self._expected is None or self._placed_ones % MEASURED == 0
+            if is_measured and frame.certificate is not None and frame.certificate.rivals < 1:
                 self._raster.learn(start, chip)
         self._next = start + search.period
         self._cursor = math.ceil(start + (self._spec.span_chips + 0.5) * chip)
@@ -316,6 +325,8 @@ class GapTiming:
         noise = self._noise * search.chip
         more = variance + (mean - self._level) ** 2 - noise
         more += SCATTERS * noise * math.sqrt(2 / volts.size)
+        if self._reader.is_deaf(volts):
+            return int(lib.FRAME_AT_RAIL)
         look = self._reader.sum_up(mean, variance)
         if look == lib.FRAME_SILENT and more * search.period > self._reader.silent_power * search.shortest:
             return int(lib.FRAME_NOISY)

@@ -93,6 +93,7 @@ class GapSearch:
         cell = self.half * self._group
         self._low, self._high = int(self.shortest / cell), int(self.longest / cell) + 1
         self._bit_cells = math.ceil(spec.order * self.chip / cell) + 1
+        self._steady = spec.first_row == 0 and not spec.scramble
         self._least_power = (FAINT * (reader.swing_v or 0.0)) ** 2
         # Mean excess power of a frame's length, in variances, that noise practically never reaches.
         self._least_snr = 0.1 + LOUD * math.sqrt(self.half / self.shortest)
@@ -119,7 +120,7 @@ class GapSearch:
             return [Gap(centre + float(level[best]), least, best * self.half, size)]
         floor = float(variance.min()) + 1e-6 * float(power.max())
         found: list[Gap] = []
-        most = 3 if self._spec.first_row == 0 and not self._spec.scramble else 1
+        most = 3 if self._steady else 1
         while len(found) < most and (lowest := float(variance.min())) <= 4 * floor:
             best = int(np.argmin(variance))
             there = float(level[best])
@@ -136,7 +137,7 @@ class GapSearch:
 
         volts: (m,), V. None where there is nothing but noise.
         """
-        found, levels = None, self._halves(volts) - gap.level
+        found, levels = None, self._moving(volts, gap)
         while burst := self._burst(levels, gap.variance):
             found = burst
             before = int((found.first - self.chip) / self.half)
@@ -217,6 +218,19 @@ class GapSearch:
         if not (before.size and after.size):
             slack += self.half * (group - 1)
         return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, variance)
+
+    def _moving(self, volts: Floats32, gap: Gap) -> Floats:
+        """Return what words move the levels of half chips by, (m // half,), V.
+
+        That is against a chip before, which hum is not; but against the gap where a word may hold
+        the line at one level.
+        """
+        levels = self._halves(volts) - gap.level
+        if self._steady:
+            return levels
+        before = np.concatenate((levels[:1], levels[:1], levels[:-2]))
+        moves: Floats = (levels - before) * math.sqrt(0.5)
+        return moves
 
     def _halves(self, volts: Floats32) -> Floats:
         """Return means of consecutive half chips, (m // half,)."""
