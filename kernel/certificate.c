@@ -3,6 +3,7 @@
 #include "certificate.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -28,7 +29,8 @@ struct certifier {
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
     float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
-    double explained, worse; /* V²: sum of squares of the chips that the words explain; by which rivals must explain less */
+    double edges;          /* V, by which edges may put a chip off */
+    double beyond, worse;  /* V²: sum of squares of what is left beyond that; by which that of a rival must be more */
     struct words_measures measures;
 };
 
@@ -397,18 +399,6 @@ static double rows_left(struct certifier *certifier, const float *rows, const st
     return total * (double)code->order;
 }
 
-/* Sum of squares, V², that words of one amplitude explain of rows (k, N), and whether they are others than a frame's. */
-static double rows_explained(struct certifier *certifier, const float *rows, const struct words *words, bool *differ)
-{
-    const struct code *code = &certifier->code;
-    double sum = 0;
-
-    rows_left(certifier, rows, words, differ);
-    for (size_t i = 0; i < code->nodes; i++)
-        sum += (double)certifier->mean[i] * (double)certifier->mean[i];
-    return sum * (double)(code->bits * code->order);
-}
-
 /* The frame's chips without levels, read later by a shift; chips beside the frame that were not seen are those that the
  * words would have there. */
 static void read_shifted(struct certifier *certifier, const struct reading *reading, int shift, float *rows)
@@ -601,6 +591,39 @@ void certifier_model(struct certifier *certifier, const float *chips, float *mod
         model[i] += (float)pedestal;
 }
 
+/* Chips beside a frame without their level and what leaks from it, which is taken off its chips, too. Sum of squares, V²,
+ * of what is left before that, there and in the frame. */
+static double find_beside(struct certifier *certifier, const struct certificate_view *view)
+{
+    const struct code *code = &certifier->code;
+    float *beside = certifier->beside;
+
+    memcpy(beside, view->beside, 2 * view->side * sizeof *beside);
+    if (code->first > 0 || code->scrambled)
+        level_beside(certifier, view->side, beside);
+    memcpy(certifier->leaked, beside, 2 * view->side * sizeof *beside);
+    double shown = sums_power(left_of(certifier), code->bits * code->order) + sum_beside(beside, 2 * view->side);
+    take_leakage(certifier, beside + view->side - 1, beside + view->side);
+    return shown;
+}
+
+/* Sum of squares, V², by which what is left, in the frame and beside it, is more than edges do. */
+static double beyond_edges(const struct certifier *certifier, size_t side)
+{
+    const float *left = left_of(certifier), *beside = certifier->beside, edges = (float)certifier->edges;
+    double sum = 0;
+
+    for (size_t i = 0; i < certifier->code.bits * certifier->code.order; i++) {
+        double more = (double)fmaxf(fabsf(left[i]) - edges, 0);
+        sum += more * more;
+    }
+    for (size_t i = 0; i < 2 * side; i++) {
+        double more = isnan(beside[i]) ? 0 : (double)fmaxf(fabsf(beside[i]) - edges, 0);
+        sum += more * more;
+    }
+    return sum;
+}
+
 /* What the frame's words leave over, in chips and on rows. */
 static struct reading find_rest(struct certifier *certifier, const struct certificate_view *view,
                                 const struct words *words)
@@ -620,18 +643,12 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->broken, certifier->work);
     code_chips(code, certifier->work, certifier->model);
     leave(certifier, view->chips, left_of(certifier));
+    reading.shown = find_beside(certifier, view);
     reading.side = view->side;
     reading.before = certifier->beside;
     reading.after = certifier->beside + view->side;
-    memcpy(certifier->beside, view->beside, 2 * view->side * sizeof *view->beside);
-    if (has_level)
-        level_beside(certifier, view->side, certifier->beside);
-    memcpy(certifier->leaked, certifier->beside, 2 * view->side * sizeof *view->beside);
     reading.shown_before = certifier->leaked;
     reading.shown_after = certifier->leaked + view->side;
-    reading.shown = sums_power(left_of(certifier), chips) + sum_beside(certifier->leaked, 2 * view->side);
-    if (reading.speakers)
-        take_leakage(certifier, certifier->beside + view->side - 1, certifier->beside + view->side);
     double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
     for (size_t i = 0; i < code->nodes; i++)
         taken += certifier->broken[i] ? (double)code->bits : 0;
@@ -650,15 +667,16 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 {
     const struct code *code = &certifier->code;
     const struct reading reading = find_rest(certifier, view, words);
+    const struct certificate_limits *limits = &certifier->limits;
     const double noise = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
-    bool differ;
 
     words_decide(&certifier->measures, code->nodes, (unsigned)code->bits, code->parity, certifier->expected,
                  code->sign_mask, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
     bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
-    certifier->explained = rows_explained(certifier, certifier->rows, NULL, &differ);
+    certifier->edges = limits->edges * reading.weakest * sqrt((double)reading.speakers);
+    certifier->beyond = beyond_edges(certifier, view->side);
     certifier->worse = 2 * certifier->limits.log_odds * reading.shown / reading.free +
                        certifier->limits.better * reading.weakest * reading.weakest;
     value[CLAUSE_REST] = rest(certifier, &reading);
@@ -693,18 +711,37 @@ double certificate_worst(const struct certificate *certificate, enum certificate
     return certificate->value[worst];
 }
 
-void certifier_compare(struct certifier *certifier, const float *chips, const struct words *words,
+double certifier_explained(struct certifier *certifier, const float *chips)
+{
+    const struct code *code = &certifier->code;
+    const size_t size = code->bits * code->order;
+    double levels = 0;
+    float beside;
+
+    certifier_model(certifier, chips, certifier->model);
+    leave(certifier, chips, left_of(certifier));
+    take_leakage(certifier, &beside, &beside);
+    for (size_t bit = 0; bit < code->bits; bit++)
+        levels += (double)certifier->level[bit] * (double)certifier->level[bit];
+    return sums_power(chips, size) - sums_power(left_of(certifier), size) - (double)code->order * levels;
+}
+
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                        struct certificate *certificate)
 {
+    const struct code *code = &certifier->code;
     double *value = &certificate->value[CLAUSE_RIVALS];
     bool differ;
 
-    if (!certificate->speakers)
+    code_rows(code, view->chips, certifier->work);
+    rows_left(certifier, certifier->work, words, &differ);
+    if (!differ || !certificate->speakers)
         return;
-    code_rows(&certifier->code, chips, certifier->work);
-    double less = certifier->explained - rows_explained(certifier, certifier->work, words, &differ);
-    if (differ)
-        *value = fmax(*value, certifier->worse / fmax(less, 1e-6 * certifier->worse));
+    certifier_model(certifier, view->chips, certifier->model);
+    leave(certifier, view->chips, left_of(certifier));
+    find_beside(certifier, view);
+    double more = beyond_edges(certifier, view->side) - certifier->beyond;
+    *value = fmax(*value, certifier->worse / fmax(more, 1e-6 * certifier->worse));
 }
 
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)

@@ -36,6 +36,7 @@ struct certificate_limits {
     double faint, faint_bit;     /* share of a silent row, and of its loudest bit, that is asked about */
     double faint_deviations;     /* normal deviations of noise that is asked about there */
     double better;               /* squares of the weakest word by which a rival must be worse */
+    double edges;                /* share of the words' RMS by which edges may put a chip off */
     size_t few;                  /* words up to which a frame may look like another one beside it */
     double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
     double silent_rho;           /* ρ below which noise may hide a node */
@@ -83,9 +84,12 @@ void certifier_free(struct certifier *certifier);
 void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                     struct certificate *certificate);
 
-/* How near chips that are read elsewhere come to being other words that explain as much as those of the frame read last;
- * of CLAUSE_RIVALS, whose value is raised to it. */
-void certifier_compare(struct certifier *certifier, const float *chips, const struct words *words,
+/* Sum of squares, V², that words of one amplitude and leakage explain of chips (k, N), without their levels. */
+double certifier_explained(struct certifier *certifier, const float *chips);
+
+/* How near a frame that is read elsewhere comes to being other words that explain as much as those of the frame read
+ * last; CLAUSE_RIVALS is raised to that. */
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                        struct certificate *certificate);
 
 /* Puts in doubt what the values of a certificate ask for; after whoever has more to add to them did. */

@@ -195,6 +195,25 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
             reader->chips[i] = levels[code->places[i]];
 }
 
+/* What is seen of a frame by a fit. */
+static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit,
+                                       const struct frame_rest *rest)
+{
+    const size_t side = reader->rules.side, after = side + reader->code.span;
+    const double end = fit_end(fit, reader->code.span), last = (double)line->size - EDGE + 0.1;
+    struct certificate_view view = {
+        .chips = reader->chips, .side = side, .noise = rest->noise, .level_unknown = !rest->known};
+
+    take_chips(reader, line, fit);
+    for (size_t i = 0; i < side; i++) {
+        bool before_seen = fit->start - (double)(side - i) * fit->chip > -EDGE - 0.1;
+        bool after_seen = end + (double)(i + 1) * fit->chip < last;
+        view.beside[i] = before_seen ? reader->levels[i] : NAN;
+        view.beside[side + i] = after_seen ? reader->levels[after + i] : NAN;
+    }
+    return view;
+}
+
 /* Whether a fit is within the limits, and its frame within the samples. */
 static bool is_possible(const struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
 {
@@ -243,14 +262,11 @@ static bool find_fit(struct frame_reader *reader, const struct fit_line *line, d
     return any;
 }
 
-/* Power, V², that the words of a fit explain. */
+/* Sum of squares, V², that the words of a fit explain. */
 static double explained_by(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
 {
-    double power;
-
     take_chips(reader, line, fit);
-    double left = certifier_left(reader->certifier, reader->chips, &power);
-    return power - left;
+    return certifier_explained(reader->certifier, reader->chips);
 }
 
 /* Moves a frame that may begin anywhere by whole chips to where its words explain most, and keeps the other places at
@@ -263,16 +279,18 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
 
     reader->place_count = 0;
     for (int shift = -side; shift <= side; shift++) {
-        struct fit there = {here.start + shift * here.chip, here.chip}, refined;
-        if (!shift || explained_by(reader, line, &there) < least)
+        struct fit there = {here.start + shift * here.chip, here.chip};
+        double power = shift && is_possible(reader, line, &there) ? explained_by(reader, line, &there) : 0;
+        if (power <= least)
             continue;
-        refined = fit_refine(&reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY, INFINITY,
-                             reader->scratch);
-        if (fabs(refined.start - there.start) < here.chip / 2 && is_possible(reader, line, &refined))
-            there = refined;
-        if (!is_possible(reader, line, &there))
-            continue;
-        double power = explained_by(reader, line, &there);
+        struct fit own = fit_refine(&reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY,
+                                    INFINITY, reader->scratch);
+        bool is_near = fabs(own.start - there.start) < here.chip / 2 && is_possible(reader, line, &own);
+        double refined = is_near ? explained_by(reader, line, &own) : 0;
+        if (refined > power) {
+            there = own;
+            power = refined;
+        }
         struct fit *place = &reader->places[reader->place_count++];
         *place = there;
         if (power > most) {
@@ -311,7 +329,7 @@ static double noise_of_frames(const struct frame_reader *reader)
 
 /* Words and certificate of the chips in the reader. beside: see certificate_view. */
 static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
-                               double power, double within, const struct words *words, struct frame_found *found)
+                               const struct frame_rest *rest, double power, double within, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     struct certificate *certificate = &found->certificate;
@@ -319,8 +337,8 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
     certifier_read(reader->certifier, view, words, certificate);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
     for (size_t i = 0; line && i < reader->place_count; i++) {
-        take_chips(reader, line, &reader->places[i]);
-        certifier_compare(reader->certifier, reader->chips, words, certificate);
+        struct certificate_view other = view_of(reader, line, &reader->places[i], rest);
+        certifier_compare(reader->certifier, &other, words, certificate);
     }
     found->noise = certificate->noise * sqrt((double)reader->code.order);
     if (certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
@@ -351,7 +369,7 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     view.noise = noise_of_frames(reader);
     found->start = 0;
     found->chip = 1;
-    enum frame_look look = certify(reader, &view, NULL, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
+    enum frame_look look = certify(reader, &view, NULL, rest, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
     reader->seen[reader->count++ % SEEN] = found->certificate.left;
     if (look == FRAME_READ && count > chips) /* a value was taken twice */
         memset(words->doubtful, 1, code->nodes);
@@ -385,16 +403,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
         found->more = (size_t)ceil(missing);
         return FRAME_NEEDS_MORE;
     }
-    take_chips(reader, &line, &fit);
-    const float *levels = reader->levels;
-    const size_t side = rules->side, after = side + reader->code.span;
-    struct certificate_view view = {.chips = reader->chips, .side = side, .noise = rest->noise, .level_unknown = !rest->known};
-    for (size_t i = 0; i < side; i++) {
-        bool before_seen = fit.start - (double)(side - i) * fit.chip > -EDGE - 0.1;
-        bool after_seen = end + (double)(i + 1) * fit.chip < (double)count - EDGE + 0.1;
-        view.beside[i] = before_seen ? levels[i] : NAN;
-        view.beside[side + i] = after_seen ? levels[after + i] : NAN;
-    }
+    struct certificate_view view = view_of(reader, &line, &fit, rest);
     /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
     size_t begin = (size_t)fmax(0, ceil(fit.start)), stop = (size_t)fmin((double)count, floor(end));
     struct samples_sums sums = samples_add(volts + begin, stop - begin);
@@ -405,7 +414,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     found->start = fit.start;
     found->chip = fit.chip;
     found->clipped = share_clipped(rules, volts + begin, stop - begin);
-    return certify(reader, &view, &line, power, within, words, found);
+    return certify(reader, &view, &line, rest, power, within, words, found);
 }
 
 void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,

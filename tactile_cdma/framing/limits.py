@@ -31,9 +31,10 @@ class Limits:
         that is half a chip late leaves 0.5 on two readings; one of A a third on its neighbours.
     faint, faint_bit, faint_deviations: share of a silent row, and of its loudest bit, that is asked
         about, and deviations of noise there. A doubtful silence costs one taxel, not a frame.
-    better: squares of the weakest word by which a rival must be worse: half of one chip that is
-        missing. With a quarter, 5 of 200 words behind a low-pass of 0.2 chip, between gaps, of
-        equal words of two nodes, were those of a frame two chips off.
+    better: squares of the weakest word by which a rival must be worse: a quarter of one chip that
+        is missing.
+    edges: share of the words' RMS by which edges may put a chip off, so that it tells no rivals
+        apart: edges 0.1 chip off and low-passes of 0.3 chip.
     few: words up to which shifted frames are compared. More do not look like other words: what
         they leave over shows in `left`.
     beside, moves: share of a chip beside the frame; deviation of the line's level from bit to bit,
@@ -66,7 +67,8 @@ class Limits:
     faint: float = 0.1
     faint_bit: float = 0.25
     faint_deviations: float = 3.3
-    better: float = 0.5
+    better: float = 0.25
+    edges: float = 0.3
     few: int = 12
     beside: float = 0.4
     moves: float = 0.3

@@ -6,8 +6,8 @@ import math
 
 from ..base.stage import stage
 
-CLOCK_ERROR = 1e-4
-"""Relative error of the nominal frame period in the digitizer's clock: two crystals of 50 ppm."""
+CLOCK_ERROR = 1.5e-4
+"""Relative error of the nominal frame period in the digitizer's clock: two crystals of 75 ppm."""
 CLOCK_DRIFT = 1e-5
 """Relative change of the frame period between frames, once learnt from two: a crystal that warms by
 10 K between frames far apart."""

@@ -212,7 +212,7 @@ class GapSearch:
         if before.size:
             first += int(before[0]) - min(first, bit * group)
         if after.size:
-            last += int(after[-1]) + 1 - group
+            last += int(after[-1]) + 1 - group - (0 if self._steady else 2)  # see _moving
         edges, by_noise = BURST_SLACK
         slack = self.chip * (edges + by_noise * variance / power)
         if not (before.size and after.size):
