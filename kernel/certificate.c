@@ -3,12 +3,13 @@
 #include "certificate.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "sums.h"
 
-#define SIDE 2            /* chips beside a frame that are looked at, and by which things may be off */
+#define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
 #define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
 #define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
 
@@ -27,6 +28,9 @@ struct certifier {
     float *level;  /* (k) of each bit, V */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
+    float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
+    double edges;          /* V, by which edges may put a chip off */
+    double beyond, worse;  /* V²: sum of squares of what is left beyond that; by which that of a rival must be more */
     struct words_measures measures;
 };
 
@@ -147,8 +151,9 @@ VECTORS static void take_off(const float *from, float share, size_t size, float 
         left[i] -= share * from[i];
 }
 
-/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. */
-static void take_leakage(const struct certifier *certifier, float *beside)
+/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two.
+ * chip_before, chip_after: next to the frame. */
+static void take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
 {
     const float *model = certifier->model;
     float *left = left_of(certifier);
@@ -167,12 +172,12 @@ static void take_leakage(const struct certifier *certifier, float *beside)
     early = fmin(fmax(early, -most), most);
     take_off(model, (float)late, chips - 1, left + 1);
     take_off(model + 1, (float)early, chips - 1, left);
-    beside[1] -= (float)early * model[0];
-    beside[2] -= (float)late * model[chips - 1];
+    *chip_before -= (float)early * model[0];
+    *chip_after -= (float)late * model[chips - 1];
 }
 
 /* The chips beside a frame without the level that goes on there; of unipolar drive it ends with the words. */
-static void level_beside(const struct certifier *certifier, float *beside)
+static void level_beside(const struct certifier *certifier, size_t side, float *beside)
 {
     const struct code *code = &certifier->code;
     const float *level = certifier->level;
@@ -181,9 +186,9 @@ static void level_beside(const struct certifier *certifier, float *beside)
     if (code->unipolar)
         return;
     float before = level[0] + 0.5f * (level[0] - level[1]), after = level[last] + 0.5f * (level[last] - level[last - 1]);
-    for (size_t i = 0; i < SIDE; i++) {
+    for (size_t i = 0; i < side; i++) {
         beside[i] -= before;
-        beside[SIDE + i] -= after;
+        beside[side + i] -= after;
     }
 }
 
@@ -230,7 +235,10 @@ struct reading {
     double total, left;           /* sum of squares of what is left, and over `free` */
     double more;                  /* that edges of the words may leave */
     size_t speakers;
-    float beside[2 * SIDE];       /* what is left beside the frame; NaN where not seen */
+    const float *before, *after;  /* what is left of `side` chips beside the frame; NaN where not seen */
+    const float *shown_before, *shown_after; /* of these, with what leaks from the frame, */
+    double shown;                 /* and the sum of squares of what is left with leakage, there and in the frame */
+    size_t side;
 };
 
 /* By the cube root of Wilson and Hilferty 1931. */
@@ -325,7 +333,7 @@ static double twin(const struct certifier *certifier, const struct reading *read
     const struct code *code = &certifier->code;
     const size_t bits = code->bits, order = code->order, lag = (size_t)abs(twin->shift);
     const float *sent = certifier->rows + code->first + twin->sent;
-    const float *beside = twin->shift > 0 ? reading->beside + SIDE : reading->beside + SIDE - lag;
+    const float *beside = twin->shift > 0 ? reading->after : reading->before + reading->side - lag;
     bool seen = !isnan(beside[0]) && !isnan(beside[lag - 1]);
     double sum = 0;
 
@@ -359,8 +367,9 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
     double least = fmax(certifier->limits.atom * reading->least, noise);
 
     for (size_t i = 0; i < SIDE; i++) {
-        certifier->padded[i] = isnan(reading->beside[i]) ? 0 : reading->beside[i];
-        left_of(certifier)[chips + i] = isnan(reading->beside[SIDE + i]) ? 0 : reading->beside[SIDE + i];
+        float before = reading->before[reading->side - SIDE + i], after = reading->after[i];
+        certifier->padded[i] = isnan(before) ? 0 : before;
+        left_of(certifier)[chips + i] = isnan(after) ? 0 : after;
     }
     for (size_t shift = 0; shift < SHIFT_COUNT; shift++) {
         float *rows = certifier->work;
@@ -409,8 +418,9 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
 {
     const struct code *code = &certifier->code;
     const size_t chips = code->bits * code->order;
-    const float *beside = shift > 0 ? reading->beside + SIDE : reading->beside + SIDE + shift;
-    const size_t lag = (size_t)abs(shift), hidden = shift > 0 ? chips - lag : 0;
+    const size_t lag = (size_t)abs(shift);
+    const float *beside = shift > 0 ? reading->shown_after : reading->shown_before + reading->side - lag;
+    const size_t hidden = shift > 0 ? chips - lag : 0;
     bool seen = true;
 
     for (size_t i = 0; i < chips; i++) {
@@ -430,35 +440,46 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
     code_rows(code, rows, rows);
 }
 
-/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all. */
-static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words)
+/* Sum of squares of chips beside the frame, where seen. */
+static double sum_beside(const float *beside, size_t count)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < count; i++)
+        sum += isnan(beside[i]) ? 0 : (double)beside[i] * (double)beside[i];
+    return sum;
+}
+
+/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all.
+ * One that leaves out loud chips of this frame is none, nor is any that leaves out more. sign: later, or earlier. */
+static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words,
+                             int sign)
 {
     const struct code *code = &certifier->code;
-    const size_t chips = code->bits * code->order;
+    const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *level = certifier->level;
-    double weakest = reading->weakest, base = reading->total, value = 0;
+    double cut = 0, value = 0;
+    double beside = sum_beside(reading->shown_before, 2 * side);
+    double base = reading->shown + certifier->worse;
     bool differ;
 
-    for (size_t i = 0; i < 2 * SIDE; i++)
-        base += isnan(reading->beside[i]) ? 0 : (double)reading->beside[i] * (double)reading->beside[i];
-    base += 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
-    for (size_t number = 0; number < SHIFT_COUNT; number++) {
-        int shift = SHIFTS[number];
+    for (size_t lag = 1; lag <= side; lag++) {
         float *rows = certifier->work;
-        double cut = 0;
-        read_shifted(certifier, reading, shift, rows);
-        for (size_t i = 0; i < (size_t)abs(shift); i++) {
-            double chip = shift > 0 ? (double)(read[i] - level[0]) : (double)(read[chips - 1 - i] - level[code->bits - 1]);
-            cut += chip * chip;
-        }
-        double left = rows_left(certifier, rows, words, &differ) + cut;
+        double chip = sign > 0 ? (double)(read[lag - 1] - level[0])
+                               : (double)(read[chips - lag] - level[code->bits - 1]);
+        cut += chip * chip;
+        if (cut > base)
+            break;
+        read_shifted(certifier, reading, sign * (int)lag, rows);
+        double covered = sum_beside(sign > 0 ? reading->shown_after : reading->shown_before + side - lag, lag);
+        double left = rows_left(certifier, rows, words, &differ) + cut + beside - covered;
         if (differ)
             value = fmax(value, base / fmax(left, 1e-30));
-        for (size_t bit = 1; abs(shift) == 1 && bit < code->bits; bit++) {
+        for (size_t bit = 1; lag == 1 && bit < code->bits; bit++) {
             memcpy(certifier->other, certifier->rows, bit * code->order * sizeof *rows);
             memcpy(certifier->other + bit * code->order, rows + bit * code->order,
                    (code->bits - bit) * code->order * sizeof *rows);
-            left = rows_left(certifier, certifier->other, words, &differ);
+            left = rows_left(certifier, certifier->other, words, &differ) + beside - covered;
             if (differ)
                 value = fmax(value, base / fmax(left, 1e-30));
         }
@@ -474,8 +495,11 @@ static double rest(const struct certifier *certifier, const struct reading *read
     double least = limits->deviations * sqrt(reading->view->noise) + limits->beside * reading->least, most = 0;
     double mean = 0, variance = 0, bits = (double)code->bits;
 
-    for (size_t i = 0; i < 2 * SIDE; i++)
-        most = isnan(reading->beside[i]) ? most : fmax(most, fabs((double)reading->beside[i]));
+    for (size_t i = 0; i < SIDE; i++) {
+        float before = reading->before[reading->side - 1 - i], after = reading->after[i];
+        most = isnan(before) ? most : fmax(most, fabs((double)before));
+        most = isnan(after) ? most : fmax(most, fabs((double)after));
+    }
     for (size_t bit = 0; bit < code->bits; bit++)
         mean += (double)certifier->level[bit] / bits;
     for (size_t bit = 0; bit < code->bits; bit++)
@@ -580,6 +604,39 @@ void certifier_model(struct certifier *certifier, const float *chips, float *mod
         model[i] += (float)pedestal;
 }
 
+/* Chips beside a frame without their level and what leaks from it, which is taken off its chips, too. Sum of squares, V²,
+ * of what is left before that, there and in the frame. */
+static double find_beside(struct certifier *certifier, const struct certificate_view *view)
+{
+    const struct code *code = &certifier->code;
+    float *beside = certifier->beside;
+
+    memcpy(beside, view->beside, 2 * view->side * sizeof *beside);
+    if (code->first > 0 || code->scrambled)
+        level_beside(certifier, view->side, beside);
+    memcpy(certifier->leaked, beside, 2 * view->side * sizeof *beside);
+    double shown = sums_power(left_of(certifier), code->bits * code->order) + sum_beside(beside, 2 * view->side);
+    take_leakage(certifier, beside + view->side - 1, beside + view->side);
+    return shown;
+}
+
+/* Sum of squares, V², by which what is left, in the frame and beside it, is more than edges do. */
+static double beyond_edges(const struct certifier *certifier, size_t side)
+{
+    const float *left = left_of(certifier), *beside = certifier->beside, edges = (float)certifier->edges;
+    double sum = 0;
+
+    for (size_t i = 0; i < certifier->code.bits * certifier->code.order; i++) {
+        double more = (double)fmaxf(fabsf(left[i]) - edges, 0);
+        sum += more * more;
+    }
+    for (size_t i = 0; i < 2 * side; i++) {
+        double more = isnan(beside[i]) ? 0 : (double)fmaxf(fabsf(beside[i]) - edges, 0);
+        sum += more * more;
+    }
+    return sum;
+}
+
 /* What the frame's words leave over, in chips and on rows. */
 static struct reading find_rest(struct certifier *certifier, const struct certificate_view *view,
                                 const struct words *words)
@@ -599,11 +656,12 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->broken, certifier->work);
     code_chips(code, certifier->work, certifier->model);
     leave(certifier, view->chips, left_of(certifier));
-    memcpy(reading.beside, view->beside, sizeof reading.beside);
-    if (has_level)
-        level_beside(certifier, reading.beside);
-    if (reading.speakers)
-        take_leakage(certifier, reading.beside);
+    reading.shown = find_beside(certifier, view);
+    reading.side = view->side;
+    reading.before = certifier->beside;
+    reading.after = certifier->beside + view->side;
+    reading.shown_before = certifier->leaked;
+    reading.shown_after = certifier->leaked + view->side;
     double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
     for (size_t i = 0; i < code->nodes; i++)
         taken += certifier->broken[i] ? (double)code->bits : 0;
@@ -622,6 +680,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 {
     const struct code *code = &certifier->code;
     const struct reading reading = find_rest(certifier, view, words);
+    const struct certificate_limits *limits = &certifier->limits;
     const double noise = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
 
@@ -629,13 +688,18 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
                  code->sign_mask, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
     bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
-    shifted_atoms(certifier, &reading, words, &atoms, &rivals);
-    value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
-    if (!code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few)
-        rivals = fmax(rivals, shifted_frames(certifier, &reading, words));
-    value[CLAUSE_RIVALS] = rivals;
+    certifier->edges = limits->edges * reading.weakest * sqrt((double)reading.speakers);
+    certifier->beyond = beyond_edges(certifier, view->side);
+    certifier->worse = 2 * certifier->limits.log_odds * reading.shown / reading.free +
+                       certifier->limits.better * reading.weakest * reading.weakest;
     value[CLAUSE_REST] = rest(certifier, &reading);
     value[CLAUSE_WORDS] = parts ? 2 : 0;
+    shifted_atoms(certifier, &reading, words, &atoms, &rivals);
+    value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
+    for (int sign = -1; sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few;
+         sign += 2)
+        rivals = fmax(rivals, shifted_frames(certifier, &reading, words, sign));
+    value[CLAUSE_RIVALS] = rivals;
     certificate->left = reading.left;
     certificate->noise = noise;
     certificate->swing = reading.swing;
@@ -658,6 +722,39 @@ double certificate_worst(const struct certificate *certificate, enum certificate
     if (clause)
         *clause = (enum certificate_clause)worst;
     return certificate->value[worst];
+}
+
+double certifier_explained(struct certifier *certifier, const float *chips)
+{
+    const struct code *code = &certifier->code;
+    const size_t size = code->bits * code->order;
+    double levels = 0;
+    float beside;
+
+    certifier_model(certifier, chips, certifier->model);
+    leave(certifier, chips, left_of(certifier));
+    take_leakage(certifier, &beside, &beside);
+    for (size_t bit = 0; bit < code->bits; bit++)
+        levels += (double)certifier->level[bit] * (double)certifier->level[bit];
+    return sums_power(chips, size) - sums_power(left_of(certifier), size) - (double)code->order * levels;
+}
+
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
+                       struct certificate *certificate)
+{
+    const struct code *code = &certifier->code;
+    double *value = &certificate->value[CLAUSE_RIVALS];
+    bool differ;
+
+    code_rows(code, view->chips, certifier->work);
+    rows_left(certifier, certifier->work, words, &differ);
+    if (!differ || !certificate->speakers)
+        return;
+    certifier_model(certifier, view->chips, certifier->model);
+    leave(certifier, view->chips, left_of(certifier));
+    find_beside(certifier, view);
+    double more = beyond_edges(certifier, view->side) - certifier->beyond;
+    *value = fmax(*value, certifier->worse / fmax(more, 1e-6 * certifier->worse));
 }
 
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)
