@@ -440,8 +440,7 @@ static void take_turns(struct detector *detector, bool soft, double damping)
         }
         if (noise < 1e-12 * swing2) /* not fmax: a frame that is no number does not settle */
             noise = 1e-12 * swing2;
-        bool stalls = noise > rules->stalled * rules->stalled * before;
-        soft = soft && !(noise < rules->least * rules->least * swing2 || stalls);
+        soft = soft && !(noise < rules->least * rules->least * swing2 || noise > before);
         before = noise;
         bool is_last = turn + 1 == rules->turns;
         if (!soft && are_final(detector, power, were_hard, are_whole)) {

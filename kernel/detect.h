@@ -23,7 +23,6 @@ struct detect_rules {
     double slope;      /* of what tanh rises by, soft bits do, to ±1 */
     double span;       /* of the logarithm of the odds, over which the share of a word that is believed rises to 1 */
     double hard;       /* deviations of noise: least mean |r| of a hard word */
-    double stalled;    /* ratio of noise to that of the turn before, beyond which soft words get no better */
     double near;       /* share of what is left by which hard words may differ from soft ones and be final */
     double settled;    /* share of what is left by which amplitudes may change in the end; its square is of an amplitude's */
     double remembered_least, remembered_most; /* amplitude that is expected of a node for how it spoke before */
