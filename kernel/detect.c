@@ -105,8 +105,8 @@ VECTORS static size_t list_above(size_t rows, const float *restrict values, floa
 }
 
 /* The soft words of one bit. straight, squares: by how many levels they follow, and those of the bits. */
-VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise,
-                        const float *restrict swings, float *restrict words, float *restrict straight,
+VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise, float swing,
+                        const float *restrict belief, float *restrict words, float *restrict straight,
                         float *restrict squares)
 {
     for (size_t i = 0; i < count; i++) {
@@ -114,7 +114,7 @@ VECTORS static void say(size_t count, const int32_t *restrict codes, const float
         said = said < -1 ? -1 : said > 1 ? 1 : said;
         straight[i] += fabsf(said) < 1 ? 1.0f : 0.0f;
         squares[i] += said * said;
-        words[i] = swings[i] * said;
+        words[i] = swing * belief[i] * said;
     }
 }
 
@@ -169,8 +169,8 @@ static float *part_of(float **left, size_t count)
 
 struct detector *detector_new(const struct code *code, const struct sparse_book *book)
 {
-    const size_t rows = book->rows, chips = code->bits * code->order, step = rows + APART_BY, parts = 11;
-    const size_t size = (2 * chips + code->bits * step + 8 * rows) * sizeof(float);
+    const size_t rows = book->rows, chips = code->bits * code->order, step = rows + APART_BY, parts = 9;
+    const size_t size = (2 * chips + code->bits * step + 6 * rows) * sizeof(float);
     struct detector *detector = calloc(1, sizeof *detector);
 
     if (!detector)
@@ -179,7 +179,7 @@ struct detector *detector_new(const struct code *code, const struct sparse_book 
     detector->book = *book;
     detector->step = step;
     detector->memory = calloc(1, size + (parts + 1) * CACHE_LINE);
-    detector->unused = malloc(4 * rows * sizeof(int32_t));
+    detector->unused = malloc(3 * rows * sizeof(int32_t));
     if (!(detector->memory && detector->unused && make_list(&detector->now, rows, code->bits) &&
           make_list(&detector->next, rows, code->bits))) {
         detector_free(detector);
@@ -190,15 +190,13 @@ struct detector *detector_new(const struct code *code, const struct sparse_book 
     detector->left = part_of(&left, chips);
     detector->sums = part_of(&left, code->bits * step);
     float **of_codes[] = {&detector->told, &detector->spread, &detector->loud, &detector->belief,
-                          &detector->straight, &detector->squares, &detector->amplitude, &detector->swings};
+                          &detector->straight, &detector->squares};
     for (size_t i = 0; i < sizeof of_codes / sizeof *of_codes; i++)
         *of_codes[i] = part_of(&left, rows);
-    detector->carried = detector->unused + rows;
-    detector->from = detector->carried + rows;
+    detector->from = detector->unused + rows;
     detector->nodes = detector->from + rows;
     for (size_t row = 0; row < rows; row++) {
         bool is_node = row > 0 && row <= code->nodes;
-        detector->amplitude[row] = code->swing;
         detector->nodes[book->numbers[row]] = is_node ? (int32_t)row - 1 : -1;
         if (!is_node)
             detector->unused[detector->unused_count++] = book->numbers[row];
@@ -292,18 +290,8 @@ static void fade(const struct detector *detector, float damping)
     }
 }
 
-/* Those who spoke in the frame before do as likely as not, whatever others do. */
-static void believe_carried(struct detector *detector, struct odds odds)
-{
-    odds.odds = 0;
-    for (size_t i = 0; i < detector->carried_count; i++) {
-        size_t code = (size_t)detector->carried[i];
-        detector->belief[code] = fmaxf(detector->belief[code], share_of(detector->loud[code], &odds));
-    }
-}
-
 /* Soft words: of each, the share that is believed, of a bit that rises to ±1. Returns the mean sum of the derivatives of a
- * bit's words by their levels. damping: 0 also says that what earlier frames told is used. */
+ * bit's words by their levels. */
 static double soften(struct detector *detector, double noise, double odds, float damping)
 {
     const struct sparse_book *book = &detector->book;
@@ -315,20 +303,16 @@ static double soften(struct detector *detector, double noise, double odds, float
     float *belief = detector->belief, *straight = detector->straight, *squares = detector->squares;
 
     believe(book->rows, detector->loud, &of, belief);
-    if (damping == 0)
-        believe_carried(detector, of);
     for (size_t i = 0; i < detector->unused_count; i++)
         belief[detector->unused[i]] = 0;
     list_believed(detector, damping > 0);
     for (size_t i = 0; i < next->count; i++) {
-        size_t code = (size_t)next->codes[i];
-        belief[i] = belief[code]; /* codes rise, so that none is overwritten before it is read */
-        detector->swings[i] = belief[i] * (damping == 0 ? detector->amplitude[code] : (float)swing);
+        belief[i] = belief[next->codes[i]]; /* codes rise, so that none is overwritten before it is read */
         straight[i] = squares[i] = 0;
     }
     for (size_t bit = 0; bit < detector->code.bits; bit++)
-        say(next->count, next->codes, detector_sums(detector, bit), rise, detector->swings,
-                   next->words + bit * book->rows, straight, squares);
+        say(next->count, next->codes, detector_sums(detector, bit), rise, (float)swing, belief,
+            next->words + bit * book->rows, straight, squares);
     for (size_t i = 0; i < next->count; i++) {
         slopes += (double)belief[i] * (double)straight[i] * rules->slope;
         slopes += belief[i] > 0 && belief[i] < 1 ? (double)squares[i] / rules->span : 0;
@@ -392,20 +376,6 @@ static void take_off(struct detector *detector, double level, float onsager)
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
-/* Keeps who spoke, and how loud. */
-static void carry(struct detector *detector)
-{
-    const struct detect_rules *rules = &detector->book.rules;
-    const struct listed *next = &detector->next;
-    float least = (float)rules->remembered_least * detector->code.swing;
-    float most = (float)rules->remembered_most * detector->code.swing;
-
-    detector->carried_count = next->count;
-    memcpy(detector->carried, next->codes, next->count * sizeof *next->codes);
-    for (size_t i = 0; i < next->count; i++)
-        detector->amplitude[next->codes[i]] = fminf(fmaxf(detector->loud[next->codes[i]], least), most);
-}
-
 /* Hard words of levels in which so much was left; whether they are final, which none are that noise would hide. were_hard: those before were; are_whole: what is
  * left is of these alone. */
 static bool are_final(struct detector *detector, double power, bool were_hard, bool are_whole)
@@ -443,10 +413,7 @@ static void take_turns(struct detector *detector, bool soft, double damping)
         soft = soft && !(noise < rules->least * rules->least * swing2 || noise > before);
         before = noise;
         bool is_last = turn + 1 == rules->turns;
-        if (!soft && are_final(detector, power, were_hard, are_whole)) {
-            detector->settled = true;
-            carry(detector);
-        }
+        detector->settled = !soft && are_final(detector, power, were_hard, are_whole);
         if (detector->settled || is_last)
             break;
         if (soft) {

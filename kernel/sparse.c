@@ -14,7 +14,7 @@ struct sparse {
     struct certificate_limits limits;
     const float *expected;
     struct detector *detectors[2]; /* of a frame, and of another try of it */
-    float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these; or NULL */
+    float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these */
     double *triangle;              /* (most that are told apart)² */
     float *levels, *swings;        /* (k, n), (n) of those who spoke, V */
     int32_t *signs;                /* (n) of those, as code.sign_mask */
@@ -85,7 +85,7 @@ struct sparse *sparse_new(const struct code *code, const struct certificate_limi
     for (size_t i = 0; i < 2; i++)
         sparse->detectors[i] = detector_new(code, &code->sparse->book);
     if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) &&
-        (!sparse->sparse.may_cancel || make_products(sparse)))
+        make_products(sparse))
         return sparse;
     sparse_free(sparse);
     return NULL;
@@ -115,7 +115,7 @@ static bool are_told_apart(const struct sparse *sparse, const struct listed *fou
     const size_t rows = sparse->sparse.book.rows;
     double least = (sparse->limits.left + chance) / 8, *row = sparse->triangle;
 
-    for (size_t bit = 0; sparse->alike && bit < sparse->code.bits; bit++) {
+    for (size_t bit = 0; sparse->sparse.may_cancel && bit < sparse->code.bits; bit++) {
         const float *alike = sparse->alike + bit * rows;
         for (size_t i = 0; i < found->count; i++)
             for (size_t j = 0; j <= i; j++) {
@@ -218,7 +218,9 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
         return first;
     detector_find(second, view->chips, sparse->sparse.damping);
     prefer(sparse, view, second, &best, certificate);
-    if (!is_sure(certificate) && sparse->alike && certificate->value[CLAUSE_WORDS] < 1) {
+    size_t count = best->next.count;
+    bool is_quick = count * count < 16 * sparse->sparse.book.rows; /* to look for pairs, as a turn is */
+    if (!is_sure(certificate) && is_quick && certificate->understood) {
         struct detector *other = best == first ? second : first;
         detector_turn(other, best, sparse->alike);
         prefer(sparse, view, other, &best, certificate);

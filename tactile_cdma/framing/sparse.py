@@ -46,7 +46,7 @@ SPARSE_LIMITS = replace(LIMITS, left_of_word=TOLERANCE, bit=1.0)
 """A bit that is wrong, or missing, leaves an amplitude squared there, among that of all nodes."""
 
 
-def sparse_code(spec: FrameSpec, spreads: CompiledTransform, active_share: float) -> kernel.Held:
+def sparse_code(spec: FrameSpec, spreads: CompiledTransform) -> kernel.Held:
     """Return the kernel's struct sparse_code; spreads: the transform of the book, unscaled."""
     return kernel.struct(
         "sparse_code",
@@ -60,8 +60,6 @@ def sparse_code(spec: FrameSpec, spreads: CompiledTransform, active_share: float
         hard=HARD_SHARE,
         near=NEAR,
         settled=SETTLED,
-        remembered_least=active_share,
-        remembered_most=LIMITS.two,
         turns=MOST_TURNS,
         capacity=capacity(spec),
         hidden=HIDDEN,
