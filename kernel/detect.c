@@ -9,7 +9,6 @@
 #include "sums.h"
 
 #define LANES 8 /* sums that are kept apart, so that they can be added at once */
-#define CACHE_LINE 64 /* bytes: at its begin begin arrays, so that no eight values lie in two lines */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
 
 /* ---- passes -------------------------------------------------------------------------------------- */
@@ -60,28 +59,23 @@ VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const fl
     }
 }
 
-/* How the share of a word that is believed follows from its mean |r|; see believe. */
+/* How the share of a word that is believed follows from its mean |r|: from the logarithm of its odds. */
 struct odds {
     float per, bits, half, odds, span;
 };
 
-INLINE float share_of(float loud, const struct odds *of)
-{
-    const float turn = 2 * 0.69314718f;
-    float u = of->per * loud;
-    float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
-    float share = 0.5f + (of->bits * (log_cosh - of->half) + of->odds) / of->span;
-
-    return share < 0 ? 0 : share > 1 ? 1 : share;
-}
-
-VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of,
-                            float *restrict belief)
+VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of, float *restrict belief)
 {
     const struct odds odds = *of; /* the same for all, whatever is written */
+    const float turn = 2 * 0.69314718f;
 
-    for (size_t i = 0; i < rows; i++)
-        belief[i] = share_of(loud[i], &odds);
+    for (size_t i = 0; i < rows; i++) {
+        float u = odds.per * loud[i];
+        /* log cosh u is u²/2 for small ones and u − log 2 for large ones: a parabola up to the line. */
+        float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
+        float share = 0.5f + (odds.bits * (log_cosh - odds.half) + odds.odds) / odds.span;
+        belief[i] = share < 0 ? 0 : share > 1 ? 1 : share;
+    }
 }
 
 /* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
@@ -150,57 +144,37 @@ VECTORS static double distance(size_t count, const float *restrict some, const f
 
 /* ---- memory -------------------------------------------------------------------------------------- */
 
-static bool make_list(struct listed *list, size_t rows, size_t bits)
-{
-    list->codes = malloc(rows * sizeof *list->codes);
-    list->words = malloc(bits * rows * sizeof *list->words);
-    return list->codes && list->words;
-}
-
-/* So many floats more of what is left of the memory, from the next cache line on. */
-static float *part_of(float **left, size_t count)
-{
-    const size_t line = CACHE_LINE / sizeof **left;
-    float *part = *left;
-
-    *left += (count + line - 1) / line * line;
-    return part;
-}
-
 struct detector *detector_new(const struct code *code, const struct sparse_book *book)
 {
-    const size_t rows = book->rows, chips = code->bits * code->order, step = rows + APART_BY, parts = 9;
-    const size_t size = (2 * chips + code->bits * step + 6 * rows) * sizeof(float);
+    const size_t rows = book->rows, chips = code->bits * code->order, words = code->bits * rows;
     struct detector *detector = calloc(1, sizeof *detector);
 
     if (!detector)
         return NULL;
     detector->code = *code;
     detector->book = *book;
-    detector->step = step;
-    detector->memory = calloc(1, size + (parts + 1) * CACHE_LINE);
-    detector->unused = malloc(3 * rows * sizeof(int32_t));
-    if (!(detector->memory && detector->unused && make_list(&detector->now, rows, code->bits) &&
-          make_list(&detector->next, rows, code->bits))) {
+    detector->step = rows + APART_BY;
+    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows, sizeof(float));
+    detector->nodes = malloc(4 * rows * sizeof(int32_t));
+    if (!(detector->floats && detector->nodes)) {
         detector_free(detector);
         return NULL;
     }
-    float *left = (float *)(((uintptr_t)detector->memory + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
-    detector->chips = part_of(&left, chips);
-    detector->left = part_of(&left, chips);
-    detector->sums = part_of(&left, code->bits * step);
+    detector->sums = detector->floats;
+    detector->now.words = detector->sums + code->bits * detector->step;
+    detector->next.words = detector->now.words + words;
     float **of_codes[] = {&detector->told, &detector->spread, &detector->loud, &detector->belief,
                           &detector->straight, &detector->squares};
     for (size_t i = 0; i < sizeof of_codes / sizeof *of_codes; i++)
-        *of_codes[i] = part_of(&left, rows);
-    detector->from = detector->unused + rows;
-    detector->nodes = detector->from + rows;
-    for (size_t row = 0; row < rows; row++) {
-        bool is_node = row > 0 && row <= code->nodes;
-        detector->nodes[book->numbers[row]] = is_node ? (int32_t)row - 1 : -1;
-        if (!is_node)
-            detector->unused[detector->unused_count++] = book->numbers[row];
-    }
+        *of_codes[i] = detector->next.words + words + i * rows;
+    detector->chips = detector->squares + rows;
+    detector->left = detector->chips + chips;
+    detector->from = detector->nodes + rows;
+    detector->now.codes = detector->from + rows;
+    detector->next.codes = detector->now.codes + rows;
+    memset(detector->nodes, -1, rows * sizeof *detector->nodes);
+    for (size_t node = 0; node < code->nodes; node++)
+        detector->nodes[book->numbers[node + 1]] = (int32_t)node;
     return detector;
 }
 
@@ -208,16 +182,20 @@ void detector_free(struct detector *detector)
 {
     if (!detector)
         return;
-    free(detector->memory);
-    free(detector->unused);
-    free(detector->now.codes);
-    free(detector->now.words);
-    free(detector->next.codes);
-    free(detector->next.words);
+    free(detector->floats);
+    free(detector->nodes);
     free(detector);
 }
 
 /* ---- levels -------------------------------------------------------------------------------------- */
+
+/* Codes of no node have nothing. */
+static void clear_unused(const struct detector *detector, float *values)
+{
+    values[0] = 0; /* its number is 0 */
+    for (size_t row = detector->code.nodes + 1; row < detector->book.rows; row++)
+        values[detector->book.numbers[row]] = 0;
+}
 
 /* Levels of all codes in what is left of the chips, with the words that were taken off; and how loud each is. Bit by
  * bit, because all of one fits the nearest cache. */
@@ -241,8 +219,7 @@ static void correlate(struct detector *detector)
             sums[now->codes[i]] += (float)order * words[i];
     }
     average_loud(book->rows, bits, detector->step, detector->sums, 1.0f / (float)(order * bits), loud);
-    for (size_t i = 0; i < detector->unused_count; i++)
-        loud[detector->unused[i]] = 0;
+    clear_unused(detector, loud);
 }
 
 /* ---- words --------------------------------------------------------------------------------------- */
@@ -303,8 +280,7 @@ static double soften(struct detector *detector, double noise, double odds, float
     float *belief = detector->belief, *straight = detector->straight, *squares = detector->squares;
 
     believe(book->rows, detector->loud, &of, belief);
-    for (size_t i = 0; i < detector->unused_count; i++)
-        belief[detector->unused[i]] = 0;
+    clear_unused(detector, belief);
     list_believed(detector, damping > 0);
     for (size_t i = 0; i < next->count; i++) {
         belief[i] = belief[next->codes[i]]; /* codes rise, so that none is overwritten before it is read */

@@ -47,7 +47,7 @@ struct listed {
 struct detector {
     struct code code;
     struct sparse_book book;
-    void *memory;           /* of these: */
+    float *floats;          /* of all that follow */
     float *chips;           /* (k, N), flipped back, as is `left` */
     float *left;            /* what words leave over of them */
     float *sums;            /* (k, step) levels of all codes, times the chips per bit */
@@ -55,10 +55,9 @@ struct detector {
     float *spread;          /* (2^m) 0, but for a bit's chips or words while they are transformed */
     float *loud, *belief;   /* (2^m): mean |r|; share of a word that is believed */
     float *straight, *squares; /* (2^m) of those that are listed: see soften; free once words are found */
-    int32_t *unused;        /* codes of no node */
-    int32_t *from;          /* where a listed one was listed before, or -1 */
     int32_t *nodes;         /* (2^m) node of every code, from 0 on; -1: none */
-    size_t step, unused_count;
+    int32_t *from;          /* where a listed one was listed before, or -1 */
+    size_t step;
     struct listed now, next; /* words that are taken off; those that will be, or were found */
     double level;           /* of the line, V */
     double change;          /* V², of a chip, by which the words found would change what is left */
