@@ -78,22 +78,14 @@ VECTORS static void believe(size_t rows, const float *restrict loud, const struc
     }
 }
 
-/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
- * is a guess who has. */
-VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+/* Lists the codes that have more than the least; returns how many. Without a branch, as it is a guess who has. */
+static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
-    const floats8 limit = (floats8){0} + least;
     size_t count = 0;
 
-    for (size_t first = 0; first < rows; first += LANES) {
-        const ints8 above = *(const floats8 *)(values + first) > limit;
-        uint64_t pairs[LANES / 2];
-        memcpy(pairs, &above, sizeof pairs);
-        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
-        for (size_t i = 0; any && i < LANES; i++) {
-            codes[count] = (int32_t)(first + i);
-            count += values[first + i] > least;
-        }
+    for (size_t i = 0; i < rows; i++) {
+        codes[count] = (int32_t)i;
+        count += values[i] > least;
     }
     return count;
 }
@@ -121,24 +113,15 @@ VECTORS static void say_hard(size_t count, const int32_t *restrict codes, const 
 }
 
 /* Sum of squares of the differences; INFINITY if any two have other signs, or are 0. */
-VECTORS static double distance(size_t count, const float *restrict some, const float *restrict others)
+static double distance(size_t count, const float *restrict some, const float *restrict others)
 {
-    double sums[LANES] = {0}, sum = 0;
+    double sum = 0;
     int differ = 0;
-    size_t i = 0;
 
-    for (; i + LANES <= count; i += LANES)
-        for (size_t lane = 0; lane < LANES; lane++) {
-            float a = some[i + lane], b = others[i + lane];
-            differ |= !(a * b > 0);
-            sums[lane] += (double)(a - b) * (double)(a - b);
-        }
-    for (; i < count; i++) {
+    for (size_t i = 0; i < count; i++) {
         differ |= !(some[i] * others[i] > 0);
         sum += (double)(some[i] - others[i]) * (double)(some[i] - others[i]);
     }
-    for (size_t lane = 0; lane < LANES; lane++)
-        sum += sums[lane];
     return differ ? INFINITY : sum;
 }
 
