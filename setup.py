@@ -2,7 +2,7 @@
 
 """The compiled kernel, which pyproject.toml cannot declare; all else is declared there.
 
-Its sources and options are those of CMakeLists.txt, its binding is kernel/build_kernel.py.
+Its sources and options are those of CMakeLists.txt; kernel/build_kernel.py binds it.
 """
 
 from setuptools import setup

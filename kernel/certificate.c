@@ -340,7 +340,8 @@ static double twin(const struct certifier *certifier, const struct reading *read
         sum += fabs((double)level);
     }
     double there = sum / (double)bits, here = (double)amplitude;
-    double worse = (double)(bits * order) * (here * here - there * there);
+    /* The chips at the other end of the frame, in which that one would be at rest. */
+    double worse = (double)(bits * order) * (here * here - there * there) + (double)lag * here * here;
     double least = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * here * here;
     return worse > least * 1e-6 ? least / worse : 1e6;
 }

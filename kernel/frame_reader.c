@@ -345,8 +345,13 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     fit_sums(volts, count, found->level, reader->sums);
     if (!find_fit(reader, &line, rest->noise, &fit, &left, &power))
         return FRAME_INCOMPLETE;
-    if (searches && rules->searches && left > rules->misfit * rules->misfit * power + 3 * rest->noise)
-        return FRAME_SEARCH;
+    if (searches && rules->searches && left > rules->searched * power + 3 * rest->noise) {
+        double longest = ceil(rules->most_chip * (frame_reader_span(reader) + rules->tail));
+        if (final || (double)count >= longest)
+            return FRAME_SEARCH;
+        found->more = (size_t)longest - count;
+        return FRAME_NEEDS_MORE;
+    }
     reader->proposed.chip = 0;
     double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
     if (missing > EDGE && !final) {

@@ -27,6 +27,7 @@ struct frame_rules {
     double deafened, clipped;  /* share of clipped samples that makes all doubtful; that rejects a frame */
     double kept;               /* share of the chips' power that samples may have besides, but for noise */
     double refined;            /* share of the power that a carried timing may leave, beside 1.5 times the noise */
+    double searched;           /* share of the power, beside 3 times the noise, from which other timings are searched for */
     double misfit;             /* share of the power beyond which words explain nothing */
     struct fit_refining refining;
 };

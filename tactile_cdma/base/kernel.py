@@ -33,7 +33,7 @@ _ARRAYS = {
 
 
 def _choose(wanted: str) -> tuple[Any, Any, str]:
-    """The kernel and its cffi, None for numpy; and why numpy. Raises ParameterError."""
+    """Return the kernel and its cffi, None for numpy; and why numpy. Raises ParameterError."""
     if wanted not in ("", "numpy", "compiled"):
         raise ParameterError(
             f"{VARIABLE} is {wanted!r}; it must be numpy, compiled or empty (compiled where the "
@@ -56,7 +56,7 @@ compiled, ffi, why_numpy = _choose(os.environ.get(VARIABLE, ""))
 
 
 def pointer(values: NDArray[Any], *shape: int, written: bool = False) -> Any:
-    """What the kernel gets of an array: a pointer to its values, which keeps the array.
+    """Return a pointer to the values of an array, for the kernel; it keeps the array.
 
     Raises ValueError unless the array is C-contiguous and of this shape, and writeable if it is
     written to. That it has the function's type, cffi checks in the call.
@@ -67,7 +67,7 @@ def pointer(values: NDArray[Any], *shape: int, written: bool = False) -> Any:
 
 
 class Held:
-    """An object of the kernel, and what it uses: both live as long as this.
+    """Keeps an object of the kernel, and what that uses, as long as this lives.
 
     at: points to it.
     """
@@ -86,7 +86,7 @@ class Held:
 
 
 def struct(name: str, **members: Any) -> Held:
-    """One of the kernel's structs, by the names of its members and of those of structs in it.
+    """Make one of the kernel's structs, by the names of its members and of those of structs in it.
 
     It keeps the arrays that its members point to. Raises TypeError unless exactly its members are
     given.
@@ -99,7 +99,7 @@ def struct(name: str, **members: Any) -> Held:
 
 
 def _filled(kind: Any, name: str, members: dict[str, Any]) -> dict[str, Any]:
-    """What a struct of this type is filled with, which is taken out of members."""
+    """Take what a struct of this type is filled with out of members."""
     values: dict[str, Any] = {}
     for member, field in kind.fields:
         if field.type.kind == "struct":

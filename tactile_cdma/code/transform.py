@@ -149,7 +149,7 @@ def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
 
 
 class CompiledTransform(kernel.Held):
-    """The product in the kernel (kernel/transform.h); scaled by 1/N unless spreading."""
+    """Multiplies in the kernel (kernel/transform.h); scaled by 1/N unless spreading."""
 
     def __init__(self, plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> None:
         """lanes: 1, 4 or 8; 0 for what the processor has. Raises ValueError for others."""

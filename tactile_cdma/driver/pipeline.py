@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""One skin's decoding chain: bytes in, TactileFrames out. No I/O, no ROS."""
+"""Decodes one skin: bytes in, TactileFrames out. No I/O, no ROS."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Pipeline:
         return self.drain()
 
     def drain(self) -> list[TactileFrame]:
-        """The frames in the bytes that were read so far."""
+        """Return the frames in the bytes that were read so far."""
         frames: list[TactileFrame] = []
         needs_bytes = False
         while not needs_bytes:
@@ -128,7 +128,7 @@ class Pipeline:
         return None
 
     def flush(self) -> list[TactileFrame]:
-        """At the end of a recording: a last frame that nothing followed."""
+        """Return a last frame that nothing followed, at the end of a recording."""
         self.stream.end()
         return self.drain()
 
@@ -157,12 +157,12 @@ class Pipeline:
 
     @property
     def parser(self) -> PacketParser:
-        """Of the present connection."""
+        """Return the parser of the present connection."""
         return self.stream.parser
 
     @property
     def packet_counts(self) -> Counters:
-        """The parser's counters, over all connections."""
+        """Return the parser's counters, over all connections."""
         return self._earlier_packets + self.parser.counters
 
     @property
@@ -261,11 +261,11 @@ class Pipeline:
             self.on_info(info)
 
     def _exchanged(self) -> None:
-        """What was heard is of another digitizer, or of another time."""
+        """Forget what was heard of another digitizer, or at another time."""
         self.timeline.reconnected()
         self.taxels.forget()
 
     def _forget(self) -> None:
-        """Nothing can be decoded until the digitizer describes itself again."""
+        """Decode nothing until the digitizer describes itself again."""
         self._description = None
         self.stream.forget()

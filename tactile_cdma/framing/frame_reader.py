@@ -41,10 +41,10 @@ BLIND_RHO = 2.5
 CLIPPED, DEAFENED = 0.5, 0.25
 """Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
 which a lone node has half of its amplitude, where silence begins, halved."""
-KEPT, REFINED, MISFIT = 0.67, 3e-3, 0.5
+KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, 0.1, 0.5
 """Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
-again); that a carried timing may leave before it is refined (edges 0.04 chip off); and that nothing
-explains."""
+again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
+timings are searched for; and that nothing explains."""
 SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
 RAIL_MARGIN = 1e-3
@@ -133,6 +133,7 @@ class FrameReader:
             "clipped": CLIPPED,
             "kept": KEPT,
             "refined": REFINED,
+            "searched": SEARCHED,
             "misfit": MISFIT,
             "blur": BLUR,
             "settled_chips": SETTLED_CHIPS,

@@ -199,6 +199,8 @@ class CompiledGatherer:
         count = kernel.compiled.contacts_gather(
             skin, pressure_pa, status, self._kept.at, self._found.at
         )
+        if count > size:
+            raise ValueError("neighbours: one is no taxel")
         *tally, moved = self._tally.tolist()
         if not count:
             return _NOTHING._replace(coverage=Coverage(*tally))

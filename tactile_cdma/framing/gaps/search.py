@@ -103,7 +103,7 @@ class Look(NamedTuple):
 
     @classmethod
     def of(cls, kind: int, seen: Any, words: WordFit) -> Look:
-        """What the kernel's struct gap_seen says."""
+        """Return what the kernel's struct gap_seen says."""
         gap, burst, beside = seen.gap, seen.burst, seen.beside
         return cls(
             kind,
