@@ -9,7 +9,6 @@
 #include "sums.h"
 
 #define LANES 8 /* sums that are kept apart, so that they can be added at once */
-#define CACHE_LINE 64 /* bytes: at its begin begin arrays, so that no eight values lie in two lines */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
 
 /* ---- passes -------------------------------------------------------------------------------------- */
@@ -60,53 +59,40 @@ VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const fl
     }
 }
 
-/* How the share of a word that is believed follows from its mean |r|; see believe. */
+/* How the share of a word that is believed follows from its mean |r|: from the logarithm of its odds. */
 struct odds {
     float per, bits, half, odds, span;
 };
 
-INLINE float share_of(float loud, const struct odds *of)
-{
-    const float turn = 2 * 0.69314718f;
-    float u = of->per * loud;
-    float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
-    float share = 0.5f + (of->bits * (log_cosh - of->half) + of->odds) / of->span;
-
-    return share < 0 ? 0 : share > 1 ? 1 : share;
-}
-
-VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of,
-                            float *restrict belief)
+VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of, float *restrict belief)
 {
     const struct odds odds = *of; /* the same for all, whatever is written */
+    const float turn = 2 * 0.69314718f;
 
-    for (size_t i = 0; i < rows; i++)
-        belief[i] = share_of(loud[i], &odds);
+    for (size_t i = 0; i < rows; i++) {
+        float u = odds.per * loud[i];
+        /* log cosh u is u²/2 for small ones and u − log 2 for large ones: a parabola up to the line. */
+        float log_cosh = u < turn ? u * u / (2 * turn) : u - turn / 2;
+        float share = 0.5f + (odds.bits * (log_cosh - odds.half) + odds.odds) / odds.span;
+        belief[i] = share < 0 ? 0 : share > 1 ? 1 : share;
+    }
 }
 
-/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
- * is a guess who has. */
-VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+/* Lists the codes that have more than the least; returns how many. Without a branch, as it is a guess who has. */
+static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
-    const floats8 limit = (floats8){0} + least;
     size_t count = 0;
 
-    for (size_t first = 0; first < rows; first += LANES) {
-        const ints8 above = *(const floats8 *)(values + first) > limit;
-        uint64_t pairs[LANES / 2];
-        memcpy(pairs, &above, sizeof pairs);
-        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
-        for (size_t i = 0; any && i < LANES; i++) {
-            codes[count] = (int32_t)(first + i);
-            count += values[first + i] > least;
-        }
+    for (size_t i = 0; i < rows; i++) {
+        codes[count] = (int32_t)i;
+        count += values[i] > least;
     }
     return count;
 }
 
 /* The soft words of one bit. straight, squares: by how many levels they follow, and those of the bits. */
-VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise,
-                        const float *restrict swings, float *restrict words, float *restrict straight,
+VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise, float swing,
+                        const float *restrict belief, float *restrict words, float *restrict straight,
                         float *restrict squares)
 {
     for (size_t i = 0; i < count; i++) {
@@ -114,7 +100,7 @@ VECTORS static void say(size_t count, const int32_t *restrict codes, const float
         said = said < -1 ? -1 : said > 1 ? 1 : said;
         straight[i] += fabsf(said) < 1 ? 1.0f : 0.0f;
         squares[i] += said * said;
-        words[i] = swings[i] * said;
+        words[i] = swing * belief[i] * said;
     }
 }
 
@@ -127,82 +113,51 @@ VECTORS static void say_hard(size_t count, const int32_t *restrict codes, const 
 }
 
 /* Sum of squares of the differences; INFINITY if any two have other signs, or are 0. */
-VECTORS static double distance(size_t count, const float *restrict some, const float *restrict others)
+static double distance(size_t count, const float *restrict some, const float *restrict others)
 {
-    double sums[LANES] = {0}, sum = 0;
+    double sum = 0;
     int differ = 0;
-    size_t i = 0;
 
-    for (; i + LANES <= count; i += LANES)
-        for (size_t lane = 0; lane < LANES; lane++) {
-            float a = some[i + lane], b = others[i + lane];
-            differ |= !(a * b > 0);
-            sums[lane] += (double)(a - b) * (double)(a - b);
-        }
-    for (; i < count; i++) {
+    for (size_t i = 0; i < count; i++) {
         differ |= !(some[i] * others[i] > 0);
         sum += (double)(some[i] - others[i]) * (double)(some[i] - others[i]);
     }
-    for (size_t lane = 0; lane < LANES; lane++)
-        sum += sums[lane];
     return differ ? INFINITY : sum;
 }
 
 /* ---- memory -------------------------------------------------------------------------------------- */
 
-static bool make_list(struct listed *list, size_t rows, size_t bits)
-{
-    list->codes = malloc(rows * sizeof *list->codes);
-    list->words = malloc(bits * rows * sizeof *list->words);
-    return list->codes && list->words;
-}
-
-/* So many floats more of what is left of the memory, from the next cache line on. */
-static float *part_of(float **left, size_t count)
-{
-    const size_t line = CACHE_LINE / sizeof **left;
-    float *part = *left;
-
-    *left += (count + line - 1) / line * line;
-    return part;
-}
-
 struct detector *detector_new(const struct code *code, const struct sparse_book *book)
 {
-    const size_t rows = book->rows, chips = code->bits * code->order, step = rows + APART_BY, parts = 11;
-    const size_t size = (2 * chips + code->bits * step + 8 * rows) * sizeof(float);
+    const size_t rows = book->rows, chips = code->bits * code->order, words = code->bits * rows;
     struct detector *detector = calloc(1, sizeof *detector);
 
     if (!detector)
         return NULL;
     detector->code = *code;
     detector->book = *book;
-    detector->step = step;
-    detector->memory = calloc(1, size + (parts + 1) * CACHE_LINE);
-    detector->unused = malloc(4 * rows * sizeof(int32_t));
-    if (!(detector->memory && detector->unused && make_list(&detector->now, rows, code->bits) &&
-          make_list(&detector->next, rows, code->bits))) {
+    detector->step = rows + APART_BY;
+    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows, sizeof(float));
+    detector->nodes = malloc(4 * rows * sizeof(int32_t));
+    if (!(detector->floats && detector->nodes)) {
         detector_free(detector);
         return NULL;
     }
-    float *left = (float *)(((uintptr_t)detector->memory + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
-    detector->chips = part_of(&left, chips);
-    detector->left = part_of(&left, chips);
-    detector->sums = part_of(&left, code->bits * step);
+    detector->sums = detector->floats;
+    detector->now.words = detector->sums + code->bits * detector->step;
+    detector->next.words = detector->now.words + words;
     float **of_codes[] = {&detector->told, &detector->spread, &detector->loud, &detector->belief,
-                          &detector->straight, &detector->squares, &detector->amplitude, &detector->swings};
+                          &detector->straight, &detector->squares};
     for (size_t i = 0; i < sizeof of_codes / sizeof *of_codes; i++)
-        *of_codes[i] = part_of(&left, rows);
-    detector->carried = detector->unused + rows;
-    detector->from = detector->carried + rows;
-    detector->nodes = detector->from + rows;
-    for (size_t row = 0; row < rows; row++) {
-        bool is_node = row > 0 && row <= code->nodes;
-        detector->amplitude[row] = code->swing;
-        detector->nodes[book->numbers[row]] = is_node ? (int32_t)row - 1 : -1;
-        if (!is_node)
-            detector->unused[detector->unused_count++] = book->numbers[row];
-    }
+        *of_codes[i] = detector->next.words + words + i * rows;
+    detector->chips = detector->squares + rows;
+    detector->left = detector->chips + chips;
+    detector->from = detector->nodes + rows;
+    detector->now.codes = detector->from + rows;
+    detector->next.codes = detector->now.codes + rows;
+    memset(detector->nodes, -1, rows * sizeof *detector->nodes);
+    for (size_t node = 0; node < code->nodes; node++)
+        detector->nodes[book->numbers[node + 1]] = (int32_t)node;
     return detector;
 }
 
@@ -210,16 +165,20 @@ void detector_free(struct detector *detector)
 {
     if (!detector)
         return;
-    free(detector->memory);
-    free(detector->unused);
-    free(detector->now.codes);
-    free(detector->now.words);
-    free(detector->next.codes);
-    free(detector->next.words);
+    free(detector->floats);
+    free(detector->nodes);
     free(detector);
 }
 
 /* ---- levels -------------------------------------------------------------------------------------- */
+
+/* Codes of no node have nothing. */
+static void clear_unused(const struct detector *detector, float *values)
+{
+    values[0] = 0; /* its number is 0 */
+    for (size_t row = detector->code.nodes + 1; row < detector->book.rows; row++)
+        values[detector->book.numbers[row]] = 0;
+}
 
 /* Levels of all codes in what is left of the chips, with the words that were taken off; and how loud each is. Bit by
  * bit, because all of one fits the nearest cache. */
@@ -243,8 +202,7 @@ static void correlate(struct detector *detector)
             sums[now->codes[i]] += (float)order * words[i];
     }
     average_loud(book->rows, bits, detector->step, detector->sums, 1.0f / (float)(order * bits), loud);
-    for (size_t i = 0; i < detector->unused_count; i++)
-        loud[detector->unused[i]] = 0;
+    clear_unused(detector, loud);
 }
 
 /* ---- words --------------------------------------------------------------------------------------- */
@@ -292,18 +250,8 @@ static void fade(const struct detector *detector, float damping)
     }
 }
 
-/* Those who spoke in the frame before do as likely as not, whatever others do. */
-static void believe_carried(struct detector *detector, struct odds odds)
-{
-    odds.odds = 0;
-    for (size_t i = 0; i < detector->carried_count; i++) {
-        size_t code = (size_t)detector->carried[i];
-        detector->belief[code] = fmaxf(detector->belief[code], share_of(detector->loud[code], &odds));
-    }
-}
-
 /* Soft words: of each, the share that is believed, of a bit that rises to ±1. Returns the mean sum of the derivatives of a
- * bit's words by their levels. damping: 0 also says that what earlier frames told is used. */
+ * bit's words by their levels. */
 static double soften(struct detector *detector, double noise, double odds, float damping)
 {
     const struct sparse_book *book = &detector->book;
@@ -315,20 +263,15 @@ static double soften(struct detector *detector, double noise, double odds, float
     float *belief = detector->belief, *straight = detector->straight, *squares = detector->squares;
 
     believe(book->rows, detector->loud, &of, belief);
-    if (damping == 0)
-        believe_carried(detector, of);
-    for (size_t i = 0; i < detector->unused_count; i++)
-        belief[detector->unused[i]] = 0;
+    clear_unused(detector, belief);
     list_believed(detector, damping > 0);
     for (size_t i = 0; i < next->count; i++) {
-        size_t code = (size_t)next->codes[i];
-        belief[i] = belief[code]; /* codes rise, so that none is overwritten before it is read */
-        detector->swings[i] = belief[i] * (damping == 0 ? detector->amplitude[code] : (float)swing);
+        belief[i] = belief[next->codes[i]]; /* codes rise, so that none is overwritten before it is read */
         straight[i] = squares[i] = 0;
     }
     for (size_t bit = 0; bit < detector->code.bits; bit++)
-        say(next->count, next->codes, detector_sums(detector, bit), rise, detector->swings,
-                   next->words + bit * book->rows, straight, squares);
+        say(next->count, next->codes, detector_sums(detector, bit), rise, (float)swing, belief,
+            next->words + bit * book->rows, straight, squares);
     for (size_t i = 0; i < next->count; i++) {
         slopes += (double)belief[i] * (double)straight[i] * rules->slope;
         slopes += belief[i] > 0 && belief[i] < 1 ? (double)squares[i] / rules->span : 0;
@@ -392,20 +335,6 @@ static void take_off(struct detector *detector, double level, float onsager)
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
-/* Keeps who spoke, and how loud. */
-static void carry(struct detector *detector)
-{
-    const struct detect_rules *rules = &detector->book.rules;
-    const struct listed *next = &detector->next;
-    float least = (float)rules->remembered_least * detector->code.swing;
-    float most = (float)rules->remembered_most * detector->code.swing;
-
-    detector->carried_count = next->count;
-    memcpy(detector->carried, next->codes, next->count * sizeof *next->codes);
-    for (size_t i = 0; i < next->count; i++)
-        detector->amplitude[next->codes[i]] = fminf(fmaxf(detector->loud[next->codes[i]], least), most);
-}
-
 /* Hard words of levels in which so much was left; whether they are final, which none are that noise would hide. were_hard: those before were; are_whole: what is
  * left is of these alone. */
 static bool are_final(struct detector *detector, double power, bool were_hard, bool are_whole)
@@ -440,14 +369,10 @@ static void take_turns(struct detector *detector, bool soft, double damping)
         }
         if (noise < 1e-12 * swing2) /* not fmax: a frame that is no number does not settle */
             noise = 1e-12 * swing2;
-        bool stalls = noise > rules->stalled * rules->stalled * before;
-        soft = soft && !(noise < rules->least * rules->least * swing2 || stalls);
+        soft = soft && !(noise < rules->least * rules->least * swing2 || noise > before);
         before = noise;
         bool is_last = turn + 1 == rules->turns;
-        if (!soft && are_final(detector, power, were_hard, are_whole)) {
-            detector->settled = true;
-            carry(detector);
-        }
+        detector->settled = !soft && are_final(detector, power, were_hard, are_whole);
         if (detector->settled || is_last)
             break;
         if (soft) {

@@ -7,8 +7,7 @@
  * these the chips, and what is left of the frame's chips better levels. A node's k bits decide together whether it
  * spoke, which they do with more noise than any bit could be read in. While much is left, words are soft, and what is
  * left is corrected for having been made of these levels (Onsager's term); then they are hard, with the amplitude that
- * they show. Who spoke in the frame before, and how loud, is where the next one begins: it saves a turn or two, and
- * decides nothing, because words that do not fit leave more than noise. The line's level is one unknown more.
+ * they show. The line's level is one unknown more.
  *
  * Levels are kept by code number, in the order of the transform, and words only of those who have some, so that what a
  * turn costs beside its two transforms grows with those who speak. */
@@ -23,10 +22,8 @@ struct detect_rules {
     double slope;      /* of what tanh rises by, soft bits do, to ±1 */
     double span;       /* of the logarithm of the odds, over which the share of a word that is believed rises to 1 */
     double hard;       /* deviations of noise: least mean |r| of a hard word */
-    double stalled;    /* ratio of noise to that of the turn before, beyond which soft words get no better */
     double near;       /* share of what is left by which hard words may differ from soft ones and be final */
     double settled;    /* share of what is left by which amplitudes may change in the end; its square is of an amplitude's */
-    double remembered_least, remembered_most; /* amplitude that is expected of a node for how it spoke before */
     size_t turns;      /* after which a frame is given up, and pairs of bits that are turned in a bit */
 };
 
@@ -50,7 +47,7 @@ struct listed {
 struct detector {
     struct code code;
     struct sparse_book book;
-    void *memory;           /* of these: */
+    float *floats;          /* of all that follow */
     float *chips;           /* (k, N), flipped back, as is `left` */
     float *left;            /* what words leave over of them */
     float *sums;            /* (k, step) levels of all codes, times the chips per bit */
@@ -58,13 +55,9 @@ struct detector {
     float *spread;          /* (2^m) 0, but for a bit's chips or words while they are transformed */
     float *loud, *belief;   /* (2^m): mean |r|; share of a word that is believed */
     float *straight, *squares; /* (2^m) of those that are listed: see soften; free once words are found */
-    float *amplitude;       /* (2^m) of a node, V: when it last spoke, in a frame that settled */
-    float *swings;          /* (2^m) of those that are listed: as that, or what every node has */
-    int32_t *unused;        /* codes of no node */
-    int32_t *carried;       /* those that spoke in the last frame that settled */
-    int32_t *from;          /* where a listed one was listed before, or -1 */
     int32_t *nodes;         /* (2^m) node of every code, from 0 on; -1: none */
-    size_t step, unused_count, carried_count;
+    int32_t *from;          /* where a listed one was listed before, or -1 */
+    size_t step;
     struct listed now, next; /* words that are taken off; those that will be, or were found */
     double level;           /* of the line, V */
     double change;          /* V², of a chip, by which the words found would change what is left */
@@ -76,7 +69,7 @@ struct detector *detector_new(const struct code *code, const struct sparse_book 
 void detector_free(struct detector *detector);
 
 /* Finds words in chips (k, N), V, which are in `next` afterwards. damping: share of the words before that soft ones keep:
- * slower, and more often right; then nothing that earlier frames told is used. */
+ * slower, and more often right. */
 void detector_find(struct detector *detector, const float *chips, double damping);
 
 /* Finds words in the chips of another detector, from its words on, of which bits are turned, two of a bit at a time, as

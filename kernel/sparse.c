@@ -14,12 +14,10 @@ struct sparse {
     struct certificate_limits limits;
     const float *expected;
     struct detector *detectors[2]; /* of a frame, and of another try of it */
-    float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these; or NULL */
+    float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these */
     double *triangle;              /* (most that are told apart)² */
-    float *levels, *swings;        /* (k, n), (n) of those who spoke, V */
-    int32_t *signs;                /* (n) of those, as code.sign_mask */
+    float *levels;                 /* (k, n) V, of the nodes */
     struct words_measures measures;
-    struct words said;             /* of those */
 };
 
 /* Products of codes i and j of a bit are one at i XOR j: the sum of the signs of this code's chips. */
@@ -40,32 +38,19 @@ static bool make_products(struct sparse *sparse)
     return true;
 }
 
-/* Room for what those say who spoke. */
-static bool make_words(struct sparse *sparse)
+/* Room for the levels of all nodes, and what they say. */
+static bool make_measures(struct sparse *sparse)
 {
     const size_t nodes = sparse->code.nodes;
-    float *floats = malloc((sparse->code.bits + 7) * nodes * sizeof *floats);
-    int32_t *ints = malloc(4 * nodes * sizeof *ints);
-    uint8_t *flags = calloc(5, nodes);
 
-    sparse->levels = floats;
-    sparse->signs = ints;
-    sparse->said.active = flags;
-    if (!(floats && ints && flags))
+    sparse->levels = malloc((sparse->code.bits + 3) * nodes * sizeof *sparse->levels);
+    sparse->measures.signs = malloc(2 * nodes * sizeof *sparse->measures.signs);
+    if (!(sparse->levels && sparse->measures.signs))
         return false;
-    sparse->swings = floats + sparse->code.bits * nodes;
-    float **values[] = {&sparse->measures.amplitude, &sparse->measures.weakest, &sparse->measures.strongest,
-                        &sparse->measures.squares, &sparse->said.rho, &sparse->said.margin};
-    for (size_t i = 0; i < sizeof values / sizeof *values; i++)
-        *values[i] = sparse->swings + (i + 1) * nodes;
-    sparse->said.amplitude = sparse->measures.amplitude;
-    sparse->measures.signs = ints + nodes;
-    sparse->measures.weakest_bit = ints + 2 * nodes;
-    sparse->said.codes = ints + 3 * nodes;
-    sparse->said.doubtful = flags + nodes;
-    sparse->said.doubled = flags + 2 * nodes;
-    sparse->said.odd = flags + 3 * nodes;
-    sparse->said.faint = flags + 4 * nodes;
+    sparse->measures.weakest = sparse->levels + sparse->code.bits * nodes;
+    sparse->measures.strongest = sparse->measures.weakest + nodes;
+    sparse->measures.squares = sparse->measures.strongest + nodes;
+    sparse->measures.weakest_bit = sparse->measures.signs + nodes;
     return true;
 }
 
@@ -84,8 +69,8 @@ struct sparse *sparse_new(const struct code *code, const struct certificate_limi
     sparse->expected = expected;
     for (size_t i = 0; i < 2; i++)
         sparse->detectors[i] = detector_new(code, &code->sparse->book);
-    if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) &&
-        (!sparse->sparse.may_cancel || make_products(sparse)))
+    if (sparse->detectors[0] && sparse->detectors[1] && make_measures(sparse) &&
+        make_products(sparse))
         return sparse;
     sparse_free(sparse);
     return NULL;
@@ -100,8 +85,7 @@ void sparse_free(struct sparse *sparse)
     free(sparse->alike);
     free(sparse->triangle);
     free(sparse->levels);
-    free(sparse->signs);
-    free(sparse->said.active);
+    free(sparse->measures.signs);
     free(sparse);
 }
 
@@ -115,7 +99,7 @@ static bool are_told_apart(const struct sparse *sparse, const struct listed *fou
     const size_t rows = sparse->sparse.book.rows;
     double least = (sparse->limits.left + chance) / 8, *row = sparse->triangle;
 
-    for (size_t bit = 0; sparse->alike && bit < sparse->code.bits; bit++) {
+    for (size_t bit = 0; sparse->sparse.may_cancel && bit < sparse->code.bits; bit++) {
         const float *alike = sparse->alike + bit * rows;
         for (size_t i = 0; i < found->count; i++)
             for (size_t j = 0; j <= i; j++) {
@@ -218,7 +202,9 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
         return first;
     detector_find(second, view->chips, sparse->sparse.damping);
     prefer(sparse, view, second, &best, certificate);
-    if (!is_sure(certificate) && sparse->alike && certificate->value[CLAUSE_WORDS] < 1) {
+    size_t count = best->next.count;
+    bool is_quick = count * count < 16 * sparse->sparse.book.rows; /* to look for pairs, as a turn is */
+    if (!is_sure(certificate) && is_quick && certificate->understood) {
         struct detector *other = best == first ? second : first;
         detector_turn(other, best, sparse->alike);
         prefer(sparse, view, other, &best, certificate);
@@ -228,83 +214,40 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
 
 /* ---- words --------------------------------------------------------------------------------------- */
 
-/* Decides the words of those who were heard, who are first listed side by side. */
+VECTORS static void pick(size_t count, const int32_t *restrict codes, const float *restrict sums, float scale,
+                         float *restrict levels)
+{
+    for (size_t i = 0; i < count; i++)
+        levels[i] = sums[codes[i]] * scale;
+}
+
+/* Decides the words of those who were heard, and marks silent nodes on whose rows there is more than noise, V RMS of a
+ * level. */
 static void tell_words(struct sparse *sparse, const struct detector *detector, double noise, const struct words *words)
 {
     const struct code *code = &sparse->code;
-    const struct listed *found = &detector->next;
-    const struct words *said = &sparse->said;
-    const size_t count = found->count;
-    float *levels = sparse->levels;
-
-    for (size_t bit = 0; bit < code->bits; bit++) {
-        const float *sums = detector_sums(detector, bit);
-        for (size_t i = 0; i < count; i++)
-            *levels++ = sums[found->codes[i]] * (1.0f / (float)code->order);
-    }
-    words_measure(sparse->levels, count, code->bits, count, &sparse->measures);
-    for (size_t i = 0; i < count; i++) {
-        size_t node = (size_t)detector->nodes[found->codes[i]];
-        sparse->swings[i] = sparse->expected[node];
-        sparse->signs[i] = code->sign_mask[node];
-        said->active[i] = said->amplitude[i] > code->active_share * sparse->swings[i];
-    }
-    words_decide(&sparse->measures, count, (unsigned)code->bits, code->parity, sparse->swings, sparse->signs,
-                 (float)(1 / fmax(noise, 1e-12)), &sparse->limits.words, said);
-    for (size_t i = 0; i < count; i++) {
-        size_t node = (size_t)detector->nodes[found->codes[i]];
-        words->active[node] = said->active[i];
-        words->codes[node] = said->codes[i];
-        words->amplitude[node] = said->amplitude[i];
-        words->rho[node] = said->rho[i];
-        words->margin[node] = said->margin[i];
-        words->doubtful[node] = said->doubtful[i];
-        words->doubled[node] = said->doubled[i];
-        words->odd[node] = said->odd[i];
-    }
-}
-
-VECTORS static void add_squares(size_t rows, const float *restrict sums, float *restrict squares)
-{
-    for (size_t i = 0; i < rows; i++)
-        squares[i] += sums[i] * sums[i];
-}
-
-VECTORS static bool any_above(size_t rows, const float *values, float most)
-{
-    int any = 0;
-
-    for (size_t i = 0; i < rows; i++)
-        any |= values[i] > most;
-    return any;
-}
-
-/* Marks silent nodes on whose rows there is more than noise, V RMS of a level. */
-static void find_faint(const struct sparse *sparse, const struct detector *detector, double noise,
-                       const struct words *words)
-{
     const struct certificate_limits *limits = &sparse->limits;
-    const size_t rows = sparse->sparse.book.rows, bits = sparse->code.bits;
-    const float order = (float)sparse->code.order;
-    double least = limits->faint * (double)sparse->code.swing;
-    double chance = certificate_chance((double)bits, limits->faint_deviations) * noise * noise;
-    float most = (float)((double)bits * fmax(least * least, chance)), *squares = detector->squares;
+    const struct listed *found = &detector->next;
+    const int32_t *numbers = sparse->sparse.book.numbers + 1;
+    const double bits = (double)code->bits, faint = limits->faint * (double)code->swing;
+    float *levels = sparse->levels, *squares = sparse->measures.squares;
 
-    for (size_t i = 0; i < detector->next.count; i++) {
-        int32_t code = detector->next.codes[i];
-        if (words->active[detector->nodes[code]])
-            detector->loud[code] = 0;
+    for (size_t bit = 0; bit < code->bits; bit++, levels += code->nodes)
+        pick(code->nodes, numbers, detector_sums(detector, bit), 1.0f / (float)code->order, levels);
+    sparse->measures.amplitude = words->amplitude;
+    words_measure(sparse->levels, code->nodes, code->bits, code->nodes, &sparse->measures);
+    memset(words->active, 0, code->nodes);
+    for (size_t i = 0; i < found->count; i++) {
+        size_t node = (size_t)detector->nodes[found->codes[i]];
+        words->active[node] = words->amplitude[node] > code->active_share * sparse->expected[node];
     }
-    /* The sum of squares is no more than the square of the sum; but for rounding. */
-    if (!any_above(rows, detector->loud, 0.999f * sqrtf(most) / (float)bits))
-        return;
-    memset(squares, 0, rows * sizeof *squares);
-    for (size_t bit = 0; bit < bits; bit++)
-        add_squares(rows, detector_sums(detector, bit), squares);
-    for (size_t node = 0; node < sparse->code.nodes; node++) {
-        size_t row = (size_t)sparse->sparse.book.numbers[node + 1];
-        words->faint[node] = !words->active[node] && squares[row] > most * order * order;
-        words->doubtful[node] |= words->faint[node];
+    words_decide(&sparse->measures, code->nodes, (unsigned)code->bits, code->parity, sparse->expected, code->sign_mask,
+                 (float)(1 / fmax(noise, 1e-12)), &limits->words, words);
+    double chance = certificate_chance(bits, limits->faint_deviations) * noise * noise;
+    float most = (float)(bits * fmax(faint * faint, chance));
+    for (size_t i = 0; i < code->nodes; i++) {
+        words->faint[i] = (uint8_t)((words->active[i] ^ 1) & (squares[i] > most));
+        words->doubtful[i] |= words->faint[i];
     }
 }
 
@@ -345,15 +288,8 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     const struct code *code = &sparse->code;
     const size_t nodes = code->nodes, chips = code->bits * code->order;
     const struct detector *detector = find(sparse, view, certificate);
-    uint8_t *flags[] = {words->active, words->doubtful, words->doubled, words->odd, words->faint};
-    void *values[] = {words->codes, words->amplitude, words->rho, words->margin};
 
-    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++)
-        memset(flags[i], 0, nodes);
-    for (size_t i = 0; i < sizeof values / sizeof *values; i++)
-        memset(values[i], 0, nodes * sizeof(float));
     tell_words(sparse, detector, certificate->noise, words);
-    find_faint(sparse, detector, certificate->noise, words);
     if (hides_nodes(sparse, view, certificate))
         for (size_t i = 0; i < nodes; i++)
             words->doubtful[i] |= !words->active[i];

@@ -304,7 +304,7 @@ def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel
     flips = kernel.ffi.NULL
     if spec.flips is not None:
         flips = np.ascontiguousarray(spec.flips, np.float32)
-    sparse = sparse_code(spec, spreads, active_share) if spec.sparse else None
+    sparse = sparse_code(spec, spreads) if spec.sparse else None
     held = kernel.struct(
         "code",
         bits=spec.line_bits,

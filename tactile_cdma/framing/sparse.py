@@ -27,24 +27,26 @@ NEAR, SETTLED = 0.1, 0.01
 """Power by which hard words may differ from the soft ones before, of what is left, to be final:
 what nodes leave then hides in the noise. Power by which amplitudes may change in the turn after:
 a percent of noise, or of an amplitude."""
-STALLED, MOST_TURNS = 0.97, 24
-"""Ratio of noise to that of the turn before beyond which soft words get no better; turns after
-which a frame is given up: those that are found take up to 12."""
+MOST_TURNS = 24
+"""Turns after which a frame is given up: those that are found take up to 12."""
 DAMPING = 0.6
 """Share of the words before that soft ones keep where a frame is tried again: of frames of 32 words
 on 64 chips one in 300 fails without, none of 2,500 with it."""
 TOLERANCE = 0.03
 """Share of a word that may be left over, RMS: chips are means, of which edges take little."""
-FAINTEST = 0.56
+FAINTEST = 0.5 + 2 * TOLERANCE
 """Share of an amplitude that a word of a frame has: of three words that clip at an amplitude half
 is left, and as much of the product of their codes, which may be that of a node."""
-
+HIDDEN = 0.5
+"""Power left beside noise, in amplitudes squared, in which a node may hide: half of its own. At
+ρ = 15 on 912 chips per bit it is exceeded by chance once in a hundred frames, and no silence is
+claimed then; a quarter would be in nine frames of ten."""
 
 SPARSE_LIMITS = replace(LIMITS, left_of_word=TOLERANCE, bit=1.0)
 """A bit that is wrong, or missing, leaves an amplitude squared there, among that of all nodes."""
 
 
-def sparse_code(spec: FrameSpec, spreads: CompiledTransform, active_share: float) -> kernel.Held:
+def sparse_code(spec: FrameSpec, spreads: CompiledTransform) -> kernel.Held:
     """Return the kernel's struct sparse_code; spreads: the transform of the book, unscaled."""
     return kernel.struct(
         "sparse_code",
@@ -56,14 +58,11 @@ def sparse_code(spec: FrameSpec, spreads: CompiledTransform, active_share: float
         slope=SLOPE,
         span=SPAN,
         hard=HARD_SHARE,
-        stalled=STALLED,
         near=NEAR,
         settled=SETTLED,
-        remembered_least=active_share,
-        remembered_most=LIMITS.two,
         turns=MOST_TURNS,
         capacity=capacity(spec),
-        hidden=active_share,
+        hidden=HIDDEN,
         damping=DAMPING,
         faintest=FAINTEST,
         may_cancel=spec.order < ALIKE_BELOW,
