@@ -12,6 +12,7 @@ from ..base import kernel
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
 from ..framing.frame_reader import FrameReader
+from ..framing.gaps.gap_timing import GapTiming
 from ..framing.proposals import Proposer
 from ..wire.messages import Info
 from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Pace
@@ -51,10 +52,7 @@ class Description:
         self.pace = Pace(info, spec)
         self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v)
         self.proposer = Proposer(spec, self.reader.chip)
-        self.gaps = None
-        if config.timing == GAP:
-            from ..framing.gaps.gap_timing import GapTiming
-            self.gaps = GapTiming(self.reader, rate_hz)
+        self.gaps = GapTiming(self.reader, rate_hz) if config.timing == GAP else None
 
     def rules(self, frames: bool) -> kernel.Held:
         """Return the kernel's struct stream_rules; frames: see Pipeline."""

@@ -13,6 +13,7 @@ from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.frame_reader import FrameReader
+from ..framing.gaps.gap_timing import GapTiming
 from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
@@ -37,7 +38,6 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
             f"{spec.chip_s * 1e6:g} µs; {_MIN_SAMPLES_PER_CHIP} or more are needed: "
             "record faster, or correct the chip duration (is the first column in s?)"
         )
-    from ..framing.gaps.gap_timing import GapTiming
     for start_s, volts in capture.pieces:
         reader = FrameReader(spec, capture.rate_hz, active_share=config.active_share)
         timing = GapTiming(reader, capture.rate_hz)
