@@ -26,6 +26,7 @@ from ..wire.port_failures import is_remote
 from ..wire.reader import NO_FILE
 from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
+from .scrambling import ScrambleWatch
 from .session import Session
 from .vitals import Vitals
 
@@ -62,7 +63,8 @@ class Driver:
 
     url: of the port. port: while one is open. connections: how often it was opened.
     problem: as told by on_problem. vitals: what the thread measures of itself.
-    stuck: finds nodes that do not move.
+    stuck: finds nodes that do not move. scrambling: finds nodes that scramble otherwise, on the
+    present connection.
     ended: a recording was replayed to its end, and no more frames will come.
     """
 
@@ -84,6 +86,7 @@ class Driver:
         self.ended = False
         self.vitals = Vitals()
         self.stuck = StuckNodes(config.layout)
+        self.scrambling = ScrambleWatch(config)
         self._first_port: Port | None = None
         self.port: Port | None = None
         self.url, self._baud = url, baud
@@ -199,6 +202,7 @@ class Driver:
         """Start the digitizer and decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
         session = Session(pipeline.config, port.stepped)
+        self.scrambling = ScrambleWatch(pipeline.config)
         _tell_of_sensors(port, pipeline.config)
         with self._busy:
             pipeline.reconnected()
@@ -221,6 +225,8 @@ class Driver:
                     waiting_bytes = port.waiting
                     self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
+                    if self.scrambling.look(pipeline):
+                        _log.error("%s: %s", port.url, self.scrambling.problem)
                     if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
                         with self._busy:
                             for frame in pipeline.drain():
@@ -229,7 +235,7 @@ class Driver:
                 if request := session.watch(pipeline, t_host, heard_s):
                     port.write(request)
                     if session.problem:
-                        self._report(session.problem)
+                        self._report(self.scrambling.problem or session.problem)
                 timeout_ms = READ_TIMEOUT_MS
                 if (left_s := session.deadline_s - t_host) > 0:
                     timeout_ms = min(timeout_ms, math.ceil(1e3 * left_s))
@@ -242,7 +248,9 @@ class Driver:
 
         file: see Port.file. timeout_ms: most that is waited for bytes there.
         """
-        pipeline = self.pipeline
+        pipeline, listens = self.pipeline, self.scrambling.listens
+        if listens:
+            file = NO_FILE
         try:
             event = pipeline.stream.next(file, timeout_ms)
         except OSError as error:
@@ -260,6 +268,8 @@ class Driver:
                 pipeline.stream.end()
                 return None, time.monotonic()
             data, t_host = port.read()
+            if listens:
+                self.scrambling.note(data, t_host)
             self._may_end = bool(data) and port.stepped and self._fills
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
@@ -268,6 +278,7 @@ class Driver:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
         t_decoded = time.monotonic()
         self._on_frame(frame)
+        self.scrambling.hear(frame)
         done = t_host, t_decoded, time.monotonic(), frame.clipped, frame.words.noise_rms_v
         self.vitals.handed_on.append((frame.t_host, *done))
         if not 0 <= frame.t_middle - self.stuck.looked_s < STUCK_LOOK_S:
