@@ -225,7 +225,7 @@ class Driver:
                     waiting_bytes = port.waiting
                     self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
-                    if self.scrambling.look(pipeline):
+                    if not self.scrambling.is_over and self.scrambling.look(pipeline):
                         _log.error("%s: %s", port.url, self.scrambling.problem)
                     if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
                         with self._busy:
@@ -278,7 +278,8 @@ class Driver:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
         t_decoded = time.monotonic()
         self._on_frame(frame)
-        self.scrambling.hear(frame)
+        if not self.scrambling.is_over:
+            self.scrambling.hear(frame)
         done = t_host, t_decoded, time.monotonic(), frame.clipped, frame.words.noise_rms_v
         self.vitals.handed_on.append((frame.t_host, *done))
         if not 0 <= frame.t_middle - self.stuck.looked_s < STUCK_LOOK_S:

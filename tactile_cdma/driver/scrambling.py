@@ -83,21 +83,23 @@ class ScrambleWatch:
     """Follows the stream of one connection until a word in it is certain.
 
     problem: that nodes scramble otherwise, as `mismatch` tells it, once that is known.
-    listens: the bytes of the stream are wanted now.
+    listens: the bytes of the stream are wanted now. is_over: a word was certain, and nothing more
+    is wanted.
     """
 
     def __init__(self, config: SkinConfig) -> None:
         self.problem: str | None = None
-        self.listens = False
-        self._config, self._understood, self._doubted = config, False, 0
+        self.listens = self.is_over = False
+        self._config, self._doubted = config, 0
         self._chunks: list[tuple[bytes, float]] = []
         self._begin = self._end = ODD_FRAMES  # odd frames at which a look begins, and ends
 
     def hear(self, frame: TactileFrame) -> None:
         """Take in a frame."""
-        if not self._understood:
-            self._understood = is_understood(frame)
-            self._doubted += bool(frame.words.doubtful.any())
+        self._doubted += bool(frame.words.doubtful.any())
+        if is_understood(frame):
+            self.is_over, self.listens, self.problem = True, False, None
+            self._chunks.clear()
 
     def note(self, data: bytes, t_host: float) -> None:
         """Take in bytes, while it listens."""
@@ -106,10 +108,9 @@ class ScrambleWatch:
     def look(self, pipeline: Pipeline) -> bool:
         """Begin or end to listen, where that is due; returns whether a problem was found."""
         info, odd = pipeline.digitizer.info, self._doubted + pipeline.rejections.total
-        if self._understood or info is None:
-            self.listens, self.problem = False, None
-            self._chunks.clear()
-        elif not self.listens:
+        if info is None or self.is_over:
+            return False
+        if not self.listens:
             self.listens, self._end = odd >= self._begin and not self.problem, odd + ODD_FRAMES
         elif self._chunks and (
             odd >= self._end or self._chunks[-1][1] - self._chunks[0][1] > LONGEST_S

@@ -86,6 +86,7 @@ def test_nodes_that_do_as_the_parameters_say_are_not_accused(
         for frame in pipeline.feed(data, t_host):
             watch.hear(frame)
         assert not watch.look(pipeline) and not watch.listens
+    assert watch.is_over
 
 
 @pytest.mark.parametrize("scramble", [False, True])
