@@ -66,7 +66,6 @@ void demonstrator_begin(struct demonstrator *d, const struct setup *setup)
 {
     d->setup = setup;
     d->ticks_per_chip = d->nodes[0].record.chip_ns / 1000u * setup->ticks_per_us;
-    d->calls = d->announced = d->frame = 0;
     d->tick = setup->ticks_per_sample / 2;
     d->end = UINT64_MAX; /* known with the first pulse */
     d->chip = d->chip_count;
@@ -75,11 +74,8 @@ void demonstrator_begin(struct demonstrator *d, const struct setup *setup)
 
 void demonstrator_hear(struct demonstrator *d, const struct dg_pulse *pulse)
 {
-    uint32_t bit = 1u << d->announced % PULSES_AHEAD;
-
-    if (d->announced++ == 0)
+    if (d->end == UINT64_MAX)
         d->end = pulse->tick + TP_SYNC_LEAD * TP_SYNC_UNIT_US * d->setup->ticks_per_us;
-    d->calls = pulse->units == TP_SYNC_CALL ? d->calls | bit : d->calls & ~bit;
 }
 
 /* How deep a touch is at a node, LSB. */
@@ -135,16 +131,14 @@ static void add_chips(struct demonstrator *d, uint32_t number)
 
 void demonstrator_plan(struct demonstrator *d)
 {
-    bool call = d->calls & 1u << d->frame++ % PULSES_AHEAD;
-
     measure(d);
     memset(d->chips, 0, sizeof d->chips);
     for (uint32_t i = 0; i < DEMO_NODES; i++) {
         struct demo_node *node = &d->nodes[i];
-        bool talks = call ? event_talks_first(&node->event) : event_talks(&node->event, node->code);
+        bool talks = event_talks(&node->event, node->code);
         if (talks)
             add_chips(d, i);
-        event_frame(&node->event, call, false, talks, node->code);
+        event_frame(&node->event, false, talks, node->code);
     }
     d->chips[d->chip_count] = (uint16_t)d->chips[d->chip_count - 1];
 }

@@ -36,10 +36,6 @@ struct demonstrator {
     uint8_t scene;       /* enum tp_scene */
     uint32_t scene_frame; /* frames since it began */
 
-    volatile uint32_t calls; /* bit f % PULSES_AHEAD: a roll call begins with frame f */
-    uint32_t announced;      /* frames whose pulse was heard of */
-    uint32_t frame;          /* next frame to be planned */
-
     /* of demonstrator_line: */
     const struct setup *setup;
     uint32_t ticks_per_chip;

@@ -10,21 +10,16 @@ void event_init(struct event *e, const struct tp_node_record *record, uint16_t r
     e->heartbeat = record->heartbeat;
     e->owes = false;
     e->to_heartbeat = record->turn;
-    e->turn = (uint16_t)(record->node - 1u);
-    e->nodes = record->nodes;
-    e->called = record->nodes;
 }
 
 bool event_talks(const struct event *e, uint16_t code)
 {
-    if (e->called < e->nodes)
-        return e->called == e->turn;
     return e->threshold == 0 || event_farther(code, e->rest, e->threshold) ||
            event_farther(code, e->last_sent, e->threshold) || e->owes ||
            (e->heartbeat && e->to_heartbeat == 0);
 }
 
-void event_frame(struct event *e, bool call, bool others, bool spoke, uint16_t code)
+void event_frame(struct event *e, bool others, bool spoke, uint16_t code)
 {
     if (spoke) {
         e->last_sent = code;
@@ -34,8 +29,4 @@ void event_frame(struct event *e, bool call, bool others, bool spoke, uint16_t c
         e->to_heartbeat = (uint16_t)(e->heartbeat - 1u);
         e->owes |= others;
     }
-    if (call)
-        e->called = 1;
-    else if (e->called < e->nodes)
-        e->called++;
 }

@@ -10,8 +10,9 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
 {
     pulses->setup = setup;
     pulses->mark = setup->first_mark;
-    pulses->frame = pulses->chip = pulses->turns = 0;
-    pulses->log2_groups = pulses->group = pulses->announced = 0;
+    pulses->frame = pulses->chip = 0;
+    pulses->log2_groups = pulses->group = 0;
+    pulses->announced = false;
     pulses->digits = 0;
     __asm__ volatile("" ::: "memory"); /* an interrupt may use the above once `on` is set */
     pulses->on = setup->marked;
@@ -20,25 +21,9 @@ void pulses_begin(struct pulses *pulses, const struct setup *setup)
 void pulses_end(struct pulses *pulses)
 {
     pulses->on = false;
-    pulses->call_asked = false;
     pulses->log2_asked = 0;
     pulses->number_asked = 0;
     __asm__ volatile("" ::: "memory"); /* the caller may change the setup from here on */
-}
-
-void pulses_call(struct pulses *pulses)
-{
-    pulses->call_asked = true;
-}
-
-static uint32_t bit(uint32_t frame)
-{
-    return 1u << frame % PULSES_AHEAD;
-}
-
-bool pulses_called(const struct pulses *pulses, uint32_t frame)
-{
-    return pulses->called & bit(frame);
 }
 
 void pulses_divide(struct pulses *pulses, uint8_t log2_groups)
@@ -58,7 +43,7 @@ uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame)
     return pulses->turn[frame % PULSES_AHEAD];
 }
 
-/* The turn of the next frame, if it is of no roll call. */
+/* The turn of the next frame, as the groups take it. */
 static uint8_t take_turn(struct pulses *pulses)
 {
     uint8_t asked = pulses->log2_asked;
@@ -77,25 +62,13 @@ static uint8_t take_turn(struct pulses *pulses)
 /* Decides what the next frame's pulses say. */
 static void announce_frame(struct pulses *pulses)
 {
-    bool begins = pulses->call_asked;
     uint16_t turn = take_turn(pulses), number = pulses->number_asked;
 
     if (number && pulses->frame > 0) /* before the first one there is no time for it */
         turn = number;
-    if (begins) {
-        pulses->call_asked = false;
-        pulses->turns = pulses->setup->asked.frame.nodes;
-    }
-    if (pulses->turns) {
-        pulses->turns--;
-        pulses->called |= bit(pulses->frame);
-        turn = 0;
-    } else {
-        pulses->called &= ~bit(pulses->frame);
-    }
     pulses->turn[pulses->frame % PULSES_AHEAD] = turn & TURN_OF_GROUPS;
     pulses->digits = turn;
-    pulses->announced = begins ? TP_SYNC_CALL : TP_SYNC_FRAME;
+    pulses->announced = true;
 }
 
 /* Goes back from a frame's pulse to that of the highest digit left. */
@@ -129,8 +102,8 @@ bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse)
             take_digit(pulses, pulse);
             return true;
         }
-        pulse->units = pulses->announced;
-        pulses->announced = 0;
+        pulse->units = TP_SYNC_FRAME;
+        pulses->announced = false;
     }
     pulses->chip += resync_chips;
     if (resync_chips == 0 || pulses->chip >= setup->chips) {

@@ -14,18 +14,16 @@
 
 #include "setup.h"
 
-#define PULSES_AHEAD 32 /* frames that pulses may be ahead of the samples: bits of `called` */
+#define PULSES_AHEAD 32 /* frames that pulses may be ahead of the samples */
 
 /* A pulse on the sync line. */
 struct dg_pulse {
     uint64_t tick; /* of the stream, at its rising edge */
-    uint8_t units; /* its length, in TP_SYNC_UNIT_US: TP_SYNC_FRAME, _CALL or _RESTART */
+    uint8_t units; /* its length, in TP_SYNC_UNIT_US: TP_SYNC_FRAME or _RESTART */
 };
 
 struct pulses {
     volatile bool on;
-    volatile bool call_asked;     /* … and no frame of it has begun */
-    volatile uint32_t called;     /* bit f % PULSES_AHEAD: frame f belongs to a roll call */
     volatile uint8_t log2_asked;  /* of the groups, from the next frame on */
     volatile uint16_t number_asked; /* … and what is said of a number: a turn with its digits; 0: nothing */
     volatile uint8_t turn[PULSES_AHEAD]; /* of frame f at f % PULSES_AHEAD */
@@ -33,9 +31,8 @@ struct pulses {
     uint64_t mark;                /* tick at which the present frame begins */
     uint32_t frame;               /* its number */
     uint32_t chip;                /* the chip that the next pulse announces */
-    uint32_t turns;               /* frames left of the roll call */
     uint8_t log2_groups, group;   /* in force; the next frame's */
-    uint8_t announced;            /* length of the next frame's pulse, in TP_SYNC_UNIT_US; 0: not begun yet */
+    bool announced;               /* some pulses of the next frame are taken: what they say is decided */
     uint16_t digits;              /* of its turn, whose pulses are to come */
 };
 
@@ -43,8 +40,6 @@ struct pulses {
 void pulses_begin(struct pulses *pulses, const struct setup *setup);
 void pulses_end(struct pulses *pulses);
 
-/* Asks for a roll call from the next frame without a pulse on; pulses_end cancels it. */
-void pulses_call(struct pulses *pulses);
 /* Divides the nodes into 2^log2_groups groups, from the next frame without a pulse on; pulses_end undoes it. */
 void pulses_divide(struct pulses *pulses, uint8_t log2_groups);
 /* Announces a number from the next frame without a pulse on, in place of groups; 0 with `forget` false, and
@@ -52,8 +47,6 @@ void pulses_divide(struct pulses *pulses, uint8_t log2_groups);
 void pulses_number(struct pulses *pulses, uint16_t number, bool forget);
 /* The turn of a frame, whose pulse pulses_next has returned; 0: of all nodes. */
 uint8_t pulses_turn(const struct pulses *pulses, uint32_t frame);
-/* Whether a frame, whose pulse pulses_next has returned, belongs to a roll call. */
-bool pulses_called(const struct pulses *pulses, uint32_t frame);
 
 /* Takes the next pulse; false if pulses are off. */
 bool pulses_next(struct pulses *pulses, struct dg_pulse *pulse);

@@ -69,11 +69,8 @@ static uint8_t flags(const struct stream *stream)
 {
     uint8_t flags = stream->overrun ? TP_FLAG_OVERRUN : 0;
 
-    if (stream->index == stream->mark_index) {
+    if (stream->index == stream->mark_index)
         flags |= (uint8_t)(TP_FLAG_SYNC | pulses_turn(stream->pulses, stream->frame) << TP_TURN_SHIFT);
-        if (pulses_called(stream->pulses, stream->frame))
-            flags |= TP_FLAG_CALLED;
-    }
     return flags;
 }
 

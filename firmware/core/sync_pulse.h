@@ -10,12 +10,11 @@
 
 #define SYNC_PULSE_GLITCH 0u
 
-/* Rounds a length to TP_SYNC_RESTART, TP_SYNC_FRAME or TP_SYNC_CALL units, so clocks may be about 14 %
- * off; anything shorter or longer is SYNC_PULSE_GLITCH. unit_ticks: a constant that divides 256, so
+/* Rounds a length to TP_SYNC_RESTART or TP_SYNC_FRAME units, so clocks may be 20 % off; anything shorter or longer is SYNC_PULSE_GLITCH. unit_ticks: a constant that divides 256, so
  * that an AVR divides by taking the upper byte. */
 static inline uint8_t sync_pulse_units(uint32_t ticks, uint16_t unit_ticks)
 {
-    if (ticks >= TP_SYNC_CALL * unit_ticks + unit_ticks / 2u)
+    if (ticks >= TP_SYNC_FRAME * unit_ticks + unit_ticks / 2u)
         return SYNC_PULSE_GLITCH;
     return (uint8_t)((uint16_t)((uint16_t)(ticks + unit_ticks / 2u) * (256u / unit_ticks)) >> 8);
 }

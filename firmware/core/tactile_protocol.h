@@ -35,7 +35,6 @@
 #define TP_SYNC_UNIT_US 16u
 #define TP_SYNC_RESTART 1u
 #define TP_SYNC_FRAME 2u
-#define TP_SYNC_CALL 3u
 #define TP_SYNC_LEAD 4u
 #define TP_SYNC_DIGIT 8u
 #define TP_TURN_SHIFT 3u
@@ -61,7 +60,6 @@
 #define TP_START 0x82
 #define TP_STOP 0x83
 #define TP_CONFIGURE 0x84
-#define TP_ROLL_CALL 0x85
 #define TP_PACK 0x86
 #define TP_TOUCH 0x87
 #define TP_BOOTSEL 0x88
@@ -71,7 +69,6 @@
 /* flags of struct tp_samples and struct tp_quiet */
 #define TP_FLAG_SYNC 0x01 /* the first sample is the first of a frame */
 #define TP_FLAG_OVERRUN 0x02 /* samples were lost just before this packet */
-#define TP_FLAG_CALLED 0x04 /* the frame belongs to a roll call; a single node transmits in it */
 
 /* Where the mark of a frame's first sample comes from. */
 enum tp_sync_mode {
@@ -165,7 +162,7 @@ _Static_assert(sizeof(struct tp_frame_layout) == 30, "size of tp_frame_layout");
 struct __attribute__((packed)) tp_node_record {
     uint32_t magic; /* marks a node's record */
     uint8_t version; /* version of the record */
-    uint16_t node; /* number of this node; its turn in a roll call */
+    uint16_t node; /* number of this node */
     uint16_t nodes; /* number of nodes */
     uint16_t row; /* code row, or code number; for information, its chips follow */
     uint8_t digits; /* octets in the register of a sparse code, 4 or more; 0: the code is a row */
@@ -272,7 +269,7 @@ _Static_assert(sizeof(struct tp_info) == 65, "size of tp_info");
 struct __attribute__((packed)) tp_samples {
     uint64_t device_time_us; /* µs: when its first sample was taken; if integrated, when its chip began */
     uint64_t first_index; /* index of its first sample in the stream */
-    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 CALLED, bits 3 to 7 turn */
+    uint8_t flags; /* bit 0 SYNC, bit 1 OVERRUN, bit 2 is 0, bits 3 to 7 turn */
     uint16_t words[]; /* int16 counts, each XORed with TP_SAMPLE_XOR */
 };
 TP_ASSERT_AT(tp_samples, device_time_us, 0);

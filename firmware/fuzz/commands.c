@@ -21,7 +21,7 @@ size_t commands_plain(struct input *input, uint8_t type, uint8_t *wire)
 
 size_t commands_any(struct input *input, uint8_t *wire)
 {
-    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_ROLL_CALL, TP_PACK, TP_GROUPS, TP_NUMBER};
+    static const uint8_t types[] = {TP_GET_INFO, TP_START, TP_STOP, TP_PACK, TP_GROUPS, TP_NUMBER};
     uint8_t type = input_u8(input);
     const uint8_t *payload;
 

@@ -133,12 +133,9 @@ static void ask_pulses(struct bench *bench, unsigned more)
     }
     struct line *line = &session->line;
     while (line_covered(line) <= line->size || (more && line_ahead(line) < PULSES_AHEAD)) {
-        bool frame = line->chip == 0 && !line->begun; /* what it says is decided now */
         more -= more > 0;
         MUST(dg_pulse(&bench->dg, &pulse), WRONG_VALUE);
-        line_pulse(line, &pulse, frame && host->call_asked, host->log2_asked,
-                   host->number_asked);
-        host->call_asked &= !frame;
+        line_pulse(line, &pulse, host->log2_asked, host->number_asked);
     }
 }
 

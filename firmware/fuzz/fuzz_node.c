@@ -247,14 +247,13 @@ static bool pressed(const struct event *event, uint16_t code)
            apart(code, event->last_sent) > event->threshold;
 }
 
-/* Frames with and without roll calls: in a roll call the node transmits in its own turn only; otherwise
- * while it is pressed, and once per heartbeat. */
+/* The node transmits while it is pressed, and once per heartbeat. */
 static void check_turns(struct input *input, const struct tp_node_record *record)
 {
     struct discipline clock;
     struct event event;
-    uint32_t call = record->nodes, waited = 0; /* frames since a call's first; since the heartbeat */
-    bool owed = false;                         /* a heartbeat */
+    uint32_t waited = 0; /* frames since the heartbeat */
+    bool owed = false;   /* a heartbeat */
     uint16_t rest = input_u16(input) % 1024;
 
     discipline_init(&clock, record, TICKS_PER_US);
@@ -262,19 +261,16 @@ static void check_turns(struct input *input, const struct tp_node_record *record
     while (input->left) {
         uint8_t kind = input_u8(input);
         uint16_t code = input_u16(input) % 1024;
-        bool begins = kind % 8 == 0, missed = kind % 8 == 1;
+        bool missed = kind % 8 == 1;
         uint8_t groups = (uint8_t)(1u << kind / 8 % 5), group = input_u8(input) % groups;
         uint8_t turn = groups > 1 ? groups + group : 0;
-        bool others = !begins && !missed && turn_is_others(turn, record->node);
-        MUST(begins || missed || others == (record->node % groups != group), WRONG_VALUE);
-        call = begins ? 0 : call < record->nodes ? call + 1 : call;
+        bool others = !missed && turn_is_others(turn, record->node);
+        MUST(missed || others == (record->node % groups != group), WRONG_VALUE);
         bool due = record->heartbeat && (waited == record->turn);
-        bool wanted = call < record->nodes ? call == record->node - 1u
-                                           : !record->threshold || pressed(&event, code) || due || owed;
-        bool talks = begins ? event_talks_first(&event) : event_talks(&event, code);
-        MUST(talks == wanted, WRONG_VALUE);
+        bool talks = event_talks(&event, code);
+        MUST(talks == (!record->threshold || pressed(&event, code) || due || owed), WRONG_VALUE);
         bool spoke = talks && !missed && !others;
-        event_frame(&event, begins, others, spoke, code);
+        event_frame(&event, others, spoke, code);
         MUST(!spoke || event.last_sent == code, WRONG_VALUE);
         owed = !spoke && (owed || (due && others));
         waited = due ? (uint32_t)(record->turn - record->heartbeat + 1) : waited + 1;
@@ -288,9 +284,9 @@ static void check_pulse(uint32_t ticks)
 {
     uint8_t units = sync_pulse_units(ticks, UNIT_TICKS);
 
-    MUST(units <= TP_SYNC_CALL, WRONG_VALUE);
+    MUST(units <= TP_SYNC_FRAME, WRONG_VALUE);
     MUST(units == SYNC_PULSE_GLITCH || apart(ticks, units * UNIT_TICKS) <= UNIT_TICKS / 2, WRONG_VALUE);
-    for (uint32_t unit = 1; unit <= TP_SYNC_CALL; unit++)
+    for (uint32_t unit = 1; unit <= TP_SYNC_FRAME; unit++)
         MUST(units == unit || apart(ticks, unit * UNIT_TICKS) >= UNIT_TICKS / 2, WRONG_VALUE);
 }
 

@@ -38,7 +38,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
     enum tp_result result = settings_of(&host->settings, host->board, &asked);
     if (result == TP_RESULT_OK) {
         host->restarted |= host->running;
-        host->running = host->call_asked = host->packs = false;
+        host->running = host->packs = false;
         host->log2_asked = 0;
         host->number_asked = 0;
     }
@@ -48,8 +48,7 @@ static enum tp_result configured(struct host *host, const uint8_t *payload)
 static enum tp_result done(struct host *host, uint8_t type, const uint8_t *payload, size_t size)
 {
     if (type != TP_GET_INFO && type != TP_START && type != TP_STOP && type != TP_CONFIGURE &&
-        type != TP_ROLL_CALL && type != TP_PACK && type != TP_GROUPS &&
-        type != TP_NUMBER)
+        type != TP_PACK && type != TP_GROUPS && type != TP_NUMBER)
         return TP_RESULT_UNKNOWN_COMMAND;
     if (size != (type == TP_CONFIGURE ? sizeof(struct tp_configure)
                  : type == TP_NUMBER  ? 3
@@ -72,16 +71,11 @@ static enum tp_result done(struct host *host, uint8_t type, const uint8_t *paylo
         if (!host->running || !settings_has_numbers(&host->settings))
             return TP_RESULT_UNSUPPORTED;
         host->number_asked = (uint16_t)(number || payload[2] ? 1u | number << 5 | payload[2] << 15 : 0u);
-    } else if (type == TP_ROLL_CALL) {
-        if (!host->running || !host->settings.marked || host->settings.asked.integrated)
-            return TP_RESULT_UNSUPPORTED;
-        host->call_asked = true;
     } else if (type == TP_PACK) {
         host->packs = true;
     } else if (type != TP_GET_INFO) {
         host->restarted |= type == TP_START || host->running;
         host->running = type == TP_START;
-        host->call_asked = false;
         host->log2_asked = 0;
         host->number_asked = 0;
     }

@@ -20,7 +20,6 @@ void line_init(struct line *line, const struct settings *settings, uint64_t star
 void line_free(struct line *line)
 {
     free(line->counts);
-    free(line->called);
     free(line->turn);
 }
 
@@ -42,34 +41,28 @@ static wide frame_begin(const struct line *line, uint64_t frame)
 }
 
 /* What the next frame's pulses must say. */
-static void begin_frame(struct line *line, bool call, uint8_t log2_groups, uint16_t number)
+static void begin_frame(struct line *line, uint8_t log2_groups, uint16_t number)
 {
     uint8_t groups = (uint8_t)(1u << log2_groups);
 
     if (line->frame >= line->frames) {
         line->frames = 2 * line->frames + 64;
-        line->called = realloc(line->called, line->frames * sizeof *line->called);
         line->turn = realloc(line->turn, line->frames * sizeof *line->turn);
     }
-    if (call)
-        line->turns = line->settings.asked.frame.nodes;
     if (log2_groups != line->log2_groups)
         line->group = 0;
     line->log2_groups = log2_groups;
-    line->called[line->frame] = line->turns > 0;
-    line->turn[line->frame] = line->turns || groups == 1 ? 0 : (uint8_t)(groups + line->group);
+    line->turn[line->frame] = groups == 1 ? 0 : (uint8_t)(groups + line->group);
     line->group = (uint8_t)((line->group + 1) % groups);
-    line->turns -= line->turns > 0;
     line->digits = line->turn[line->frame];
-    if (number && line->frame && !line->called[line->frame]) { /* the first one comes too soon */
+    if (number && line->frame) { /* the first one comes too soon */
         line->turn[line->frame] = 1;
         line->digits = number;
     }
     line->begun = true;
 }
 
-void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups,
-                uint16_t number)
+void line_pulse(struct line *line, const struct dg_pulse *pulse, uint8_t log2_groups, uint16_t number)
 {
     const struct settings *settings = &line->settings;
     const struct tp_frame_layout *frame = &settings->asked.frame;
@@ -83,10 +76,8 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint
                          ? settings->ticks_per_sample * 3 / 8
                          : 0;
     wide tick = (announced + 500) / 1000 - LEAD_US * settings->ticks_per_us - early;
-    if (line->chip == 0 && !line->begun) {
-        begin_frame(line, call, log2_groups, number);
-        line->call = call;
-    }
+    if (line->chip == 0 && !line->begun)
+        begin_frame(line, log2_groups, number);
     if (line->chip == 0 && line->digits) {
         int digit = 31 - __builtin_clz(line->digits);
         line->digits ^= (uint16_t)(1u << digit);
@@ -95,7 +86,7 @@ void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint
         return;
     }
     if (line->chip == 0)
-        units = line->call ? TP_SYNC_CALL : TP_SYNC_FRAME;
+        units = TP_SYNC_FRAME;
     MUST(pulse->tick == tick, WRONG_VALUE);
     MUST(pulse->units == units, WRONG_VALUE);
     line->begun = false;
@@ -200,11 +191,10 @@ static void check_place(const struct line *line, const struct line_packet *packe
     uint64_t frame = frame_at(line, packet->first), end = packet->first + packet->count;
     bool within = frame != NO_FRAME && packet->first < frame_end(line, frame);
     bool sync = frame != NO_FRAME && packet->first == frame_first(line, frame);
-    bool called = sync && line->called[frame];
     uint64_t gap = (uint64_t)TP_MAX_PACKET_US * settings->ticks_per_us / settings->ticks_per_sample;
 
     MUST(!!(packet->flags & TP_FLAG_SYNC) == sync, WRONG_VALUE);
-    MUST(!!(packet->flags & TP_FLAG_CALLED) == called, WRONG_VALUE);
+    MUST(!(packet->flags & 4), WRONG_VALUE);
     MUST(packet->flags >> 3 == (sync ? line->turn[frame] : 0), WRONG_VALUE);
     if (within)
         MUST(end <= frame_end(line, frame), WRONG_VALUE);

@@ -90,12 +90,9 @@ struct line {
     size_t size, capacity;
     uint64_t frame; /* that the next pulse belongs to … */
     uint32_t chip;  /* … and announces */
-    uint32_t turns; /* frames of a roll call to come */
-    bool *called;   /* by frame */
     uint8_t *turn;  /* by frame */
     size_t frames;  /* room for so many there */
-    bool begun;     /* the next frame's first pulse has been taken … */
-    bool call;      /* … and it begins a roll call */
+    bool begun;     /* the next frame's first pulse has been taken */
     uint16_t digits; /* whose pulses are still due before it */
     uint8_t log2_groups, group; /* in force; the next frame's */
     uint64_t next;  /* index of the word after the last one that was told of */
@@ -119,9 +116,8 @@ void line_free(struct line *line);
 /* Samples of the converter; counts NULL: lost ones. */
 void line_add(struct line *line, const uint16_t *counts, size_t size);
 
-/* The next pulse. call: whether a roll call was asked for since the last frame's. log2_groups, number: asked for. */
-void line_pulse(struct line *line, const struct dg_pulse *pulse, bool call, uint8_t log2_groups,
-                uint16_t number);
+/* The next pulse. log2_groups, number: asked for. */
+void line_pulse(struct line *line, const struct dg_pulse *pulse, uint8_t log2_groups, uint16_t number);
 /* So many samples come before what the next pulse announces. */
 uint64_t line_covered(const struct line *line);
 /* Frames by which pulses are ahead of the samples. */
@@ -158,7 +154,6 @@ struct host {
     struct settings settings; /* that must hold now */
     bool running;             /* … */
     bool restarted;           /* since the harness has looked */
-    bool call_asked;          /* … and not yet begun */
     uint8_t log2_asked;       /* of the groups */
     uint16_t number_asked;    /* in the digits of a turn; 0: none */
     bool packs;               /* packed samples were asked for since the last CONFIGURE */

@@ -111,7 +111,7 @@ static void plan(void)
     talk_stop();
     code = measured_code();
     bool ready = clock_known && !number_lacks();
-    talk_plan(&clock, code, ready && event_talks(&event, code), ready && event_talks_first(&event), ready);
+    talk_plan(&clock, code, ready && event_talks(&event, code), ready);
 }
 
 static void begin(uint16_t rest)
@@ -134,13 +134,13 @@ static void frame_began(void)
     mark = frame.when;
     heard = ever_heard = true;
     talk_expect(mark + clock.period);
-    event_frame(&event, frame.units == TP_SYNC_CALL, frame.others, frame.spoke, code);
+    event_frame(&event, frame.others, frame.spoke, code);
     if (BOARD_LARGE && number_heard(frame.turn, event_farther(code, event.rest, PRESSED << record.bits >> 8), &record, row,
                      &limits))
         begin(event.rest);
 }
 
-/* No pulse came: counts the frame all the same, so that heartbeats and roll calls keep their turns. */
+/* No pulse came: counts the frame all the same, so that heartbeats keep their turns. */
 static void frame_missed(void)
 {
     mark += clock.period;
@@ -148,7 +148,7 @@ static void frame_missed(void)
     tell(false);
     talk_expect(mark + clock.period);
     if (ever_heard)
-        event_frame(&event, false, false, false, code);
+        event_frame(&event, false, false, code);
 }
 
 int main(void)

@@ -11,10 +11,13 @@
 #include "turn.h"
 
 #define UNIT_TICKS (TP_SYNC_UNIT_US * BOARD_TICKS_PER_US)
-#define LONGEST_PULSE_TICKS (TP_SYNC_CALL * UNIT_TICKS + UNIT_TICKS / 2u)
+/* For the end of a pulse a node waits until half a unit before the first chip, where it is no pulse of the
+ * digitizer's any more. */
+#define LONGEST_PULSE_TICKS ((TP_SYNC_LEAD - 1u) * UNIT_TICKS + UNIT_TICKS / 2u)
 
-static volatile uint8_t plan;      /* pulses that begin a transmission: bit per length in units */
-#define ANSWERS 0x80u              /* … and whether an ordinary one does where this node's number is announced */
+static volatile uint8_t plan;      /* in which frames it transmits: */
+#define TALKS (1u << TP_SYNC_FRAME) /* in an ordinary one … */
+#define ANSWERS 0x80u              /* … and where this node's number is announced */
 
 static uint32_t rise;              /* when the present pulse of the sync line began */
 static bool high;                  /* whether the sync line is high */
@@ -36,7 +39,7 @@ static bool named;                 /* … which is this node's */
 static struct talk_frame frame;
 volatile uint8_t talk_began, talk_pulsed;
 
-/* The bit of a length in units, below 4: an AVR would shift in a loop. */
+/* The bit of a length in units, below 3: an AVR would shift in a loop. */
 static BOARD_INLINE uint8_t bit_of(uint8_t units)
 {
     uint8_t bit = units & 2u ? 4u : 1u;
@@ -52,8 +55,8 @@ static BOARD_INLINE uint8_t answers(void)
     if (!may_frame)
         return 0;
     if (BOARD_LARGE && others)
-        return named && plan & ANSWERS ? 1u << TP_SYNC_FRAME : plan & 1u << TP_SYNC_CALL;
-    return BOARD_LARGE ? plan & (uint8_t)~ANSWERS : plan;
+        return named && plan & ANSWERS ? TALKS : 0;
+    return BOARD_LARGE ? plan & TALKS : plan;
 }
 
 static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
@@ -61,9 +64,8 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
     high = false;
     if (BOARD_LARGE)
         talk_pulsed = 1;
-    if (may_frame && (units == TP_SYNC_FRAME || units == TP_SYNC_CALL)) {
+    if (may_frame && units == TP_SYNC_FRAME) {
         frame.when = rise;
-        frame.units = units;
         frame.others = others;
         if (SPARSE_CODES)
             frame.turn = turn;
@@ -77,7 +79,7 @@ static BOARD_INLINE void pulse_ended(uint8_t units, bool spoke)
     }
 }
 
-/* From the end of a roll call's pulse to the first chip it is 16 µs, less than another interrupt takes.
+/* From the end of a frame's pulse to the first chip it is 32 µs, of which another interrupt takes a part.
  * So a node that may have to transmit waits here for the pulse's end, with everything prepared. */
 ISR(BOARD_SYNC_vect)
 {
@@ -138,7 +140,7 @@ void talk_expect(uint32_t when)
     }
 }
 
-void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first, bool answers)
+void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool answers)
 {
     uint32_t guard_ticks = guard_chips * (clock->chip_q16 >> 8) >> 8;
     uint32_t slot_ticks = 0;
@@ -153,7 +155,7 @@ void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool t
     restart_width = 2u * guard_ticks;
     ATOMIC_BLOCK (ATOMIC_RESTORESTATE)
         earliest = discipline_earliest(clock);
-    plan = (uint8_t)(talks << TP_SYNC_FRAME | talks_first << TP_SYNC_CALL | (BOARD_LARGE && answers ? ANSWERS : 0));
+    plan = (uint8_t)((talks ? TALKS : 0) | (BOARD_LARGE && answers ? ANSWERS : 0));
 }
 
 void talk_stop(void)

@@ -16,7 +16,6 @@
 
 struct talk_frame {
     uint32_t when;   /* time at which its pulse began */
-    uint8_t units;   /* the pulse's length: TP_SYNC_FRAME or TP_SYNC_CALL */
     bool others;     /* whether it is another group's turn, or announces a number */
     uint16_t turn;   /* the digits that say so: see turn.h */
     bool spoke;      /* whether the node transmits the planned code in it */
@@ -33,10 +32,9 @@ void talk_init(const struct tp_node_record *record, const uint8_t *row);
 /* Tells when the next frame's pulse is due: those just before it say whose turn it is. */
 void talk_expect(uint32_t when);
 
-/* Plans the next frame: the code, and whether to transmit it in an ordinary frame (talks), in the first
- * frame of a roll call (talks_first), and where its number is announced (answers). talk_stop must have
- * released the line. */
-void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool talks_first, bool answers);
+/* Plans the next frame: the code, and whether to transmit it in an ordinary frame (talks), and where its
+ * number is announced (answers). talk_stop must have released the line. */
+void talk_plan(const struct discipline *clock, uint16_t code, bool talks, bool answers);
 
 /* Releases the line and discards the plan. */
 void talk_stop(void);

@@ -26,7 +26,7 @@ from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
 from tactile_cdma.wire._protocol import Scene
-from tactile_cdma.wire.messages import Command, Stretch
+from tactile_cdma.wire.messages import Command
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 from trial import Marks
 
@@ -88,14 +88,12 @@ class Nodes:
         self.last = np.full(NODES, REST)
         self._turn = np.arange(NODES) * HEARTBEAT // NODES
 
-    def speak(self, frame: int, codes: Codes, called: int | None = None) -> NDArray[np.bool_]:
-        """(16,) who speaks. called: the only one who may, in a roll call."""
+    def speak(self, frame: int, codes: Codes) -> NDArray[np.bool_]:
+        """(16,) who speaks."""
         speaks: NDArray[np.bool_] = (np.abs(codes - REST) > THRESHOLD) | (
             np.abs(codes - self.last) > THRESHOLD
         )
         speaks |= self._turn == frame % HEARTBEAT
-        if called is not None:
-            speaks = np.arange(NODES) == called
         self.last[speaks] = codes[speaks]
         return speaks
 
@@ -104,12 +102,11 @@ class Nodes:
 class Heard:
     """What the driver made of the stream.
 
-    codes, active: (16,) by the frame's number since START. called: numbers of a roll call's frames.
+    codes, active: (16,) by the frame's number since START.
     """
 
     codes: dict[int, NDArray[np.int32]]
     active: dict[int, NDArray[np.bool_]]
-    called: list[int]
     lost_samples: int
     digitizer_id: bytes
 
@@ -128,7 +125,6 @@ def listen(
     pipeline, parser, marks = Pipeline(config), PacketParser(), Marks(config)
     writer, left = PacketWriter(), dict(script or {})
     frames: list[TactileFrame] = []
-    called: list[bool] = []
     with Rp2040(IMAGE, line, **watched) as chip:
         chip.plug_usb()
         chip.run(READY_S)
@@ -140,8 +136,6 @@ def listen(
             data = chip.read_usb()
             for packet in parser.feed(data):
                 marks.take(packet)
-                if isinstance(packet, Stretch) and packet.sync:
-                    called.append(packet.called)
             frames += pipeline.feed(data, chip.now)
     period_ns = config.spec.frame_period_s * 1e9
     numbers = [round((marks.nearest(frame) - marks.marks_ns[0]) / period_ns) for frame in frames]
@@ -149,7 +143,6 @@ def listen(
     return Heard(
         {number: frame.words.codes for number, frame in zip(numbers, frames, strict=True)},
         {number: frame.words.active for number, frame in zip(numbers, frames, strict=True)},
-        [number for number, is_called in enumerate(called) if is_called],
         pipeline.counters.lost_samples,
         pipeline.digitizer.info.digitizer_id,
     )
@@ -160,9 +153,6 @@ def count_words(heard: Heard, truth: Callable[[int], Codes]) -> tuple[int, int]:
     nodes, right, wrong = Nodes(), 0, 0
     for number in range(max(heard.codes) + 1):
         codes = truth(number)
-        if number in heard.called:  # the driver takes no words from a roll call
-            nodes.speak(number, codes, heard.called.index(number))
-            continue
         speaks = nodes.speak(number, codes)
         active = heard.active.get(number, np.zeros(NODES, bool))
         good = (active == speaks) & (~speaks | (heard.codes.get(number) == codes))

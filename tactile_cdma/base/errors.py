@@ -86,7 +86,7 @@ class Refusal(IntEnum):
 
     @property
     def may_pass(self) -> bool:
-        """Whether trying again later may help, without anybody's doing."""
+        """Tell whether trying again later may help, without anybody's doing."""
         return self in (Refusal.NO_FRAMES, Refusal.EARLY, Refusal.MOVING, Refusal.LOADED)
 
 
@@ -118,7 +118,7 @@ def check_limits(name: str, value: float, low: float, high: float, cause: str = 
 
 @contextmanager
 def needed_for(what: str, module: str, package: str = "") -> Iterator[None]:
-    """For the imports of what needs a module of an optional package of PyPI.
+    """Tell which optional package of PyPI is missing where an import in the context fails.
 
     what: the command or option that needs it. package: called as the module unless it is given.
     Raises MissingPackageError where it is missing.

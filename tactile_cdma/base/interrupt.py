@@ -30,7 +30,7 @@ class Stop:
 
 @contextmanager
 def stop_event(seconds: float | None) -> Iterator[Stop]:
-    """What one of SIGNALS or, after `seconds`, a timer sets."""
+    """Yield a Stop that one of SIGNALS or, after `seconds`, a timer sets."""
     stop = Stop()
     timer = threading.Timer(seconds or 0.0, stop.set)
     if seconds is not None:
@@ -44,14 +44,14 @@ def stop_event(seconds: float | None) -> Iterator[Stop]:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """All of SIGNALS interrupt as Ctrl-C does, so that unfinished files are removed."""
+    """Let all of SIGNALS interrupt as Ctrl-C does, so that unfinished files are removed."""
     with _handling(SIGNALS[1:], signal.default_int_handler):
         yield
 
 
 @contextmanager
 def _handling(signals: Iterable[int], handler: Callable[..., object]) -> Iterator[None]:
-    """With a handler for signals, but for SIGHUP where nohup has it ignored."""
+    """Handle signals in the context, but for SIGHUP where nohup has it ignored."""
     ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     taken = [one for one in signals if not (ignored and one == signal.SIGHUP)]
     before = {number: signal.signal(number, handler) for number in taken}

@@ -45,7 +45,7 @@ class MarkedFile:
     error: type[TactileError]
 
     def refuse(self, text: str, line: int | None = None) -> TactileError:
-        """The error to raise. line: counted from 1."""
+        """Return the error to raise. line: counted from 1."""
         where = f"{self.path}, line {line}" if line else f"{self.path}"
         return self.error(f"{where}: {text}")
 
@@ -75,7 +75,7 @@ class Marked:
 
     @property
     def is_null(self) -> bool:
-        """Whether the value is left out: null or ~."""
+        """Tell whether the value is left out: null or ~."""
         return self.content in ("", "~", "null") and not self.quoted
 
     def mapping(self, what: str) -> Keys:
@@ -94,7 +94,7 @@ class Marked:
     def numbers(
         self, what: str, low: float, high: float, unit: str = "", least: int = 0, most: int = 64
     ) -> list[float]:
-        """A list of least to most finite numbers, each within low…high."""
+        """Return a list of least to most finite numbers, each within low…high."""
         entries = enumerate(self.items(what, least, most), 1)
         return [entry.number(f"number {i} of {what}", low, high, unit) for i, entry in entries]
 
@@ -127,7 +127,7 @@ class Marked:
 
     @property
     def _plain(self) -> str:
-        """A scalar without quotes; empty for anything else."""
+        """Return a scalar without quotes; empty for anything else."""
         return self.content if isinstance(self.content, str) and not self.quoted else ""
 
     @property
@@ -162,7 +162,7 @@ class Keys:
             )
 
     def text(self, key: str, default: str | None = None) -> str:
-        """The text under a key, or the default, if there is one, where the key is missing."""
+        """Return the text under a key; where the key is missing the default, if there is one."""
         if default is not None and key not in self.entries:
             return default
         return self[key].text(key)
@@ -177,14 +177,14 @@ class Keys:
         return self.entries.get(key)
 
     def __getitem__(self, key: str) -> Marked:
-        """The value; raises the file's error where the key is missing."""
+        """Return the value; raises the file's error where the key is missing."""
         if key not in self.entries:
             raise self.value.refuse(f"{self.what} has no {key!r}")
         return self.entries[key]
 
 
 def read_marked(path: Path, error: type[TactileError]) -> Marked:
-    """The only document of a YAML file.
+    """Return the only document of a YAML file.
 
     Raises error, naming file and line, for a file that cannot be read, is not YAML, or has aliases,
     duplicate keys or too many levels of nesting.

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 
 
 def existing(path: Path, kind: str = "parameter file") -> Path:
-    """The path of a file; raises ParameterError, with a likely one, if there is none."""
+    """Return the path of a file; raises ParameterError, with a likely one, if there is none."""
     if path.is_file():
         return path
     path = path.absolute()
@@ -44,7 +44,7 @@ def open_named(path: Path) -> BinaryIO:
 
 
 def read_named(path: Path, most_bytes: int) -> bytes:
-    """All bytes of a file. Raises OSError as open_named, and for a file of more than most_bytes."""
+    """Read a whole file. Raises OSError as open_named, and for a file of more than most_bytes."""
     with open_named(path) as file:
         if os.fstat(file.fileno()).st_size > most_bytes:
             raise OSError(
@@ -54,7 +54,7 @@ def read_named(path: Path, most_bytes: int) -> bytes:
 
 
 def expanded(text: str) -> Path:
-    """A path as users write it, relative to the working folder or the home folder (~).
+    """Make a path of what users write, relative to the working folder or the home folder (~).
 
     Raises ValueError with the reason if there can be no such path.
     """

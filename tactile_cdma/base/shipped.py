@@ -10,7 +10,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def shipped(name: str) -> Path | None:
-    """A file of the checkout, else of a ROS 2 workspace's share folder; None: not installed."""
+    """Find a file in the checkout, else in a workspace's share folder; None: not installed."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / "share" / "tactile_cdma" for prefix in prefixes if prefix]
     if (CHECKOUT / "package.xml").is_file():

@@ -10,7 +10,7 @@ Class = TypeVar("Class")
 
 @dataclass_transform(frozen_default=True)
 def stage(cls: type[Class]) -> type[Class]:
-    """As dataclass(frozen=True, slots=True), but frozen for mypy only.
+    """Make a dataclass(frozen=True, slots=True), but frozen for mypy only.
 
     At run time that is a call of object.__setattr__ for every field, which takes five times as long
     as to set them: a third of all Python that a frame of 16 nodes needs.

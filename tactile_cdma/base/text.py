@@ -21,14 +21,14 @@ def plain(text: str) -> str:
 
 
 def plain_lines(text: str) -> str:
-    """The same of every line of a text that has several, such as the trace of an exception."""
+    """Do the same to every line of a text that has several, such as the trace of an exception."""
     return "\n".join(map(plain, text.splitlines()))
 
 
 def listed(
     items: Sequence[Item], noun: str = "", most: int = 20, show: Callable[[Item], str] = str
 ) -> str:
-    """Items in a sentence: "3, 4, 9"; with the noun "node", "node 3" or "nodes 3, 4 and 12 more".
+    """List items: "3, 4, 9"; with the noun "node", "node 3" or "nodes 3, 4 and 12 more".
 
     most: items to show. show: returns the text of one.
     """
@@ -39,12 +39,12 @@ def listed(
 
 
 def closest(name: str, known: Iterable[str], alike: float = 0.6) -> str | None:
-    """The known name that resembles one most; None where none is as much alike, 0…1 (difflib)."""
+    """Find the known name that resembles one most; None if none is as much alike, 0…1 (difflib)."""
     return next(iter(get_close_matches(name.lower(), list(known), n=1, cutoff=alike)), None)
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str = "", alike: float = 0.6) -> str:
-    """The end of a message about an unknown name: "; did you mean 'nodes'?", else "; otherwise"."""
+    """End a message about an unknown name: "; did you mean 'nodes'?", else "; otherwise"."""
     near = closest(name, known, alike)
     hint = f"did you mean {near!r}?" if near else otherwise
     return hint and f"; {hint}"

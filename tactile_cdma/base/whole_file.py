@@ -29,7 +29,7 @@ def replace_file(path: Path, text: str, follow: bool = True) -> None:
 
 @contextmanager
 def replacing(path: Path, follow: bool = True) -> Iterator[BinaryIO]:
-    """A file to write, in an existing folder; it takes its place when the context ends.
+    """Yield a file to write, in an existing folder; it takes its place when the context ends.
 
     A new file has the permissions of the umask, a replaced one keeps its own; a link keeps
     pointing to the file that is replaced, unless `follow` is False. Raises OSError. After that, or
@@ -80,7 +80,7 @@ def keep_aside(path: Path) -> Path | None:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """An empty folder beside `path` to write in; it gets that name when the context ends.
+    """Yield an empty folder beside `path` to write in; it gets that name when the context ends.
 
     What was there is replaced; a link keeps pointing to the folder that is replaced. Raises
     OSError. After that, or any exception in the context, nothing has changed.
@@ -105,7 +105,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def _real(path: Path) -> Path:
-    """What a path leads to; raises OSError for a link into a folder that is not there."""
+    """Return what a path leads to; raises OSError for a link into a folder that is not there."""
     real = Path(os.path.realpath(path))
     if path.is_symlink() and not real.parent.is_dir():
         raise OSError(errno.ENOENT, f"it is a link to {real}, whose folder is not there")
@@ -113,7 +113,7 @@ def _real(path: Path) -> Path:
 
 
 def _unfinished(path: Path) -> Path:
-    """A name beside a path to write at first; names of killed writers' files are removed.
+    """Return a name beside a path to write at first; names of killed writers' files are removed.
 
     They are those that nobody has locked. Random: in a shared folder somebody could have left a
     link there.

@@ -30,8 +30,8 @@ OUTLIER = 4.5
 KNEE_EVIDENCE = 20.0
 """Drop of the sum of squares, σ², that proves a knee: noise makes it in 5e-5 (χ², 2 degrees)."""
 EXPONENTS, MOST_END = (0.2, 20.0), 9.0
-"""Of a power law, and of |ln(V/(supply − V))| under the largest load. Chosen: sensors have 0.4 to 2
-or so; beyond, corners are closer to each other than a calibration file tells apart."""
+"""Limits of a power law: exponent; |ln(V/(supply − V))| at the largest load. Chosen: sensors
+have 0.4 to 2 or so; beyond, corners are closer to each other than a calibration file tells."""
 _CANDIDATES = 24
 """Places tried for a knee; chosen, like the next: with them test_curve_fit.py finds its curves."""
 _ABSOLUTE_STEPS, _NEWTON_STEPS, _TRIMS = 8, 12, 5
@@ -61,7 +61,7 @@ class CurveFit:
     knee_found: Bools
 
     def sensor(self, index: int, points: int) -> CurveFit:
-        """The fit of one sensor to its first points, without the axis n."""
+        """Return the fit of one sensor to its first points, without the axis n."""
         row = CurveFit(**{name: values[index] for name, values in vars(self).items()})
         return replace(row, residual_v=row.residual_v[:points], used=row.used[:points])
 
@@ -101,7 +101,7 @@ def fit_curves(pressure_pa: Floats, voltage_v: Floats, pieces: int, noise_v: flo
 def fit_power_laws(
     pressure_pa: Floats, voltage_v: Floats, supply_v: float, noise_v: float
 ) -> CurveFit:
-    """As fit_curves, for force sensing resistors in a divider of supply_v: PressureCurve.power_law.
+    """Fit as fit_curves, but force sensing resistors in a divider: PressureCurve.power_law.
 
     There ln(V/(supply − V)) is a line over ln(P), with the exponent as its slope, − where V falls.
     Its squares are weighted by how far V moves with it, squared, which makes them those of V.
@@ -142,7 +142,7 @@ def fit_power_laws(
 
 
 def levels_of(load: Floats) -> Floats:
-    """The different loads among (m,), rising: closer than LEVEL of the largest are one."""
+    """Return the different loads among (m,), rising: closer than LEVEL of the largest are one."""
     rising: list[float] = np.sort(load).tolist()
     least, levels = LEVEL * rising[-1], rising[:1]
     for value in rising:
@@ -165,27 +165,30 @@ class _Points:
     noise_v: float
 
     def solve(self, knees: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
-        """Weighted least squares for knees (n, k): coefficients (n, 2 + k), residuals (n, m) V."""
+        """Solve weighted least squares for knees (n, k).
+
+        Returns coefficients (n, 2 + k) and residuals (n, m), V.
+        """
         return _solve(_design(self.x, knees), self.y, weight)
 
     def squares(self, knees: Floats, used: Bools) -> Floats:
-        """Least sum of squares over the points used, (n,) V²."""
+        """Return the least sum of squares over the points used, (n,) V²."""
         return np.asarray(np.square(self.solve(knees, used)[1]).sum(axis=1, where=used))
 
     def variance(self, knees: Floats, used: Bools) -> Floats:
-        """Variance of the points used about the fit, (n,) V²."""
+        """Return the variance of the points used about the fit, (n,) V²."""
         freedom = used.sum(axis=1) - 2 - 2 * knees.shape[1]
         return np.asarray(self.squares(knees, used) / np.maximum(freedom, 1))
 
     def with_another(self, knees: Floats) -> Floats:
-        """Knees (n, k) and the one more that lowers the sum of |residuals| most, (n, k + 1)."""
+        """Add to knees (n, k) the one that lowers the sum of |residuals| most: (n, k + 1)."""
         trials = [np.column_stack((knees, place)) for place in self.places]
         costs = [np.abs(self._least_absolute(t)[1]).sum(axis=1, where=self.given) for t in trials]
         best = np.argmin(costs, axis=0)
         return np.sort(np.array(trials)[best, np.arange(len(best))], axis=1)
 
     def settle(self, knees: Floats, spacing: Floats | float) -> tuple[Floats, Bools]:
-        """Knees of the least squares fit near these, and the points that are no outliers.
+        """Find the knees of the least squares fit near these, and the points that are no outliers.
 
         What is an outlier follows first from the spread about the start, whose knees are off by up
         to spacing, (n,); then from the spread about the fit.
@@ -203,7 +206,7 @@ class _Points:
         return knees, used
 
     def _least_absolute(self, knees: Floats) -> tuple[Floats, Floats]:
-        """As solve, for the least sum of |residuals|, by iterated weights."""
+        """Solve as solve, but for the least sum of |residuals|, by iterated weights."""
         design, weight = _design(self.x, knees), self.given.astype(float)
         for _ in range(_ABSOLUTE_STEPS):
             beta, residual = _solve(design, self.y, weight)
@@ -211,7 +214,7 @@ class _Points:
         return beta, residual
 
     def _descend(self, knees: Floats, used: Bools) -> Floats:
-        """Gauss–Newton steps in the knees; a step that does not help is halved."""
+        """Take Gauss–Newton steps in the knees; a step that does not help is halved."""
         cost = self.squares(knees, used)
         low, high = self.places[0][:, None], self.places[-1][:, None]
         damping = np.ones_like(cost)
@@ -226,7 +229,7 @@ class _Points:
         return knees
 
     def _step(self, knees: Floats, used: Bools) -> Floats:
-        """How far the knees are off, to first order: (n, k)."""
+        """Tell how far the knees are off, to first order: (n, k)."""
         beyond = -(self.x[:, :, None] > knees[:, None, :]).astype(float)
         design = np.concatenate((_design(self.x, knees), beyond), axis=2)
         bend, jump = np.split(_solve(design, self.y, used)[0][:, 2:], 2, axis=1)
@@ -234,7 +237,7 @@ class _Points:
 
 
 def _spread(residual_v: Floats, given: Bools, noise_v: float) -> Floats:
-    """Robust standard deviation of (n, m) residuals, (n,) V, and no less than the converter's.
+    """Estimate the standard deviation of residuals (n, m), (n,) V, no less than the converter's.
 
     Not from the median of |residuals|: more than half of the points may lie on one piece, and say
     nothing of how well the others are met.
@@ -246,13 +249,13 @@ def _spread(residual_v: Floats, given: Bools, noise_v: float) -> Floats:
 
 
 def _design(x: Floats, knees: Floats) -> Floats:
-    """Columns 1, x, max(x − kⱼ, 0): (n, m, 2 + k)."""
+    """Return columns 1, x, max(x − kⱼ, 0): (n, m, 2 + k)."""
     hinges = np.maximum(x[:, :, None] - knees[:, None, :], 0.0)
     return np.concatenate((np.ones((*x.shape, 1)), x[:, :, None], hinges), axis=2)
 
 
 def _solve(design: Floats, y: Floats, weight: Floats | Bools) -> tuple[Floats, Floats]:
-    """Weighted least squares of n sensors: coefficients (n, p) and residuals (n, m)."""
+    """Solve weighted least squares of n sensors: coefficients (n, p) and residuals (n, m)."""
     weighted = (design * weight[:, :, None]).transpose(0, 2, 1)
     normal = weighted @ design
     size = np.trace(normal, axis1=1, axis2=2) + np.finfo(float).tiny
@@ -262,7 +265,7 @@ def _solve(design: Floats, y: Floats, weight: Floats | Bools) -> tuple[Floats, F
 
 
 def _places(load: Floats) -> Floats:
-    """Candidates for a knee of one sensor, rising, LEAST_LEVELS levels on either side of each.
+    """Return where a sensor's knee may lie, rising, LEAST_LEVELS levels on either side of each.
 
     Evenly by number of levels, not by load: loads may be dense where the knee is expected.
     """

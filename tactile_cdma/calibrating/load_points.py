@@ -47,18 +47,18 @@ class LoadPoints:
         return len(self.node)
 
     def by_node(self, nodes: int) -> dict[int, Indices]:
-        """The rows of each of the nodes 1…nodes, in the order in which they were taken."""
+        """Return the rows of each of the nodes 1…nodes, in the order in which they were taken."""
         order = np.argsort(self.node, kind="stable")
         ends = np.searchsorted(self.node[order], np.arange(1, nodes + 2))
         return {node + 1: order[begin:end] for node, (begin, end) in enumerate(pairwise(ends))}
 
     def of_rows(self, rows: Bools) -> Self:
-        """Some of the points; rows: (m,) bool."""
+        """Return some of the points; rows: (m,) bool."""
         columns = ("node", "pressure_pa", "voltage_v", "line")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def lines(self, rows: Indices | Bools) -> str:
-        """Where points come from, in words: "lines 3, 5, 9"."""
+        """Tell where points come from, in words: "lines 3, 5, 9"."""
         return listed(sorted(set(self.line[rows].tolist())), "line")
 
 
@@ -70,7 +70,7 @@ def read_points(
     units: Sequence[str] = (),
     node: int | None = None,
 ) -> LoadPoints:
-    """Points from a CSV with the columns node, pressure (or force, with area_m2) and voltage.
+    """Read points from a CSV with the columns node, pressure (or force, with area_m2) and voltage.
 
     units: see read_table. node: of a table without this column.
     Raises CalibrationError, naming file, line and likely cause, for unknown nodes, negative
@@ -103,7 +103,7 @@ def read_points(
 
 
 def directions(pressure_pa: Floats) -> Floats:
-    """How loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
+    """Tell how loads (m,) of one node were reached, in their order: 1 from below, −1 from above.
 
     A load that is held keeps the direction that it came from; 0 for the first.
     """
@@ -127,7 +127,7 @@ def _check_swapped(table: Table, vref_v: float) -> None:
 
 
 def pressures(table: Table) -> Floats:
-    """The column pressure, Pa; noise of an unloaded reference below 0 becomes 0.
+    """Return the column pressure, Pa; noise of an unloaded reference below 0 becomes 0.
 
     Raises CalibrationError for pressures that are negative or in another unit than the heading's.
     """
@@ -152,7 +152,7 @@ def pressures(table: Table) -> Floats:
 
 
 def _likely(table: Table, largest_pa: float) -> str:
-    """In which unit the largest load would be a usual one."""
+    """Name the unit in which the largest load would be a usual one."""
     kind, ours = KIND_OF[table.units["pressure"]], table.units["pressure"]
     in_pa = {unit: largest_pa * one / UNITS[kind][ours] for unit, one in UNITS[kind].items()}
     unit = min(in_pa, key=lambda unit: abs(math.log(max(in_pa[unit], 1e-9) / USUAL_PA)))
@@ -162,7 +162,7 @@ def _likely(table: Table, largest_pa: float) -> str:
 
 
 def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
-    """The column node as integers; raises CalibrationError for nodes that the skin has not."""
+    """Return the column node as integers; raises CalibrationError for those the skin has not."""
     column = table.columns["node"]
     wrong = (column != np.floor(column)) | (column < 1) | (column > nodes)
     if wrong.any():
@@ -172,7 +172,7 @@ def node_numbers(table: Table, nodes: int) -> NDArray[np.int64]:
 
 
 def point_lines(nodes: list[int], pressure_pa: float, voltage_v: Floats) -> str:
-    """Lines of a CSV below HEADING: the voltages (n,) of nodes under one load, without NaN."""
+    """Write lines of a CSV below HEADING: voltages (n,) of nodes under one load, without NaN."""
     return "".join(
         f"{node},{pressure_pa / 1e3:.9g},{volts:.6f}\n"
         for node, volts in zip(nodes, voltage_v.tolist(), strict=True)

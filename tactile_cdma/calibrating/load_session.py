@@ -84,7 +84,7 @@ class LoadSession:
         return taken
 
     def _next(self, taken: int, steps_kpa: Sequence[float]) -> float | None:
-        """The load that is on the skin now, kPa; None: no more."""
+        """Return the load that is on the skin now, kPa; None: no more."""
         who = f"node {self.nodes[0]}" if len(self.nodes) == 1 else "all nodes"
         question = f"load {taken + 1}, in kPa, applied to {who} (Enter: end) "
         answers: dict[str, float | None] = {"": None}
@@ -108,7 +108,7 @@ class LoadSession:
             print(f"{answer!r} is not a pressure in kPa", flush=True)
 
     def _collect(self, seconds: float) -> Floats32:
-        """Voltages of the frames of the next seconds, (f, n) V, NaN where a node is not heard.
+        """Take the voltages of the next seconds' frames, (f, n) V, NaN where a node is not heard.
 
         Raises PortError, with the driver's reason, where too few frames come.
         """
@@ -124,7 +124,7 @@ class LoadSession:
         raise PortError(self.driver.problem or "too few frames come; is the skin connected?")
 
     def _settled(self) -> Floats | None:
-        """Voltages of the nodes, (k,) V, NaN where not heard; None where they still move."""
+        """Return voltages of the nodes, (k,) V, NaN where not heard; None where they still move."""
         lsb_v, frames = self.lsb_v, self._collect(self.seconds)[:, np.array(self.nodes) - 1]
         begin_v, end_v = (steady_voltage(half, lsb_v) for half in np.array_split(frames, 2))
         change_v = np.abs(end_v - begin_v)

@@ -57,7 +57,7 @@ class LoadFile:
     line: NDArray[np.int64]
 
     def refusal(self, cause: str, row: int | None = None) -> CalibrationError:
-        """The error to raise for this file, or for one row of it."""
+        """Return the error to raise for this file, or for one row of it."""
         where = "" if row is None else f"line {self.line[row]}: "
         return CalibrationError(f"{self.path}: {where}{cause}")
 
@@ -129,7 +129,7 @@ def read_table(path: Path, area_m2: float | None = None, units: Sequence[str] = 
 
 
 def _text(path: Path) -> str:
-    """All of a file, without asking for its size first: a pipe has none to tell."""
+    """Read a file without asking for its size first: a pipe has none to tell."""
     with naming(path, CalibrationError), path.open("rb") as file:
         raw = file.read(MOST_BYTES + 1)
     if len(raw) > MOST_BYTES:
@@ -141,7 +141,7 @@ def _text(path: Path) -> str:
 
 
 def _headings(cells: list[str], units: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Headings and units by quantity, in their order; raises ValueError."""
+    """Return headings and units by quantity, in their order; raises ValueError."""
     headings, found = dict[str, str](), dict[str, str]()
     for cell in cells:
         kind, unit = _meaning(cell, units)
@@ -152,7 +152,7 @@ def _headings(cells: list[str], units: Sequence[str]) -> tuple[dict[str, str], d
 
 
 def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
-    """Quantity and unit of a column; raises ValueError."""
+    """Return the quantity and unit of a column; raises ValueError."""
     words: list[str] = re.findall("[^\\W\\d_]+", cell.lower())
     if unit := next((word for word in reversed(words) if word in KIND_OF), ""):
         return KIND_OF[unit], unit
@@ -179,7 +179,7 @@ def _meaning(cell: str, units: Sequence[str]) -> tuple[str, str]:
 
 
 def _numbers(cells: list[str], headings: dict[str, str]) -> list[float]:
-    """One row; raises ValueError."""
+    """Read a row; raises ValueError."""
     if len(cells) != len(headings):
         raise ValueError(f"{len(cells)} columns, the heading has {len(headings)}")
     values = []

@@ -77,7 +77,7 @@ class ClockOffset:
 def read_reference(
     path: Path, nodes: int, area_m2: float | None = None, units: Sequence[str] = ()
 ) -> Reference:
-    """A CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
+    """Read a CSV with the columns time and pressure, or force, with area_m2; units: see read_table.
 
     It has a column node, too, where not all nodes are loaded alike.
     Raises CalibrationError, naming file, line and cause.
@@ -94,7 +94,7 @@ def read_reference(
 def plateau_points(
     reference: Reference, recording: Recording, offset_s: float, settle_s: float, adc: AdcScale
 ) -> LoadPoints:
-    """One point for every node on every plateau of the reference.
+    """Make a point for every node on every plateau of the reference.
 
     offset_s: see ClockOffset. settle_s: readings that are left out after a load came to rest,
     because the sensor creeps, s; the load has to rest for longer.
@@ -125,7 +125,7 @@ def plateau_points(
 
 
 def steady_voltage(voltage_v: Floats32, lsb_v: float) -> Floats:
-    """Voltages of nodes while nothing changes: (f, n) frames → (n,) V, NaN for a node not heard.
+    """Return the voltages of steady nodes: (f, n) frames → (n,) V, NaN for a node not heard.
 
     The mean of what lies near the median: outliers do not count, and where noise makes the code
     flicker the mean is finer than one count.
@@ -180,7 +180,7 @@ def find_offset(reference: Reference, recording: Recording, curve: PressureCurve
 
 
 def _plateaus(reference: Reference) -> list[tuple[int, int]]:
-    """First and last reading of every stretch over which the load stands still on one node."""
+    """Find the first and last reading of every stretch in which a node's load stands still."""
     t_s, most_pa = reference.t_s, 2 * STEADY * float(reference.pressure_pa.max())
     node = np.zeros_like(reference.line) if reference.node is None else reference.node
     found, first = [], 0
@@ -195,7 +195,7 @@ def _plateaus(reference: Reference) -> list[tuple[int, int]]:
 
 
 def _mean_pressure(voltage_v: Floats32, curve: PressureCurve, rises: bool) -> Floats:
-    """Rough mean pressure of the nodes heard, (f,) Pa.
+    """Estimate the mean pressure of the nodes heard, (f,) Pa, roughly.
 
     Every node's highest voltage, or lowest where they rise, counts as unloaded, and the curve's
     last piece is extrapolated, so that one that is somewhat wrong still tells heavy loads apart.
@@ -217,7 +217,7 @@ def _on_raster(t_s: Floats, values: Floats, raster_s: float) -> Floats:
 
 
 def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-    """How well load[i] and felt[i + lag], both in Pa, match for every lag.
+    """Tell how well load[i] and felt[i + lag], both in Pa, match for every lag.
 
     Returns the lags; the correlation of what overlaps; this as a score, reduced where much of what
     changes lies outside the overlap; and the share of both that lies within.
@@ -246,7 +246,7 @@ def _match(load: Floats, felt: Floats) -> tuple[NDArray[np.int64], Floats, Float
 
 
 def _hill(heights: Floats, top: int) -> tuple[int, int]:
-    """First and last index of the hill about its top, down to where it has lost a tenth."""
+    """Return the first and last index of the hill about its top, down to where it lost a tenth."""
     below = np.flatnonzero(heights < heights[top] - 0.1)
     place = int(np.searchsorted(below, top))
     edges = np.concatenate(([-1], below, [len(heights)])).tolist()

@@ -4,8 +4,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -51,12 +50,12 @@ class Stage:
 
     @property
     def limit_pa(self) -> float:
-        """The rms error of a perfect curve behind this converter: LSB/√12."""
+        """Return the rms error of a perfect curve behind this converter: LSB/√12."""
         return self.lsb_pa / math.sqrt(12)
 
 
 def stages(fit: SkinFit) -> list[Stage]:
-    """The pieces in their order; those of a power law are none."""
+    """Return the pieces in their order; those of a power law are none."""
     result: list[Stage] = []
     if fit.pieces == POWER_LAW:
         return result
@@ -69,7 +68,7 @@ def stages(fit: SkinFit) -> list[Stage]:
 
 
 def describe(fit: SkinFit) -> str:
-    """The report for people, several lines."""
+    """Return the report for people, several lines."""
     kind = "power laws" if fit.pieces == POWER_LAW else f"curves of {fit.pieces} pieces"
     lines = [
         f"{len(fit.curves)} nodes fitted from {len(fit.points)} points, {kind}; "
@@ -120,12 +119,12 @@ def describe(fit: SkinFit) -> str:
 
 
 def rms_pa(fit: SkinFit) -> float:
-    """Error of all points used, rms, Pa."""
+    """Return the error of all points used, rms, Pa."""
     return math.sqrt(np.mean(np.square(fit.residual_pa[fit.piece >= 0])))
 
 
 def errors(fit: SkinFit) -> list[tuple[float, float]]:
-    """What a user can expect: ends of the quarters of the range, and the errors there, rms, Pa."""
+    """Return errors to expect: the end of each quarter of the range, and its rms error, Pa."""
     load_pa, off_pa = fit.points.pressure_pa[fit.piece >= 0], fit.residual_pa[fit.piece >= 0]
     ends_pa = load_pa.max() * np.arange(1, 5) / 4
     quarter = np.searchsorted(ends_pa * (1 + 1e-9), load_pa)
@@ -137,7 +136,7 @@ def errors(fit: SkinFit) -> list[tuple[float, float]]:
 
 
 def advice(fit: SkinFit, nodes: int) -> str | None:
-    """Which other curve would fit better, with fewer pieces first; None: this one does.
+    """Tell which other curve would fit better, with fewer pieces first; None: this one does.
 
     By the mean error of all points, outliers too, of some nodes that both fit.
     """
@@ -158,20 +157,20 @@ def advice(fit: SkinFit, nodes: int) -> str | None:
 
 
 def _mean_error_pa(fit: SkinFit) -> float:
-    """Mean |error| of all points, made larger by what the curves' freedom takes off it, Pa."""
+    """Return the mean |error| of all points, Pa, enlarged by what the curves' freedom takes off."""
     off_pa = np.abs(fit.residual_pa[np.isfinite(fit.residual_pa)])
     free = len(off_pa) - 2 * max(fit.pieces, 1) * len(fit.curves)
     return float(off_pa.mean() * math.sqrt(len(off_pa) / max(free, 1))) if len(off_pa) else math.inf
 
 
 def difference_pa(curve: PressureCurve, other: PressureCurve) -> float:
-    """Most that another curve reads beside what this one does, Pa."""
+    """Return the most that another curve reads beside what this one does, Pa."""
     pressure_pa = np.union1d(curve.pressure_pa, np.linspace(0, curve.pressure_pa[-1], 200))
     return float(np.abs(other.pressure(curve.voltage(pressure_pa)) - pressure_pa).max())
 
 
 def _refusals(refused: Mapping[int, str]) -> list[str]:
-    """A line for each reason, with the nodes that share it."""
+    """Return a line for each reason, with the nodes that share it."""
     nodes_of = defaultdict[str, list[int]](list)
     for node, reason in refused.items():
         nodes_of[reason].append(node)
@@ -182,7 +181,7 @@ def _refusals(refused: Mapping[int, str]) -> list[str]:
 
 
 def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[str]:
-    """What was fitted and yet may be wrong, a line each.
+    """Return what was fitted and yet may be wrong, a line each.
 
     default: curve of sensors like these. contact_pa: lightest contact, Pa.
     """
@@ -226,9 +225,9 @@ def warnings(fit: SkinFit, default: PressureCurve, contact_pa: float) -> list[st
 
 
 def _off_rest(fit: SkinFit, contact_pa: float) -> list[int]:
-    """Nodes whose voltages under their lightest loads lie before the start of their curves.
+    """Find nodes whose voltages under their lightest loads lie before the start of their curves.
 
-    As the driver counts it: by more than contact_pa would pull them from there.
+    It counts as in the driver: by more than contact_pa would pull them from there.
     """
     points, curves = fit.points, Curves.of(list(fit.curves.values()))
     rows = points.by_node(max(fit.curves))
@@ -239,7 +238,7 @@ def _off_rest(fit: SkinFit, contact_pa: float) -> list[int]:
 
 
 def _numb_pa(fit: SkinFit, contact_pa: float) -> float:
-    """The largest load that a converter at an end of its range reads as no contact, Pa; 0: none."""
+    """Find the largest load that a converter at its end reads as no contact, Pa; 0: none."""
     points, end = fit.points, np.isnan(fit.residual_v)
     columns = zip(points.node[end], points.pressure_pa[end], points.voltage_v[end], strict=True)
     felt = ((pa, float(fit.curves[n].pressure(v))) for n, pa, v in columns if n in fit.curves)
@@ -249,7 +248,7 @@ def _numb_pa(fit: SkinFit, contact_pa: float) -> float:
 
 
 def _bent(fit: SkinFit) -> list[int]:
-    """Nodes whose residuals go on from load to load, and are more than quantisation.
+    """Find nodes whose residuals go on from load to load, and are more than quantisation.
 
     The statistic is von Neumann's ratio ("Distribution of the ratio of the mean square successive
     difference to the variance", Ann. Math. Stat. 12, 1941), halved: 1 for independent residuals.
@@ -266,7 +265,7 @@ def _bent(fit: SkinFit) -> list[int]:
 
 
 def results(fit: SkinFit) -> dict[str, str]:
-    """The report's numbers, for programs."""
+    """Return the report's numbers, for programs."""
     values = {
         "fitted": str(len(fit.curves)),
         "uncalibrated": str(len(fit.refused)),
@@ -275,11 +274,6 @@ def results(fit: SkinFit) -> dict[str, str]:
         "error_kpa": f"{rms_pa(fit) / 1e3:.4g}",
     }
     for number, stage in enumerate(stages(fit), 1):
-        sensitivity = np.median(stage.sensitivity_v_per_pa) * 1e3
-        values[f"sensitivity{number}_v_per_kpa"] = f"{sensitivity:.5f}"
-        values[f"resolution{number}_kpa"] = f"{stage.lsb_pa / 1e3:.4f}"
-        values[f"quantisation{number}_kpa"] = f"{stage.limit_pa / 1e3:.4f}"
-        values[f"residual{number}_kpa"] = f"{stage.rms_pa / 1e3:.4f}"
         values[f"residual{number}_over_quantisation"] = f"{stage.rms_pa / stage.limit_pa:.3f}"
     for number, knees in enumerate(_knees_pa(fit).T, 1):
         values[f"knee{number}_kpa"] = f"{np.median(knees) / 1e3:.3f}"
@@ -288,28 +282,19 @@ def results(fit: SkinFit) -> dict[str, str]:
     return values
 
 
-@contextmanager
-def picture(path: Path, widths: Sequence[float]) -> Iterator[Any]:
-    """Axes side by side, of these relative widths, that become a PNG at the end of the context.
+def draw(fit: SkinFit, path: Path) -> None:
+    """Draw curves with points, and residuals, as a PNG.
 
     Raises CalibrationError where it cannot be written.
     """
     from matplotlib.figure import Figure  # slow to load, and needed here only
 
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    yield figure.subplots(1, len(widths), width_ratios=widths)
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    curve_axes, residual_axes = figure.subplots(1, 2)
+    _draw_curves(fit, curve_axes)
+    _draw_residuals(fit, residual_axes)
     with naming(path, CalibrationError):
         figure.savefig(path, format="png", dpi=110)
-
-
-def draw(fit: SkinFit, path: Path) -> None:
-    """Curves with points, residuals, and knees as a PNG."""
-    with picture(path, (1, 1, 1)) as (curve_axes, residual_axes, knee_axes):
-        _draw_curves(fit, curve_axes)
-        _draw_residuals(fit, residual_axes)
-        for number, knees in enumerate(_knees_pa(fit).T, 1):
-            knee_axes.plot(list(fit.curves), knees / 1e3, ".", label=f"knee {number}")
-        knee_axes.set(xlabel="node", ylabel="knee / kPa", title="where the slope changes")
 
 
 def _draw_curves(fit: SkinFit, axes: Any) -> None:
@@ -343,16 +328,16 @@ def _draw_residuals(fit: SkinFit, axes: Any) -> None:
 
 
 def _sensitivities(curves: Iterable[PressureCurve]) -> Floats:
-    """Change of the voltage on every piece of n curves, (n, p) V/Pa, positive."""
+    """Return the change of the voltage on every piece of n curves, (n, p) V/Pa, positive."""
     return np.array([np.abs(np.diff(c.voltage_v)) / np.diff(c.pressure_pa) for c in curves])
 
 
 def _knees_pa(fit: SkinFit) -> Floats:
-    """(n, pieces − 1) Pa; of a power law none."""
+    """Return all curves' knees, (n, pieces − 1) Pa; a power law has none."""
     inner = slice(1, -1) if fit.pieces else slice(0)
     return np.array([curve.pressure_pa[inner] for curve in fit.curves.values()])
 
 
 def _widest_loop(fit: SkinFit) -> tuple[float, int] | None:
-    """The largest of the loops, and its node; None where no loads fell."""
+    """Return the largest of the loops, and its node; None where no loads fell."""
     return max(((v, node) for node, v in fit.loop.items() if math.isfinite(v)), default=None)

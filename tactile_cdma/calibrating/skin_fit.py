@@ -117,7 +117,7 @@ def _fit_nodes(result: SkinFit, rows: dict[int, Indices]) -> None:
 def _unfit(
     points: LoadPoints, own: Indices, usable: Bools, adc: AdcScale, pieces: int
 ) -> str | None:
-    """Why a node's points cannot be fitted, or None."""
+    """Say why a node's points cannot be fitted, or None."""
     if not len(own):
         return "no points"
     at_end = own[~usable[own]]
@@ -158,7 +158,7 @@ def _unfit(
 def _unsound(
     points: LoadPoints, own: Indices, fit: CurveFit, adc: AdcScale, pieces: int
 ) -> str | None:
-    """Why the best fit to a node's rows is none to rely on, or None."""
+    """Say why the best fit to a node's rows is none to rely on, or None."""
     corner_pa, corner_v, used = fit.corner_pa, fit.corner_v, fit.used
     if np.count_nonzero(~used) > MOST_OUTLIERS * len(own):
         return (
@@ -203,7 +203,7 @@ def _unsound(
 
 
 def _loop_v(pressure_pa: Floats, residual_v: Floats) -> float:
-    """Widest difference between unloading and loading at one load, V; NaN where none came twice.
+    """Find the widest difference of unloading and loading at one load, V; NaN: none came twice.
 
     pressure_pa, residual_v: (m,), in the order in which they were taken. Residuals of loads that
     were reached from above are compared with those interpolated between loads from below.

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe(line: PassiveLine, chip_s: float) -> str:
-    """A passive line as text."""
+    """Return a passive line as text."""
     alone_v, all_v = line.amplitude_v(1), line.amplitude_v(line.nodes)
     low_v, high_v = line.range_v
     lines = {

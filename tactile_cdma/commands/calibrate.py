@@ -175,7 +175,7 @@ def _compare(path: Path, other_path: Path) -> int:
 
 
 def _checked(arguments: argparse.Namespace) -> Path:
-    """The file of loads. Options and files that cannot be meant are refused before anything."""
+    """Return the file of loads; refuse options and files that cannot be meant before anything."""
     if arguments.output is None:
         raise CalibrationError("-o is missing: the calibration file to write, or --update")
     if arguments.port and arguments.capture:
@@ -212,7 +212,7 @@ def _check_writable(path: Path, force: bool, *others: Path | None) -> None:
 def _beside_capture(
     arguments: argparse.Namespace, reference: Reference, config: SkinConfig
 ) -> tuple[Recording, float]:
-    """What the nodes measured, and its time minus the reference's, s."""
+    """Return what the nodes measured, and its time minus the reference's, s."""
     recording = read_recording(arguments.capture, config)
     for note in capture_notes(arguments.capture):
         print(f"tactile-cdma: {arguments.capture}: {note}", file=sys.stderr)

@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The parser of all subcommands; what it parses has run(arguments), and parser for errors."""
+    """Make the parser of all subcommands; what it parses has run, and parser for errors."""
     parser = argparse.ArgumentParser(prog="tactile-cdma", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     text = "log what is read and found on stderr"

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe_frame(t_start: float, words: Words, config: SkinConfig) -> dict[str, Any]:
-    """One frame for people and JSON: active nodes only, nodes counted from 1 as in the paper."""
+    """Describe a frame for people and JSON: active nodes only, counted from 1 as in the paper."""
     voltage_v = config.adc.voltage(words.codes)
     pressure_pa = config.calibration.curves.pressure(voltage_v.astype(np.float32))
     bits = word_bits(words.codes, config.spec.bits)

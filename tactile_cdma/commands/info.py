@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
-    """The topics of a bag, and its patches."""
+    """Yield the topics of a bag, and its patches."""
     source = open_source(path, Wanted(asked))
     from ..datasets.sources.bag_source import BagSource  # slow to load, and needed here only
 
@@ -77,7 +77,7 @@ def _bag_lines(path: Path, asked: dict[str, Value]) -> Lines:
 
 
 def _skin_lines(about: Mapping[str, Any]) -> Lines:
-    """Which skin it was, and whether anything was touched."""
+    """Tell which skin it was, and whether anything was touched."""
     yield "skin", str(about.get("skin") or "not named")
     calibration = about.get("calibration_id")
     yield "calibration", "not known" if calibration is None else str(calibration) or "default curve"
@@ -91,7 +91,7 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _recording_lines(path: Path, asked: dict[str, Value], found: Survey) -> Lines:
-    """What a recording says of itself, and what decoding finds."""
+    """Yield what a recording says of itself, and what decoding finds."""
     description = describe(path)
     begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
     asked_for = ", ".join(f"{name}: {value}" for name, value in description.parameters.items())

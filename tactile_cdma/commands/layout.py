@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe_layout(layout: Layout) -> str:
-    """Its size, areas and neighbours, a line for each thing that may be wrong."""
+    """Describe a layout's size, areas and neighbours, with a line for whatever may be wrong."""
     real = layout.nodes > 0
     low_mm, high_mm = layout.positions_m[real].min(axis=0), layout.positions_m[real].max(axis=0)
     size_mm = " × ".join(f"{edge:.1f}" for edge in (high_mm - low_mm) * 1e3)

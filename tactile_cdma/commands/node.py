@@ -71,28 +71,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.read:
         print(describe_memory(*programmer.read_memory(arguments.read)))
         return 0
-    if arguments.port is not None:
-        if any((arguments.hex, arguments.output, arguments.crystal_mhz, arguments.image)):
-            raise SpecError("--enumerate writes no memory: leave out --hex, -o, --crystal-mhz")
-        get: Values = {**DEFAULTS, **given(arguments)}
-        config = SkinConfig.of(get)
-        check_timing(config.timing)
-        return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
-    if arguments.layout is not None:
-        raise SpecError("--layout is the file that --enumerate PORT writes: give that, too")
-    mcu, of_flash = arguments.mcu, arguments.hex is not None
-    if (arguments.output is None) != of_flash:
-        both = "-o and --hex are given: EEPROM or flash, not both"
-        none = "-o is missing: the file to write, or with --node all the directory"
-        raise SpecError(both if of_flash else f"{none}; or --hex")
-    if arguments.node == ANY and not of_flash:
-        raise SpecError("--any is an image for the flash: give --hex instead of -o")
-    if not of_flash and (arguments.crystal_mhz or arguments.image):
-        raise SpecError("--crystal-mhz and --image are about flash: give --hex instead of -o")
-    if arguments.programmer and arguments.node == ALL:
-        raise SpecError("--programmer writes one node, the one that is connected: --node is all")
-    config = SkinConfig.of(given(arguments))
+    _check(arguments)
+    get: Values = {**DEFAULTS, **given(arguments)}
+    config = SkinConfig.of(get)
     check_timing(config.timing)
+    if arguments.port is not None:
+        return node_numbers.run(arguments.port, get["baud"], config, arguments.layout)
     heartbeat = arguments.heartbeat
     if heartbeat is None:
         heartbeat = usual_heartbeat(config.spec.frame_period_s)
@@ -100,7 +84,46 @@ def run(arguments: argparse.Namespace) -> int:
     nodes = [arguments.node] if one else range(1, config.spec.nodes + 1)
     names = ("threshold", "rest", "discipline", "mcu")
     how = {"heartbeat": heartbeat} | {name: getattr(arguments, name) for name in names}
-    memories = [node_memory(config.spec, node, **how) for node in nodes]
+    _write(arguments, [node_memory(config.spec, node, **how) for node in nodes])
+    if arguments.threshold:
+        _warn_of_silence(heartbeat, config)
+    if config.spec.sparse:
+        groups = groups_for_all(config.spec)
+        print(
+            f"sparse codes: {capacity(config.spec)} of {config.spec.nodes} nodes may speak in one "
+            f"frame, and all {f'by turns, in {groups} groups' if groups else 'never'}"
+        )
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise SpecError for options that do not go together."""
+    of_flash = bool(arguments.crystal_mhz or arguments.image)
+    written = [one for one in (arguments.hex, arguments.output) if one is not None]
+    if arguments.port is not None:
+        if written or of_flash:
+            raise SpecError("--enumerate writes no memory: leave out --hex, -o, --crystal-mhz")
+        return
+    for is_wrong, text in (
+        (arguments.layout is not None, "--layout is the file that --enumerate PORT writes"),
+        (len(written) > 1, "-o and --hex are given: EEPROM or flash, not both"),
+        (not written, "-o is missing: the file to write, or with all the directory; or --hex"),
+        (
+            arguments.hex is None and (arguments.node == ANY or of_flash),
+            "--any, --crystal-mhz and --image are about flash: give --hex instead of -o",
+        ),
+        (
+            arguments.programmer and arguments.node == ALL,
+            "--programmer writes one node, the one that is connected: --node is all",
+        ),
+    ):
+        if is_wrong:
+            raise SpecError(text)
+
+
+def _write(arguments: argparse.Namespace, memories: list[bytes]) -> None:
+    """Write memories to files, and to the node that is connected or say how."""
+    mcu, of_flash = arguments.mcu, arguments.hex is not None
     output = arguments.hex if of_flash else arguments.output
     paths = [output] if arguments.node != ALL else programmer.node_files(output, len(memories))
     contents = [memories] if arguments.node == ANY else [[memory] for memory in memories]
@@ -111,14 +134,6 @@ def run(arguments: argparse.Namespace) -> int:
             programmer.write_image(path, image)
         else:
             programmer.write_memory(path, *content)
-    if arguments.threshold:
-        _warn_of_silence(heartbeat, config)
-    if config.spec.sparse:
-        groups = groups_for_all(config.spec)
-        print(
-            f"sparse codes: {capacity(config.spec)} of {config.spec.nodes} nodes may speak in one "
-            f"frame, and all {f'by turns, in {groups} groups' if groups else 'never'}"
-        )
     print(f"written: {paths[0]}" + (f" … {paths[-1]}" if len(paths) > 1 else ""))
     kind = programmer.FLASH if of_flash else programmer.EEPROM
     usual = ARDUINO[crystal_mhz] if of_flash else "usbasp"
@@ -126,7 +141,6 @@ def run(arguments: argparse.Namespace) -> int:
         programmer.burn(output, mcu, arguments.programmer, kind)
     else:
         print("to the node:", shlex.join(programmer.avrdude(paths[0], mcu, usual, kind)))
-    return 0
 
 
 def _node_number(text: str) -> int | str:
@@ -136,7 +150,7 @@ def _node_number(text: str) -> int | str:
 
 
 def _warn_of_silence(heartbeat: int, config: SkinConfig) -> None:
-    """A driver with these parameters takes nodes for stale that are silent for too long."""
+    """Warn of nodes that are silent for so long that a driver takes them for stale."""
     silent_s = heartbeat * config.spec.frame_period_s
     if not 0 < silent_s < config.stale_after_s:
         often = f"only every {silent_s:g} s" if silent_s else "never"

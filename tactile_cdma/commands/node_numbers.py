@@ -78,27 +78,18 @@ def enumerate_nodes(
                 heard_s = now_s
                 if text := numbering.take(frame.words):
                     tell(text)
-            if now_s - heard_s > SILENT_S:
-                why = pipeline.problem or session.problem or "the digitizer sends no frames"
-                raise PortError(f"no frame for {SILENT_S:g} s: {why}")
+            _check(pipeline, session, silent_s=now_s - heard_s)
             if now_s - heard_s > UNREAD_S and numbering.waits:
                 tell(numbering.unclear())
-            if (refusal := pipeline.digitizer.refusal) and refusal.command == PacketType.NUMBER:
-                raise PortError(
-                    f"the digitizer announces no numbers ({refusal.result.name.lower()}): its "
-                    "firmware is older, it is a demonstrator or simulated, or the pause between "
-                    "frames is below 2.2 ms"
-                )
             if not typed.empty():
                 if (key := typed.get().strip().lower()) == "q":
                     break
                 tell(on_key[key]() if key in on_key else KEYS)
                 prompted = 0
-            if not numbering.waits:
-                prompted = 0
-            elif numbering.asked and numbering.asked != prompted:
-                prompted = numbering.asked
-                tell(prompt(config.layout, prompted))
+            waited_for = numbering.asked if numbering.waits else None
+            if waited_for and waited_for != prompted:
+                tell(prompt(config.layout, waited_for))
+            prompted = waited_for or 0
             if request := session.watch(pipeline, now_s):
                 port.write(request)
             if pipeline.counters.frames and (
@@ -111,8 +102,20 @@ def enumerate_nodes(
     return numbering
 
 
+def _check(pipeline: Pipeline, session: Session, silent_s: float) -> None:
+    """Raise PortError where there was no frame for too long, or numbers are not announced."""
+    if silent_s > SILENT_S:
+        why = pipeline.problem or session.problem or "the digitizer sends no frames"
+        raise PortError(f"no frame for {SILENT_S:g} s: {why}")
+    if (refusal := pipeline.digitizer.refusal) and refusal.command == PacketType.NUMBER:
+        raise PortError(
+            f"the digitizer announces no numbers ({refusal.result.name.lower()}): its firmware is "
+            "older, it is a demonstrator or simulated, or the pause between frames is below 2.2 ms"
+        )
+
+
 def prompt(layout: Layout, number: int) -> str:
-    """Which taxel to press."""
+    """Tell which taxel to press."""
     [taxel, *_] = [*np.flatnonzero(layout.nodes == number), -1]
     if taxel < 0:
         return f"node {number} has no place in the layout: press it, or leave it out"

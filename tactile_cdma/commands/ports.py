@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def chosen(urls: Iterable[str], ports: Iterable[SerialPort]) -> list[SerialPort]:
-    """The ports with these names, or all; a URL that is no serial port stands for itself."""
+    """Return the ports with these names, or all; a URL that is no serial port stands for itself."""
     if not urls:
         return list(ports)
     known = {name: port for port in ports for name in (port.device, *port.links)}
@@ -78,7 +78,7 @@ def _ask(port: SerialPort, baud: int) -> Answer:
 
 
 def described(answer: Answer) -> str:
-    """A port and its digitizer as lines of text."""
+    """Return a port and its digitizer as lines of text."""
     lines = [str(answer.port)]
     if answer.info is not None:
         lines.append(f"    digitizer {described_info(answer.info)}")
@@ -90,7 +90,7 @@ def described(answer: Answer) -> str:
 
 
 def as_values(answer: Answer) -> dict[str, Any]:
-    """The same as plain values, for programs."""
+    """Return a port and its digitizer as plain values, for programs."""
     values: dict[str, Any] = asdict(answer.port)
     if (info := answer.info) is not None:
         values |= {

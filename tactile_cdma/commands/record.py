@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _is_read_by(port: str, path: Path) -> bool:
-    """Whether a path leads to the recording or device that a port reads, by whatever name."""
+    """Tell whether a path leads to the recording or device that a port reads, by whatever name."""
     source = ReplayOptions.from_url(port).path if port.startswith(REPLAY) else Path(port)
     with suppress(OSError, ValueError):  # not there, or no name of a file
         return path.samefile(source)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import count, islice
 from statistics import median
 
-from .episodes import Episode
+from .episodes import Episode, number_at
 from .samples import NANO, Kind, Sample, SampleStream, SkinFrame, Value
 from .touch import Touch, TouchStream
 
@@ -34,7 +34,7 @@ usual ones, or as STALE_S if that is longer. Chosen."""
 
 
 def stale_s(fps: float) -> float:
-    """The age that a stream's last sample may have at least, at so many ticks per s, s."""
+    """Return the age that a stream's last sample may have at least, at so many ticks per s, s."""
     return max(STALE_S, 1 / fps)
 
 
@@ -96,7 +96,7 @@ class Present:
         self.newest[key] = newest_ns, sample.seen_ns
 
     def row(self, tick: Tick) -> Row:
-        """The row of a tick that is later than the one before."""
+        """Return the row of a tick that is later than the one before."""
         self.drain(tick.time_ns)
         self.done_ns = tick.time_ns
         values: dict[str, Touch | Value] = {}
@@ -127,7 +127,7 @@ class Present:
                     self._touch[key].take(stamp_ns, value)
 
     def _has_stopped(self, key: str, time_ns: int) -> bool:
-        """Whether a stream's last sample is too old to be taken for the present one."""
+        """Tell whether a stream's last sample is too old to be taken for the present one."""
         age_ns, steps_ns = time_ns - self._taken_ns[key], self._steps_ns[key]
         if age_ns <= self._stale_ns:
             return False
@@ -161,7 +161,7 @@ class Aligner:
         self.late = dict.fromkeys(streams, 0)
 
     def feed(self, sample: Sample) -> Iterator[Row]:
-        """Rows that this sample completes."""
+        """Yield rows that this sample completes."""
         key, stamp_ns, present = sample.stream, sample.stamp_ns, self._present
         if self._begun_ns is None:
             self._begun_ns = sample.seen_ns
@@ -175,14 +175,14 @@ class Aligner:
         yield from self._rows(self._passed_ns(sample.seen_ns))
 
     def finish(self) -> Iterator[Row]:
-        """Rows that waited for more samples; none after the last one was recorded."""
+        """Yield rows that waited for more samples; none after the last one was recorded."""
         newest = self._present.newest.values()
         newest_ns = max((stamp for stamp, _ in newest), default=0)
         seen_ns = max((seen for _, seen in newest), default=0)
         yield from self._rows(min(newest_ns, seen_ns))
 
     def _passed_ns(self, now_ns: int) -> int:
-        """The time that all streams have passed from which samples are still to be expected."""
+        """Return the time that all streams have passed from which samples may still come."""
         wait_ns, newest = round(WAIT_S * NANO), self._present.newest
         assert self._begun_ns is not None
         if len(newest) < len(self.late) and now_ns - self._begun_ns <= wait_ns:
@@ -190,10 +190,9 @@ class Aligner:
         return min(now_ns, *(stamp for stamp, seen in newest.values() if now_ns - seen <= wait_ns))
 
     def _tick(self, time_ns: int) -> None:
-        """A tick at a stamp of the clock's stream, where that lies in an episode and is new."""
+        """Add a tick at a stamp of the clock's stream, where that lies in an episode and is new."""
         last_ns = self._ticks[-1].time_ns if self._ticks else self._present.drained_ns
-        within = (n for n, e in enumerate(self._episodes) if e.begin_ns <= time_ns <= e.end_ns)
-        if time_ns > last_ns and (number := next(within, None)) is not None:
+        if time_ns > last_ns and (number := number_at(self._episodes, time_ns)) is not None:
             since_ns, before = time_ns - self._interval_ns, self._last_tick
             if before is not None and before.episode == number:
                 since_ns = max(before.time_ns, time_ns - self._reach_ns)
@@ -201,7 +200,7 @@ class Aligner:
             self._ticks.append(self._last_tick)
 
     def _rows(self, passed_ns: int) -> Iterator[Row]:
-        """Rows of all ticks before a time that every stream has passed."""
+        """Yield rows of all ticks before a time that every stream has passed."""
         while True:
             if not self._ticks:
                 self._ticks.extend(islice(self._grid, 1))
@@ -214,7 +213,7 @@ class Aligner:
 
 
 def _grid(episodes: Iterable[Episode], fps: float, first_ns: int) -> Iterator[Tick]:
-    """Ticks of all episodes from a time on, each computed from its first: rounding must not add up.
+    """Yield all episodes' ticks from a time on, each from the first: rounding must not add up.
 
     An episode's first tick is an interval after its beginning.
     """

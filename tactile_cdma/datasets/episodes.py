@@ -31,8 +31,14 @@ class Episode:
     task: str
 
 
+def number_at(episodes: Sequence[Episode], time_ns: int) -> int | None:
+    """Return the number of the episode that a time lies in, the first one of two; None: in none."""
+    within = (n for n, e in enumerate(episodes) if e.begin_ns <= time_ns <= e.end_ns)
+    return next(within, None)
+
+
 def parse_interval(text: str) -> tuple[float, float]:
-    """START:END in s from the beginning of a file. Raises ParameterError."""
+    """Parse START:END in s from the beginning of a file. Raises ParameterError."""
     start, colon, end = text.partition(":")
     try:
         begin_s, end_s = float(start), float(end)
@@ -51,7 +57,7 @@ def find_episodes(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> list[Episode]:
-    """The episodes of a source, in order: intervals if given, by a topic's marks, else all of it.
+    """Find the episodes of a source, in order: given intervals, a topic's marks, else all of it.
 
     start_s, end_s: bounds, s from the beginning of the file. Raises CaptureError where episodes
     overlap, or none is left.
@@ -88,7 +94,7 @@ def find_episodes(
 def samples_of(
     source: SampleSource, episodes: Sequence[Episode], progress: Progress
 ) -> Iterator[Sample]:
-    """A file's samples up to the end of its last episode; without episodes, all.
+    """Yield a file's samples up to the end of its last episode; without episodes, all.
 
     From the file's beginning on: what is held in an episode may be known from before it.
     """
@@ -102,7 +108,7 @@ def samples_of(
 
 
 def _marked(marks: list[tuple[int, Any]], topic: str, task: str, end_ns: int) -> list[Episode]:
-    """Episodes by messages of Bool, String or Empty.
+    """Find episodes by messages of Bool, String or Empty.
 
     Bool: true begins, false ends. String: a text begins an episode and is its task, an empty one
     ends it. Empty: each ends one episode and begins the next.

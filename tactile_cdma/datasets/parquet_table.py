@@ -21,11 +21,11 @@ GROUP_ROWS, GROUP_BYTES = 4096, 16 << 20
 METADATA = b"tactile_cdma"
 """Key of the file's metadata: JSON with about and the arrays of the taxels."""
 PNG_OR_JPEG = "image"
-"""In place of numpy's type of a column: its cells are the bytes of image files."""
+"""Stands in place of a column's numpy type if its cells are the bytes of image files."""
 
 
 def pyarrow() -> ModuleType:
-    """The library; raises MissingPackageError where it is missing."""
+    """Import pyarrow; raises MissingPackageError where it is missing."""
     with needed_for("Parquet", "pyarrow"):
         import pyarrow as library
         import pyarrow.parquet
@@ -95,7 +95,7 @@ class ParquetTable:
             self._rows, self._held_bytes = [], 0
 
     def _type(self, dtype: str, shape: tuple[int, ...]) -> Any:
-        """The type of a column whose cells are arrays or images; () and (1,) are plain numbers.
+        """Return the type of a column of arrays or images; cells of () and (1,) are plain numbers.
 
         Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
         """
@@ -113,7 +113,7 @@ class ParquetTable:
 
 
 def _cells(cells: Sequence[Any], dtype: str, shape: tuple[int, ...]) -> Any:
-    """A column's cells as pyarrow takes them: numbers, vectors, lists of vectors, images."""
+    """Return a column's cells as pyarrow takes them: numbers, vectors, lists of vectors, images."""
     if dtype == PNG_OR_JPEG:
         return [{"bytes": file} for file in cells]
     values = np.array(cells, dtype)

@@ -23,7 +23,7 @@ class Progress:
         self._due_s = time.monotonic() + self._interval_s
 
     def at(self, fraction: float, text: str) -> None:
-        """fraction: 0 to 1 of the work; NaN if unknown. text: what is worked on."""
+        """Report a fraction of work done, 0 to 1; NaN: unknown. text: what is worked on."""
         if (now_s := time.monotonic()) < self._due_s:
             return
         self._due_s = now_s + self._interval_s

@@ -2,6 +2,7 @@
 
 """What every source hands on: constant data of a patch, its frames, samples of other topics."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ CONTACT_NAMES = ("touched", "untouched", "contacts", "area_m2", "x_m", "y_m", "z
 WRENCH_NAMES = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
 NANO = 1_000_000_000
 PUBLISHER = "#"
-"""In the key of a vector's stream before the number of the program that publishes it."""
+"""Separates, in the key of a vector's stream, the number of the program that publishes it."""
 MOST_SHOWN = 8
 """Taxels, or names, that a message lists; chosen."""
 _ALONE = "export them one by one"
@@ -90,7 +91,7 @@ class SkinFrame:
 
     @property
     def valid(self) -> Bools:
-        """(t,), taxels with a reading that is certain."""
+        """Return which taxels have a certain reading, (t,)."""
         return np.isfinite(self.pressure_pa) & is_certain(self.status)
 
 
@@ -137,7 +138,7 @@ class SampleStream:
 
     @property
     def topic(self) -> str:
-        """The topic that it is made of; its kind for a recording, which has no topics."""
+        """Return the topic that it is made of; its kind for a recording, which has no topics."""
         return self.key.removeprefix(f"{self.kind}:").partition(PUBLISHER)[0]
 
 
@@ -163,16 +164,16 @@ class SampleSource(Protocol):
     def notes(self) -> tuple[str, ...]: ...
 
     def samples(self, begin_ns: int | None, end_ns: int | None) -> Iterator[Sample]:
-        """Samples of the streams in the order of seen_ns, from a time to another, both included."""
+        """Yield the streams' samples in the order of seen_ns, from and to times, both included."""
         ...
 
     def marks(self, topic: str) -> list[tuple[int, Any]]:
-        """Messages of a topic, and when they were recorded, ns. Raises CaptureError."""
+        """Return messages of a topic, and when they were recorded, ns. Raises CaptureError."""
         ...
 
 
 def skin_stream(key: str, kind: Kind, patch: PatchInfo) -> SampleStream:
-    """The stream of a patch's frames, of its contacts or of its wrench."""
+    """Return the stream of a patch's frames, of its contacts or of its wrench."""
     if kind == Kind.TACTILE:
         return SampleStream(key, kind, patch.name, (len(patch),), patch=patch)
     names = DERIVED[kind]
@@ -180,17 +181,17 @@ def skin_stream(key: str, kind: Kind, patch: PatchInfo) -> SampleStream:
 
 
 def patches_of(streams: Mapping[str, SampleStream]) -> dict[str, PatchInfo]:
-    """The skin patches among streams, by the key of their frames."""
+    """Return the skin patches among streams, by the key of their frames."""
     return {key: stream.patch for key, stream in streams.items() if stream.patch is not None}
 
 
 def in_order(values: Floats32, its: tuple[str, ...], names: tuple[str, ...]) -> Floats32 | None:
-    """Of a vector whose elements are called its, those of these names; None if some are missing."""
+    """Put elements that are called its in the order of names; None if some are missing."""
     return values[[its.index(name) for name in names]] if set(names) <= set(its) else None
 
 
 def feature_name(text: str) -> str:
-    """A name that features may have, from a topic's or a skin's."""
+    """Return a name that features may have, from a topic's or a skin's."""
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "skin"
 
 
@@ -215,7 +216,7 @@ class Completeness:
 
     @property
     def unread(self) -> str:
-        """The missing taxels, for people: the first ones of many; "any taxel" before a frame."""
+        """Name the missing taxels, the first ones of many; "any taxel" before a frame."""
         return listed(self.missing, "taxel", MOST_SHOWN) if self.missing else "any taxel"
 
     def check(self, path: Path, patch: str) -> None:
@@ -278,7 +279,7 @@ def differences(
     other: Mapping[str, Any],
     where: str = "the first file",
 ) -> Iterator[str]:
-    """How another file's readings of a patch come from elsewhere than the first's, by about.
+    """Tell how another file's readings of a patch come from elsewhere than the first's, by about.
 
     where: the first is.
     """
@@ -289,6 +290,38 @@ def differences(
             yield f"{key} of patch {patch} is {its!r}, in {where} {mine!r}"
 
 
-def missing_between(before: int, after: int) -> int | None:
-    """Frame periods without a frame between two frames, by their sequence; None: began anew."""
-    return after - before - 1 if after > before else None
+class Continuity:
+    """Counts what is missing between frames that follow each other, by their sequence.
+
+    missing: frame periods without a frame. gaps, restarts: where some are missing; where the
+    sequence begins anew, as after a driver's restart.
+    """
+
+    def __init__(self) -> None:
+        self.missing = 0
+        self.gaps, self.restarts = Pauses(), Pauses()
+
+    def take(self, before: int, after: int, pause_s: float, at_s: float) -> None:
+        """Take the sequences of two frames. pause_s, at_s: time between them; of the first one."""
+        if after <= before:
+            self.restarts.take(pause_s, at_s)
+        elif missing := after - before - 1:
+            self.missing += missing
+            self.gaps.take(pause_s, at_s)
+
+
+class Pauses:
+    """Intervals between two frames: their number, all of them together, s, and the longest."""
+
+    def __init__(self) -> None:
+        self.number, self.total_s = 0, 0.0
+        self._longest = (-math.inf, 0.0)  # s, and s after which it begins
+
+    def take(self, length_s: float, at_s: float) -> None:
+        self.number, self.total_s = self.number + 1, self.total_s + length_s
+        self._longest = max(self._longest, (length_s, at_s), key=lambda pause: pause[0])
+
+    @property
+    def longest(self) -> str:
+        length_s, at_s = self._longest
+        return f"the longest {length_s:.3f} s after {at_s:.3f} s"

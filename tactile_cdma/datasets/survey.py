@@ -7,15 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..readings.status import Status, is_in_service
-from .samples import Completeness, SkinFrame, missing_between
+from .samples import Completeness, Continuity, SkinFrame
 
 
 class FrameSurvey:
     """Takes all frames of a patch in order; memory does not grow."""
 
     def __init__(self) -> None:
-        self._frames = self._missing = 0
-        self._gaps, self._restarts = _Pauses(), _Pauses()
+        self._frames = 0
+        self._continuity = Continuity()
         self._first_s = self._last_s = float("nan")
         self._sequence = 0
         self._readings = np.zeros(4, dtype=np.int64)  # in service, invalid, held, saturated
@@ -26,11 +26,9 @@ class FrameSurvey:
         time_s = frame.device_time_s if np.isnan(frame.wall_time_s) else frame.wall_time_s
         if not self._frames:
             self._first_s = time_s
-        elif (missing := missing_between(self._sequence, frame.sequence)) is None:
-            self._restarts.take(time_s - self._last_s, self._length_s)
-        elif missing:
-            self._gaps.take(time_s - self._last_s, self._length_s)
-            self._missing += missing
+        else:
+            pause_s = time_s - self._last_s
+            self._continuity.take(self._sequence, frame.sequence, pause_s, self._length_s)
         self._frames += 1
         self._last_s, self._sequence = time_s, frame.sequence
         in_service = is_in_service(frame.status)
@@ -44,7 +42,7 @@ class FrameSurvey:
                 self._complete_s = self._length_s
 
     def lines(self) -> Iterator[tuple[str, str]]:
-        """Names and texts; without a frame nothing can be said of gaps and readings."""
+        """Yield names and texts; without a frame nothing can be said of gaps and readings."""
         if not self._frames:
             yield "frames", "none"
             return
@@ -62,16 +60,13 @@ class FrameSurvey:
         return self._last_s - self._first_s if self._frames else 0.0
 
     def _said_gaps(self) -> Iterator[str]:
-        if self._gaps.number:
-            yield (
-                f"{self._gaps.number}, {self._missing} frame periods without a frame, "
-                f"{self._gaps.longest}"
-            )
-        if self._restarts.number:
-            yield (
-                f"{self._restarts.number} where the sequence begins anew (did the driver restart?),"
-                f" {self._restarts.longest}"
-            )
+        gaps, restarts = self._continuity.gaps, self._continuity.restarts
+        if gaps.number:
+            missing = f"{self._continuity.missing} frame periods without a frame"
+            yield f"{gaps.number}, {missing}, {gaps.longest}"
+        if restarts.number:
+            where = "where the sequence begins anew (did the driver restart?)"
+            yield f"{restarts.number} {where}, {restarts.longest}"
 
     def _complete(self) -> str:
         if self._complete_s is None:
@@ -82,20 +77,3 @@ class FrameSurvey:
             f"after {self._complete_s:.3f} s: until then a node that had not spoken was unknown; "
             "export --from-first-complete leaves that out"
         )
-
-
-class _Pauses:
-    """Intervals between two frames: their number, and the longest."""
-
-    def __init__(self) -> None:
-        self.number = 0
-        self._longest_s, self._longest_at_s = float("-inf"), 0.0
-
-    def take(self, length_s: float, at_s: float) -> None:
-        self.number += 1
-        if length_s > self._longest_s:
-            self._longest_s, self._longest_at_s = length_s, at_s
-
-    @property
-    def longest(self) -> str:
-        return f"the longest {self._longest_s:.3f} s after {self._longest_at_s:.3f} s"

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.whole_file import replace_file, replacing
-from .episodes import Episode, samples_of
+from .episodes import Episode, number_at, samples_of
 from .parquet_table import ParquetTable
 from .progress import Progress
 from .samples import (
     NANO,
     Completeness,
+    Continuity,
     PatchInfo,
     SampleSource,
     SkinFrame,
     check_patches,
     check_same,
-    missing_between,
     patches_of,
 )
 
@@ -87,13 +87,13 @@ class PatchFrames:
             first += len(episodes)
 
     def _own(self, source: SampleSource) -> tuple[str, PatchInfo]:
-        """The patch in a file, as far as that was read, and the key of its frames."""
+        """Return the patch in a file, as far as that was read, and the key of its frames."""
         return next(one for one in patches_of(source.streams).items() if one[1].name == self._name)
 
     def _of(self, source: SampleSource, key: str, episodes: Sequence[Episode]) -> Rows:
-        """Frames of one file, each with the number of its episode in it."""
-        seen, last = Completeness(), (-1, 0, 0)  # number, sequence, stamp
-        restarts, restarts_ns = 0, 0
+        """Yield frames of one file, each with the number of its episode in it."""
+        seen, continuity = Completeness(), Continuity()
+        last = (-1, 0, 0)  # number, sequence, stamp
         for sample in samples_of(source, episodes, self._progress):
             frame = sample.value
             if sample.stream != key or not isinstance(frame, SkinFrame):
@@ -103,28 +103,25 @@ class PatchFrames:
                 if not seen.is_complete:
                     self.left_out += 1
                     continue
-            for number, episode in enumerate(episodes):
-                if episode.begin_ns <= sample.stamp_ns <= episode.end_ns:
-                    if last[0] == number:
-                        if (missing := missing_between(last[1], frame.sequence)) is None:
-                            restarts += 1
-                            restarts_ns += sample.stamp_ns - last[2]
-                        self.missing += missing or 0
-                    last = (number, frame.sequence, sample.stamp_ns)
-                    yield number, frame
-                    break
-        if restarts:
+            if (number := number_at(episodes, sample.stamp_ns)) is not None:
+                if last[0] == number:
+                    pause_s = (sample.stamp_ns - last[2]) / NANO
+                    continuity.take(last[1], frame.sequence, pause_s, 0.0)
+                last = (number, frame.sequence, sample.stamp_ns)
+                yield number, frame
+        self.missing += continuity.missing
+        if restarts := continuity.restarts.number:
             self.notes.append(
                 f"{source.path}: {self._name}: {restarts} where the sequence begins anew (did the "
-                f"driver restart?); what is missing in the {restarts_ns / NANO:.3f} s between "
-                "these frames is not known"
+                f"driver restart?); what is missing in the {continuity.restarts.total_s:.3f} s "
+                "between these frames is not known"
             )
         if self._from_first_complete:
             seen.check(source.path, self._name)
 
 
 def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """All frames, at least one, as numpy arrays by columns. Raises OSError.
+    """Write all frames, at least one, as numpy arrays by columns. Raises OSError.
 
     about: metadata, stored as JSON. Columns are kept in temporary files beside it, so that memory
     does not grow with the recording.
@@ -146,7 +143,7 @@ def write_npz(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """One row per frame; beside it NAME.taxels.csv, one row per taxel, and NAME.about.json.
+    """Write a row per frame; beside it NAME.taxels.csv, a row per taxel, and NAME.about.json.
 
     Raises OSError.
     """
@@ -172,7 +169,7 @@ def write_csv(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, An
 
 
 def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str, Any]) -> None:
-    """One row per frame, with the columns of an NPZ; its constants are metadata.
+    """Write a row per frame, with the columns of an NPZ; its constants are metadata.
 
     Raises MissingPackageError, OSError.
     """
@@ -186,23 +183,23 @@ def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str
 
 
 def taxels_path(path: Path) -> Path:
-    """The file of the taxels' places that goes with a CSV file."""
+    """Return the file of the taxels' places that goes with a CSV file."""
     return path.with_name(f"{path.stem}.taxels{path.suffix}")
 
 
 def about_path(path: Path) -> Path:
-    """The file of the metadata that goes with a CSV file."""
+    """Return the file of the metadata that goes with a CSV file."""
     return path.with_name(f"{path.stem}.about.json")
 
 
 def _row(episode: int, frame: SkinFrame) -> dict[str, Any]:
-    """One row of a table."""
+    """Return a frame as a table's row, by columns."""
     cells = {name: getattr(frame, name) for name in COLUMNS if name != "episode"}
     return {"episode": episode} | cells
 
 
 def _places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
-    """Arrays that are the same in all frames."""
+    """Return arrays that are the same in all frames."""
     return {
         "shape": np.array([patch.rows, patch.columns], dtype=np.uint16),
         "node": patch.nodes.astype(np.uint16),
@@ -213,5 +210,5 @@ def _places(patch: PatchInfo) -> dict[str, NDArray[Any]]:
 
 
 def known(values: NDArray[Any]) -> Any:
-    """An array as lists for JSON, which has no NaN; None where it is not known."""
+    """Return an array as lists for JSON, which has no NaN; None where it is not known."""
     return values.tolist() if np.isfinite(values).all() else None

@@ -25,7 +25,7 @@ MOST_SLOTS = 1000
 
 
 def slots(patch: PatchInfo, fps: float, mode: str) -> int:
-    """How many samples of a patch one tick holds: with WINDOW, the most that an interval can.
+    """Tell how many samples of a patch one tick holds: with WINDOW, the most that an interval can.
 
     Raises ParameterError for more than MOST_SLOTS.
     """
@@ -84,7 +84,7 @@ class TouchStream:
         self._window.clear()
 
     def at(self, tick_ns: int, has_stopped: bool = False) -> Touch:
-        """The patch at a tick that is later than all frames taken; at least one must be.
+        """Return the patch at a tick that is later than all frames taken; at least one must be.
 
         has_stopped: the newest frame is too old for the present, so that nothing is valid.
         """

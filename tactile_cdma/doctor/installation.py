@@ -38,7 +38,7 @@ _run = partial(subprocess.run, capture_output=True, text=True)
 
 
 def installation() -> Iterator[Check]:
-    """All checks, the cheap ones first."""
+    """Run all checks, the cheap ones first."""
     yield python_version()
     yield from packages()
     yield compiled_kernel()
@@ -52,7 +52,7 @@ def installation() -> Iterator[Check]:
 
 
 def python_version() -> Check:
-    """The interpreter against requires-python."""
+    """Check the interpreter against requires-python."""
     needed, present = _project("requires-python"), platform.python_version()
     match = re.fullmatch(r">=(\d+)\.(\d+)", needed)
     if match and sys.version_info < tuple(map(int, match.groups())):
@@ -61,7 +61,7 @@ def python_version() -> Check:
 
 
 def packages() -> Iterator[Check]:
-    """What the core imports, against requirements.txt."""
+    """Check what the core imports against requirements.txt."""
     try:
         from packaging.requirements import InvalidRequirement, Requirement
     except ImportError:
@@ -91,7 +91,7 @@ def packages() -> Iterator[Check]:
 
 
 def compiled_kernel() -> Check:
-    """What does the arithmetic of every frame."""
+    """Check what does the arithmetic of every frame."""
     try:
         from ..base import kernel
     except ParameterError as error:
@@ -108,7 +108,7 @@ def compiled_kernel() -> Check:
 
 
 def requirements() -> list[str]:
-    """The core's requirements: from the checkout, or from the colcon or pip installation."""
+    """Return the core's requirements: from the checkout, or from the colcon or pip installation."""
     path = shipped("requirements.txt")
     if path is not None:
         lines = (line.split("#")[0].strip() for line in path.read_text("utf-8").splitlines())
@@ -130,7 +130,7 @@ def _project(key: str) -> str:
 
 
 def port_access() -> Iterator[Check]:
-    """Whether this user may open serial ports."""
+    """Check whether this user may open serial ports."""
     devices = [*Path("/dev").glob("ttyACM*"), *Path("/dev").glob("ttyUSB*")]
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     if devices and not closed:
@@ -162,7 +162,7 @@ def port_access() -> Iterator[Check]:
 
 
 def udev_rule(root: Path) -> Iterator[Check]:
-    """The udev rule for stable names; nothing without udev, as in a container."""
+    """Check the udev rule for stable names; nothing without udev, as in a container."""
     if not (root / "run/udev/control").exists():
         return
     ours, path = shipped(f"config/{RULES}"), _rule(root)
@@ -184,7 +184,7 @@ def _rule(root: Path) -> Path | None:
 
 
 def port_takers(root: Path) -> Iterator[Check]:
-    """Programs that open or take away new ports: of modems, and of Braille displays."""
+    """Check for programs that open or take away new ports: of modems, and of Braille displays."""
     running = set[str]()
     for comm in (root / "proc").glob("[0-9]*/comm"):
         with suppress(OSError):  # ended meanwhile
@@ -205,7 +205,7 @@ def port_takers(root: Path) -> Iterator[Check]:
 
 
 def shared_memory(folder: Path) -> Iterator[Check]:
-    """Room for Fast DDS, which exchanges messages in shared memory; containers get 64 MB."""
+    """Check the room for Fast DDS, which uses shared memory; containers get 64 MB."""
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
@@ -228,7 +228,7 @@ def shared_memory(folder: Path) -> Iterator[Check]:
 
 
 def _is_unfinished(path: Path) -> bool:
-    """Whether a segment has no size, although it is older than it takes to get one."""
+    """Tell whether a segment has no size, although it is older than it takes to get one."""
     try:
         seen = path.stat()
     except OSError:  # removed just now
@@ -237,7 +237,7 @@ def _is_unfinished(path: Path) -> bool:
 
 
 def clock() -> Iterator[Check]:
-    """Whether the clock is synchronized, so that stamps of several computers can be compared."""
+    """Check that the clock is synchronized, so that stamps of several computers can be compared."""
     command = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
     try:
         answer = _run(command, timeout=5, check=True).stdout.strip()
@@ -252,7 +252,7 @@ def clock() -> Iterator[Check]:
 
 
 def ros() -> Iterator[Check]:
-    """The checks of tactile_cdma.ros.doctor, in a process of its own: ROS may crash or hang."""
+    """Run the checks of tactile_cdma.ros.doctor in another process, as ROS may crash or hang."""
     path = os.pathsep.join(filter(None, (str(CHECKOUT), os.environ.get("PYTHONPATH"))))
     try:
         command = [sys.executable, "-m", "tactile_cdma.ros.doctor"]

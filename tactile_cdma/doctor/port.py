@@ -34,7 +34,7 @@ MOST_BYTES = 64 << 20
 def examine(
     url: str | None, params: Path | None, baud: int | None, seconds: float
 ) -> Iterator[Check]:
-    """All checks of a port, or of the one that a parameter file names."""
+    """Run all checks of a port, or of the one that a parameter file names."""
     try:
         values = read_file(params) if params is not None else None
         if values is not None:
@@ -58,7 +58,7 @@ def examine(
 
 
 def _parameters(config: SkinConfig, file: str) -> Check:
-    """Whether nodes at rest, as they are usually written, speak before they count as stale."""
+    """Check whether nodes at rest, as usually written, speak before they count as stale."""
     period_s = config.spec.frame_period_s
     silent_s = usual_heartbeat(period_s) * period_s
     if silent_s < config.stale_after_s:
@@ -71,7 +71,7 @@ def _parameters(config: SkinConfig, file: str) -> Check:
 
 
 def _examine(port: Port, values: dict[str, Value] | None, seconds: float) -> Iterator[Check]:
-    """values: of the parameter file; None without one."""
+    """Examine an open port; values: those of the parameter file, None without one."""
     info = introduction(port)
     described = {**parameters_of(info), "amplitude_mv": 0.0}
     config = SkinConfig.of(described if values is None else values)

@@ -75,7 +75,7 @@ class DecodedStream:
 def judge(
     chunks: Chunks, config: SkinConfig, seconds: float, no_frames: str | None = None
 ) -> Iterator[Check]:
-    """All checks of a stream; amplitudes are measured before they are compared with config's.
+    """Run all checks of a stream; amplitudes are measured before they are compared with config's.
 
     seconds: how long it was to be listened to. no_frames: why there are none.
     Raises PortError where bytes in which there were frames hold none after all.
@@ -122,7 +122,7 @@ def judge(
 
 
 def decided(decisions: Decisions) -> Check:
-    """Where frames were decided, which tells what they cost, and what the line is like."""
+    """Tell where frames were decided, which tells what they cost, and what the line is like."""
     text = f"{decisions.python_share:.0%} of {decisions.total} frames decided in Python"
     if decisions.in_python:
         text = f"{text}: {decisions.reasons}"
@@ -133,7 +133,7 @@ def decided(decisions: Decisions) -> Check:
 
 
 def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> DecodedStream:
-    """Decoded with this amplitude of a node's code; None: learnt from every frame.
+    """Decode with this amplitude of a node's code; None: learnt from every frame.
 
     From one value per chip, silence can't be told without an amplitude: there it is the stated one.
     Raises PortError where that gives no frame.
@@ -165,7 +165,7 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
 
 
 def _left_out(decoded: DecodedStream, swing_v: float) -> Iterator[Check]:
-    """Whether words of this amplitude, V, may be among the samples that are left out.
+    """Check whether words of this amplitude, V, may be among the samples that are left out.
 
     A word turns by twice its amplitude.
     """
@@ -252,7 +252,7 @@ def _amplitude(measured_v: float, config: SkinConfig) -> Iterator[Check]:
 
 
 def _polarity(decoded: DecodedStream, config: SkinConfig) -> Iterator[Check]:
-    """Inverted, nodes at rest read beyond the sensors' range, and nothing reads as if at rest."""
+    """Check the polarity: if inverted, nodes at rest read beyond the sensors' range."""
     codes = np.array([frame.words.codes for frame in decoded.frames])[decoded.active]
     lowest = config.adc.code(config.curve.voltage_v[-1])
     beyond = float((codes < lowest).mean())

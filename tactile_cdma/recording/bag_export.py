@@ -47,7 +47,7 @@ def write_bag(
     source: Source,
     frame_id: str,
 ) -> int:
-    """Every frame, and its Unix time in s, as messages of a driver called /skin; returns how many.
+    """Write every frame, with its Unix time, s, as messages of a driver /skin; return their number.
 
     Raises CaptureError where the folder exists already, and for times that no stamp holds; OSError
     where it cannot be written.

@@ -64,11 +64,11 @@ class Description:
     package_version: str
 
     def t_host(self, time_ns: int) -> float:
-        """A chunk's time on the host's monotonic clock, s."""
+        """Return a chunk's time on the host's monotonic clock, s."""
         return (self.monotonic_ns + time_ns) * 1e-9
 
     def wall_s(self, t_host: float) -> float:
-        """Unix time, s, of a moment of the host's monotonic clock."""
+        """Return Unix time, s, of a moment of the host's monotonic clock."""
         return self.wall_ns * 1e-9 + (t_host - self.monotonic_ns * 1e-9)
 
 
@@ -93,13 +93,13 @@ class RecordingEncoder:
         self._offset = self._time_ns = 0
 
     def begin(self) -> bytes:
-        """The first bytes; raises CaptureError for a description that is too long for a record."""
+        """Return the first bytes; raises CaptureError for a description too long for a record."""
         if (size := len(self._description)) > MOST_BYTES:
             raise CaptureError(f"{size} bytes of parameters are too many for a recording")
         return MAGIC + self._record(_DESCRIPTION, self._description)
 
     def chunk(self, data: bytes, t_host: float) -> bytes:
-        """A piece of the stream, read at t_host (monotonic, s)."""
+        """Encode a piece of the stream that was read at t_host (monotonic, s)."""
         self._tick(t_host)
         encoded = b""
         for begin in range(0, len(data), MOST_BYTES):
@@ -147,7 +147,7 @@ class RecordingParser:
         self._passed = self._vain = 0  # bytes of the file before _held; see _LEAST_VAIN
 
     def feed(self, data: bytes) -> list[Chunk]:
-        """The chunks that these bytes complete.
+        """Return the chunks that these bytes complete.
 
         Raises CaptureError where this is a recording of another version.
         """
@@ -155,7 +155,7 @@ class RecordingParser:
         return self._take(at_end=False)
 
     def finish(self) -> list[Chunk]:
-        """At the end of the file: chunks after a record whose rest is missing."""
+        """Return the last chunks at the end of the file, after a record whose rest is missing."""
         chunks = self._take(at_end=True)
         if self._in_damage and self.end_ns is None:
             self.damaged = max(0, self.damaged - 1)  # this is where the file was cut
@@ -193,7 +193,7 @@ class RecordingParser:
         return found
 
     def _size(self, place: int) -> int | None:
-        """Size of the record that begins here, bytes; None: there is none."""
+        """Return the size of the record that begins here, bytes; None: there is none."""
         if len(self._held) - place < HEAD_BYTES:
             return HEAD_BYTES
         _, kind, identity, length, _, _ = _HEAD.unpack_from(self._held, place)
@@ -235,7 +235,7 @@ class RecordingParser:
 
 
 def losses(parser: RecordingParser) -> tuple[str, ...]:
-    """What a recording, parsed to its end, lacks, one sentence each."""
+    """Return what a recording, parsed to its end, lacks, one sentence each."""
     notes = []
     if parser.end_ns is None:
         notes.append("the recording is cut short, or damaged at its end: what came before is there")

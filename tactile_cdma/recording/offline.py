@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decoding of files: the stages of a live skin, fed from a recording or a scope's capture."""
+"""Decodes files: feeds the stages of a live skin from a recording or a scope's capture."""
 
 import math
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ _MIN_SAMPLES_PER_CHIP = 3
 
 
 def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[float, Words]]:
-    """Frames of a scope's capture: start of the first chip on the file's time axis (s), words.
+    """Yield frames of a scope's capture: start of the first chip on the file's time axis, s; words.
 
     Raises CaptureError where the capture is too coarse to show single chips.
     """
@@ -49,7 +49,7 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
 
 
 def described_parameters(path: Path) -> dict[str, Value]:
-    """The frame layout that the digitizer described in a raw capture, as parameters.
+    """Read the frame layout that the digitizer described in a raw capture, as parameters.
 
     That is the first one that it said twice: one that it says as the port is opened may be of
     before it was configured.
@@ -69,7 +69,7 @@ def described_parameters(path: Path) -> dict[str, Value]:
 
 
 def parameters_of(info: Info) -> dict[str, Value]:
-    """The frame layout that a digitizer describes, as parameters."""
+    """Return the frame layout that a digitizer describes, as parameters."""
     spec = info.frame.spec()
     return {
         **{name: getattr(spec, name) for name in FRAME_PARAMETERS},
@@ -82,7 +82,7 @@ def parameters_of(info: Info) -> dict[str, Value]:
 
 
 def raw_frames(path: Path, pipeline: Pipeline) -> Iterator[TactileFrame]:
-    """Frames of a raw capture, with readings."""
+    """Yield frames of a raw capture, with readings."""
     for data, t_host in read_bytes(path):
         yield from pipeline.feed(data, t_host)
     yield from pipeline.flush()
@@ -116,7 +116,7 @@ class RawCapture:
 
     @property
     def source(self) -> Source:
-        """Which digitizer was recorded, as far as it has been decoded."""
+        """Tell which digitizer was recorded, as far as it has been decoded."""
         info = self.pipeline.digitizer.info
         return Source(self.path.name, True, info.digitizer_id if info else None)
 
@@ -128,7 +128,7 @@ class RawCapture:
         return raw_frames(self.path, self.pipeline)
 
     def timed_frames(self) -> Iterator[tuple[TactileFrame, float]]:
-        """All frames, once, each with the Unix time of its middle, s; NaN for raw bytes.
+        """Yield all frames, once, each with the Unix time of its middle, s; NaN for raw bytes.
 
         The file is read twice: the clocks are fitted to all of it before the first frame is
         stamped.

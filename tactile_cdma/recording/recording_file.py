@@ -107,13 +107,13 @@ class Survey:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file begins, or is named, as a recording; raises CaptureError if unreadable."""
+    """Tell whether a file begins or is named as a recording; raises CaptureError if unreadable."""
     with naming(path, CaptureError), open_named(path) as file:
         return file.read(len(MAGIC)) == MAGIC or path.suffix == SUFFIX
 
 
 def describe(path: Path) -> Description:
-    """A recording's description of itself; raises CaptureError where it is none."""
+    """Return a recording's description of itself; raises CaptureError where it is none."""
     description = _beginning(path).description or _end(path).description
     if description is None:
         raise CaptureError(f"{path}: not a recording of tactile-cdma, or its beginning is damaged")
@@ -121,19 +121,19 @@ def describe(path: Path) -> Description:
 
 
 def length_ns(path: Path) -> int | None:
-    """A recording's length, ns; None where its end is missing or damaged."""
+    """Return a recording's length, ns; None where its end is missing or damaged."""
     return _end(path).end_ns
 
 
 def read_pieces(path: Path) -> Iterator[bytes]:
-    """The bytes of a file, piece by piece; raises CaptureError."""
+    """Yield the bytes of a file, piece by piece; raises CaptureError."""
     with naming(path, CaptureError), open_named(path) as file:
         while data := file.read(_READ_BYTES):
             yield data
 
 
 def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Iterator[Chunk]:
-    """The chunks of a recording from a position in the file on; the parser, of `seek`, keeps count.
+    """Yield a recording's chunks from a position in the file on; the parser, of `seek`, counts.
 
     Raises CaptureError where the file cannot be read, or is of another version.
     """
@@ -152,7 +152,7 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
 
 
 def seek(path: Path, time_ns: int) -> tuple[RecordingParser, int]:
-    """A parser and a position in the file that give every chunk from a time on, and few before."""
+    """Find a parser and a position in the file for all chunks from a time on, and few before."""
     if (identity := _beginning(path).identity) is None or time_ns <= 0:
         return RecordingParser(), 0
     low, high = 0, path.stat().st_size
@@ -167,14 +167,14 @@ def seek(path: Path, time_ns: int) -> tuple[RecordingParser, int]:
 
 
 def _beginning(path: Path) -> RecordingParser:
-    """A parser that has read the beginning of a recording, with a chunk if there is one."""
+    """Return a parser that has read the beginning of a recording, with a chunk if there is one."""
     parser = RecordingParser()
     next(read_chunks(path, parser), None)
     return parser
 
 
 def _end(path: Path) -> RecordingParser:
-    """A parser that has read the end of a recording, if it is one."""
+    """Return a parser that has read the end of a recording, if it is one."""
     parser = RecordingParser(_beginning(path).identity)
     size = path.stat().st_size
     for _ in read_chunks(path, parser, max(0, size - HEAD_BYTES - MOST_BYTES)):
@@ -198,7 +198,7 @@ def survey(path: Path) -> Survey:
 
 
 def is_text(path: Path) -> bool:
-    """Whether a capture is text of a scope rather than raw packets, each of which ends with a zero.
+    """Tell whether a capture is a scope's text rather than raw packets, which end with zeros.
 
     Raises CaptureError where it cannot be read, is empty, or is a table that was exported.
     """
@@ -219,7 +219,7 @@ def is_text(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
-    """Bytes of a port, and when they were read, s on the monotonic clock of the recording host.
+    """Yield a port's bytes, and when they were read, s on the recording host's monotonic clock.
 
     From a recording, or from a file of the bytes alone, which has no times: 0 then.
     Raises CaptureError where it cannot be read.
@@ -234,5 +234,5 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
 
 
 def capture_notes(path: Path) -> tuple[str, ...]:
-    """What is wrong with a file that read_bytes reads, one sentence each."""
+    """Return what is wrong with a file that read_bytes reads, one sentence each."""
     return survey(path).notes if is_recording(path) else ()

@@ -25,7 +25,7 @@ MOST_CSV_BYTES = 256 << 20
 _HEADER_LINES = 64
 """Most lines before the first numbers, and after the last. Chosen: scopes write up to 20 or so."""
 _LINE_CHARACTERS = 4096
-"""Of longer lines the rest names nothing; chosen."""
+"""Characters of a line that may name something; chosen."""
 _LEAST_SAMPLES = 16
 """Fewest samples of a capture that is worth decoding; chosen."""
 _INVALID_V = 1e30
@@ -154,19 +154,19 @@ class _Table:
         return _numeric(self._fields(line), self.columns)
 
     def heading(self, column: int, line: int = -1) -> str:
-        """What stands above a column in the last line before the numbers, or the line before."""
+        """Return what is above a column, in the last line before the numbers or the one before."""
         fields = self._above[line] if len(self._above) >= -line else []
         by_words = self._delimiter is None and len(fields) != len(self._sample[0])
         heading = "" if by_words or len(fields) <= column else fields[column]
         return "" if re.search("[:=]", heading) else heading
 
     def units(self, column: int) -> dict[str, float]:
-        """Units in a column's heading: of s and v, as far as they are named, in s and V."""
+        """Return units in a column's heading: of s and v, as far as they are named, in s and V."""
         found = map(_unit, _words(self.heading(column)))
         return {match[2][0]: _PREFIXES[match[1]] for match in found if match}
 
     def name(self, column: int) -> str:
-        """A column's heading; that of the line above, too, where it is nothing but a unit."""
+        """Return a column's heading, with that of the line above where it is nothing but a unit."""
         heading = self.heading(column)
         if all(map(_unit, _words(heading))):
             heading = f"{self.heading(column, -2)} {heading}"
@@ -176,7 +176,7 @@ class _Table:
         return "s" in self.units(column) or "time" in _words(self.heading(column))
 
     def axis(self) -> tuple[int | None, float | None]:
-        """The column of times and its unit in s; None for a unit if it holds sample numbers.
+        """Return the column of times and its unit in s; None for a unit if it holds sample numbers.
 
         The first one whose heading says so, else the first of all if it rises. None if there is
         no such column.
@@ -194,7 +194,7 @@ class _Table:
         return axis, None if unit_s is None and counts else unit_s or 1.0
 
     def told(self, *names: str) -> float | None:
-        """The number beside, or beneath, the first of such names in the header, in s or Hz."""
+        """Find the number beside or beneath the first of such names in the header, in s or Hz."""
         lines = _beside(self._path) + self._lines[:_HEADER_LINES]
         split = (re.split("[,;\t:=]", line[:_LINE_CHARACTERS]) for line in lines)
         rows = [[cell.strip("# ") for cell in cells] for cells in split]
@@ -207,12 +207,12 @@ class _Table:
         return None
 
     def rate_hz(self) -> float | None:
-        """Samples/s as the header tells."""
+        """Return the samples/s that the header tells."""
         interval_s = self.told(_INTERVALS)
         return 1 / interval_s if interval_s else self.told(_RATES)
 
     def values(self, columns: list[int]) -> Floats:
-        """All numbers of some columns, (m, c) float64."""
+        """Read all numbers of some columns, (m, c) float64."""
         body, mark = self._lines[self.first : self._end], self._delimiter
         try:
             values = np.loadtxt(body, delimiter=mark, usecols=columns, ndmin=2, comments=None)
@@ -229,7 +229,7 @@ class _Table:
 
 
 def _chosen(path: Path, channel: str, names: list[str]) -> int:
-    """Index of a channel by words of its name, or its number from 1."""
+    """Find a channel by words of its name, or its number from 1: its index."""
     words = re.compile(rf"(?<![^\W_]){re.escape(channel)}(?![^\W_])", re.IGNORECASE)
     named = [i for i, name in enumerate(names) if words.search(name)]
     if len(named) == 1:
@@ -241,7 +241,7 @@ def _chosen(path: Path, channel: str, names: list[str]) -> int:
 
 
 def _text(path: Path) -> str:
-    """A file's text in numpy's letters, without the zeros that some scopes append."""
+    """Read a file's text in numpy's letters, without the zeros that some scopes append."""
     with naming(path, CaptureError):
         data = read_named(path, MOST_CSV_BYTES)
     try:
@@ -255,7 +255,7 @@ def _text(path: Path) -> str:
 
 
 def _beside(path: Path) -> list[str]:
-    """The lines of NAME.csv, in which R&S scopes tell what NAME.Wfm.csv holds."""
+    """Return the lines of NAME.csv, in which R&S scopes tell what NAME.Wfm.csv holds."""
     beside = path.with_name(re.sub(r"(?i)\.wfm\.csv$", ".csv", path.name))
     return [] if beside == path or not beside.is_file() else _text(beside).splitlines()
 
@@ -269,14 +269,14 @@ def _words(heading: str) -> list[str]:
 
 
 def _numeric(fields: list[str], columns: list[int]) -> bool:
-    """Whether a line has numbers in all these columns."""
+    """Tell whether a line has numbers in all these columns."""
     return len(fields) > max(columns, default=len(fields)) and all(
         _is_number(fields[column]) for column in columns
     )
 
 
 def _fit(lines: list[str], delimiter: str | None) -> tuple[float, int]:
-    """How well a delimiter suits: share of numbers among what it separates, and their count."""
+    """Tell how well a delimiter suits: share of numbers in what it separates, and their count."""
     if delimiter != ",":
         lines = [line.replace(",", ".") for line in lines]
     found = [field for line in lines for field in _fields(line, delimiter) if field]
@@ -285,7 +285,7 @@ def _fit(lines: list[str], delimiter: str | None) -> tuple[float, int]:
 
 
 def _si(value: float) -> str:
-    """A number with a prefix for its unit, which follows."""
+    """Return a number with a prefix for its unit, which follows."""
     prefix = next((p for p in ("G", "M", "k", "") if value > 0.9999 * _PREFIXES[p]), "m")
     return f"{value / _PREFIXES[prefix]:.4g} {prefix}"
 
@@ -293,7 +293,7 @@ def _si(value: float) -> str:
 def _pieces(
     path: Path, time_s: Floats, volts: Floats, header: int
 ) -> tuple[list[tuple[float, Floats32]], float, list[str]]:
-    """Pieces, rate_hz and notes of ScopeCapture. header: lines before the first sample."""
+    """Return pieces, rate_hz and notes of a ScopeCapture. header: lines before the first sample."""
     notes = []
     good = np.isfinite(time_s) & np.isfinite(volts) & (np.abs(volts) < _INVALID_V)
     lines = np.flatnonzero(good) + header + 1

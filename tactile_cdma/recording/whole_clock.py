@@ -34,7 +34,7 @@ HELD_UP_S = 0.3
 def fitted_clocks(
     config: SkinConfig, reads: Iterable[tuple[bytes, float]]
 ) -> Callable[[], DeviceClock]:
-    """The clocks of a stream, one for each time that the digitizer was reset, as Timeline asks.
+    """Fit the clocks of a stream, one for each reset of the digitizer, as Timeline asks.
 
     reads: bytes of the stream, and when they were read, s on the host's monotonic clock.
     """
@@ -78,7 +78,7 @@ class _ObservedClock(DeviceClock):
             self._x_s[-1], self._y_s[-1] = t_device, t_host
 
     def knots(self) -> tuple[list[float], list[float], list[float]]:
-        """Device times, rising, and their host times, s; between them the map is linear.
+        """Return device times, rising, and their host times, s; between them the map is linear.
 
         Also the device times, of these, after which the clock has stood still until the next.
         """
@@ -115,7 +115,7 @@ class _FittedClock(DeviceClock):
 
 
 def _halts(x: Floats, y: Floats) -> Indices:
-    """Places from which on all arrivals within REACH are later than those before by STEP_S.
+    """Find where all arrivals within REACH are later than those before by STEP_S, from there on.
 
     There the device's clock has stood still, with the device; a bus soon delivers promptly again.
     Not looked for within RECENT arrivals of either end, nor where the device has a pace of its own.
@@ -132,7 +132,7 @@ def _halts(x: Floats, y: Floats) -> Indices:
 
 
 def _knots_of(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """See _ObservedClock.knots, of a clock that does not stand still; x, y: (m,) s, arrivals."""
+    """Return the knots, as _ObservedClock.knots, of a clock that never stands still; (m,) s."""
     if not _keeps_real_time(x, y):
         return x, np.maximum.accumulate(y)
     last = len(x) - 1
@@ -147,7 +147,7 @@ def _knots_of(x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def _keeps_real_time(x: Floats, y: Floats) -> bool:
-    """Whether arrivals half of the stream apart are as far apart on both clocks, mostly.
+    """Tell whether arrivals half of the stream apart are as far apart on both clocks, mostly.
 
     They are not where a simulation or a replay runs faster or slower than real time.
     """

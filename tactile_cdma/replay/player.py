@@ -50,7 +50,7 @@ class ReplayOptions:
 
     @classmethod
     def from_url(cls, url: str) -> ReplayOptions:
-        """From replay://FILE?option=value&…; raises SpecError."""
+        """Parse replay://FILE?option=value&…; raises SpecError."""
         file, _, query = url[len(REPLAY) :].partition("?")
         if not file:
             raise SpecError("name the recording: replay://FILE, for example replay://touch.skin")
@@ -98,7 +98,7 @@ class Player:
 
     @property
     def farewell(self) -> str:
-        """Message for the end of the replay, with what the recording lacks."""
+        """Return the message for the end of the replay, with what the recording lacks."""
         return "the recording has ended" + (f" ({'; '.join(self._notes)})" if self._notes else "")
 
     def advance(self, wanted: int) -> float:
@@ -141,7 +141,7 @@ class Player:
             raise CaptureError(f"{self._options.path} was changed: it holds no bytes any more")
 
     def _chunks(self) -> Iterator[Chunk]:
-        """Chunks of the requested span, after the digitizer's description if that was before it."""
+        """Yield chunks of the span that is asked for, first the digitizer's earlier description."""
         options = self._options
         start_ns, end_ns = round(options.start_s * 1e9), round(options.end_s * 1e9)
         parser, position = seek(options.path, start_ns)
@@ -157,7 +157,7 @@ class Player:
         self._notes = losses(parser)
 
     def _described(self) -> bytes:
-        """The digitizer's description of itself, which comes once at a stream's beginning."""
+        """Find the digitizer's description of itself, which comes at a stream's beginning."""
         parser = PacketParser()
         for chunk in read_chunks(self._options.path, RecordingParser()):
             for packet in parser.feed(chunk.data):

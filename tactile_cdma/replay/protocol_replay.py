@@ -15,7 +15,7 @@ class Serial(VirtualPort[Player]):
     """
 
     def reset_input_buffer(self) -> None:
-        """Nothing to discard: what was not read stays to be read."""
+        """Discard nothing: what was not read stays to be read."""
         self._opened()
 
     def _made(self, url: str) -> Player:

@@ -37,7 +37,6 @@ from ..wire.messages import (
     Packet,
     Quiet,
     Rejected,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -47,7 +46,7 @@ from ..wire.messages import (
 from ..wire.packets import PacketParser, PacketWriter
 from .indenters import Indenter
 from .line import Disturbance
-from .nodes import RollCalls
+from .nodes import Turns
 from .options import Setup, SimOptions
 from .packets import Block, stream
 from .scene import EXTERNAL, External
@@ -75,7 +74,7 @@ class VirtualDigitizer:
     speed 0 packets are made as they are asked for; without a stream time then passes as usual. In
     the scene "external" a program presses, and at speed 0 it also says how many frames pass.
 
-    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, roll_calls: since
+    packets_dropped, samples_lost, commands_refused: as in STATUS. frames_lost, turns: since
     START. born_s: host time of power-up, s.
 
     clock: host time, s. disturbance: of its line. Not thread-safe.
@@ -93,7 +92,7 @@ class VirtualDigitizer:
         self._schedule = Schedule(clock, self.options.speed)
         self.born_s = self._schedule.born_s
         self._disturbance = disturbance
-        self.roll_calls = RollCalls()
+        self.turns = Turns()
         self._parser, self._writer = PacketParser(), PacketWriter()
         self._external = External() if self.options.scene == EXTERNAL else None
         # What touches the skin in the frames that may begin, where the program says so.
@@ -212,19 +211,17 @@ class VirtualDigitizer:
         is_marked = self.streaming and self.setup.sync != SyncMode.NONE
         match command:
             case Start():
-                self.roll_calls = RollCalls()
+                self.turns = Turns()
                 blocks = stream(
-                    self.options, self.setup, self.roll_calls, self._disturbance, self._external
+                    self.options, self.setup, self.turns, self._disturbance, self._external
                 )
                 self._schedule.start(blocks)
                 self.frames_lost, self._overrun = 0, False
             case Stop():
                 self._schedule.stop()
-            case RollCall() if is_marked and not self.setup.integrated:
-                self.roll_calls.asked = True
             case Groups() if is_marked and spec.frame_period_s - spec.frame_s >= TURN_S:
-                self.roll_calls.asked_log2 = command.log2_groups
-            case RollCall() | Groups():
+                self.turns.asked_log2 = command.log2_groups
+            case Groups():
                 result = Result.UNSUPPORTED
             case Pack():
                 self._packs = True
@@ -260,7 +257,6 @@ class VirtualDigitizer:
             block.counts,
             sync=block.sync,
             overrun=self._overrun,
-            called=block.called,
             turn=block.turn,
         )
         self._overrun = False

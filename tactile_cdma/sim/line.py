@@ -11,7 +11,7 @@ import numpy as np
 from ..base.arrays import Counts, Floats, Floats32
 from ..readings.calibration import AdcScale
 from .channel import chip_means, first_sample, point_samples, waveforms
-from .nodes import NodeFrame, RollCalls, rest_codes
+from .nodes import NodeFrame, Turns, rest_codes
 from .options import Setup, SimOptions
 from .scene import EXTERNAL, LOADS, SCENES, Scene, idle
 from .sensor import Sensor
@@ -35,16 +35,16 @@ class Disturbance(Protocol):
 def truth(
     options: SimOptions,
     setup: Setup,
-    roll_calls: RollCalls | None = None,
+    turns: Turns | None = None,
     scene: Scene | None = None,
 ) -> Iterator[NodeFrame]:
     """What the nodes measure and send in every frame since START, endlessly.
 
-    The same arguments give the same frames. roll_calls: may be requested while frames are drawn;
-    each node then sends in its turn only. scene: instead of the options', whose "external" is idle.
+    The same arguments give the same frames. turns: may be asked for while frames are drawn.
+    scene: instead of the options', whose "external" is idle.
     """
     spec, sensors, rules = setup.spec, options.sensors, options.rules(setup.spec)
-    skin, roll_calls = options.skin(spec.nodes, spec.first_row), roll_calls or RollCalls()
+    skin, turns = options.skin(spec.nodes, spec.first_row), turns or Turns()
     scene = scene or (SCENES | LOADS | {EXTERNAL: idle})[options.scene]
     sensor, adc = Sensor(sensors, spec.nodes), AdcScale(spec.bits)
     rest = rest_codes(sensors, adc, spec.nodes)
@@ -64,10 +64,8 @@ def truth(
         if rules.heartbeat:
             due = beat == number % rules.heartbeat
         active |= due | owed
-        speaker, turn = roll_calls.speaker(number, spec.nodes), roll_calls.turn(number)
-        if speaker is not None:
-            active, turn = nodes == speaker + 1, 0
-        elif turn:
+        turn = turns.turn(number)
+        if turn:
             others = (nodes ^ turn) & ((1 << turn.bit_length() - 1) - 1) != 0
             active &= ~others
             owed |= due & others
@@ -75,8 +73,7 @@ def truth(
         if start_s >= sensors.dead_after_s:
             active[dead] = False
         last_sent[active] = codes[active]
-        called = speaker is not None
-        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, called, turn)
+        yield NodeFrame(number, start_s, pressure_pa, voltage_v, codes, active, turn)
 
 
 def line_counts(

@@ -20,7 +20,7 @@ class NodeFrame:
     number: frames since START. start_s: when its first chip begins, s since START.
     pressure_pa: float64, true pressure; voltage_v: float64, the sensors' output; both at start_s.
     codes: int64 ADC words. active: bool, nodes that send.
-    called: the frame belongs to a roll call, in which one node sends. turn: as in wire.Stretch.
+    turn: as in wire.Stretch.
     """
 
     number: int
@@ -29,7 +29,6 @@ class NodeFrame:
     voltage_v: Floats
     codes: NDArray[np.int64]
     active: Bools
-    called: bool = False
     turn: int = 0
 
 
@@ -51,29 +50,18 @@ class NodeClocks:
 
 
 @dataclass
-class RollCalls:
-    """Who may send in the frames of a stream: one node after the other, or groups by turns.
+class Turns:
+    """The turns by which groups of nodes send in the frames of a stream.
 
-    starts: numbers of the frames at which roll calls began, in which every node sends alone once,
-    in n frames. asked: another begins with the next frame. divisions: frame, log2_groups: from this
-    frame on there are so many groups. asked_log2: from the next one on.
+    divisions: frame, log2_groups: from this frame on there are so many groups. asked_log2: from the
+    next one on.
     """
 
-    starts: list[int] = field(default_factory=list)
-    asked: bool = False
     divisions: list[tuple[int, int]] = field(default_factory=list)
     asked_log2: int | None = None
 
-    def speaker(self, number: int, nodes: int) -> int | None:
-        """The node whose turn it is in a frame, or None; frames come in rising order."""
-        if self.asked:
-            self.starts.append(number)
-            self.asked = False
-        turns = [number - start for start in self.starts if 0 <= number - start < nodes]
-        return turns[-1] if turns else None
-
     def turn(self, number: int) -> int:
-        """The turn of a frame, if it is of no roll call; as in wire.Stretch."""
+        """The turn of a frame, as in wire.Stretch; frames come in rising order."""
         now = self.divisions[-1][1] if self.divisions else 0
         if self.asked_log2 is not None and self.asked_log2 != now:
             self.divisions.append((number, self.asked_log2))

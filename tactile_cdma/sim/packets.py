@@ -10,7 +10,7 @@ import numpy as np
 from ..base.arrays import Counts
 from ..wire._protocol import MAX_PACKET_US, MAX_SAMPLES, TAIL_CHIPS, SyncMode
 from .line import Disturbance, line_counts, truth
-from .nodes import RollCalls
+from .nodes import Turns
 from .options import Setup, SimOptions
 from .scene import Scene
 
@@ -20,7 +20,7 @@ class Block:
     """The samples of one packet.
 
     first_index: of the first sample, counted from START. counts: (m,) int16.
-    sync: the first sample is the first of a frame. called, turn: of that frame.
+    sync: the first sample is the first of a frame. turn: of that frame.
     quiet: sent as Quiet.
     begin_s: when the first sample is taken; if integrated, when its chip begins. due_s: when the
         packet is sent: as its last sample's period ends or, if it waits, with the packet after it.
@@ -31,7 +31,6 @@ class Block:
     first_index: int
     counts: Counts
     sync: bool
-    called: bool
     turn: int
     quiet: bool
     begin_s: float
@@ -43,21 +42,21 @@ class Block:
 def stream(
     options: SimOptions,
     setup: Setup,
-    roll_calls: RollCalls | None = None,
+    turns: Turns | None = None,
     disturbance: Disturbance | None = None,
     scene: Scene | None = None,
 ) -> Iterator[Block]:
     """All packets of samples since START, endlessly; a pure function of its arguments.
 
     Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
-    roll_calls: may be requested while blocks are drawn. scene: instead of the options' one.
+    turns: may be asked for while blocks are drawn. scene: instead of the options' one.
     """
     rate_hz, marks = setup.rate_hz, setup.sync != SyncMode.NONE
     cutter = _Cutter(setup, options.channel.volts_per_count(setup.spec))
     instant = 0.0 if setup.integrated else 0.5  # of a sample within its period
     held = np.empty(0, dtype=np.int16)  # without marks: samples that fill no packet yet
     index, epoch_s = 0, 0.0
-    for frame in truth(options, setup, roll_calls, scene):
+    for frame in truth(options, setup, turns, scene):
         whole = frame.start_s >= 0
         if setup.integrated:
             if not whole:
@@ -75,7 +74,6 @@ def stream(
                 first_index=index,
                 counts=counts[start:stop],
                 sync=marked and start == 0,
-                called=start == 0 and frame.called,
                 turn=frame.turn if marked and start == 0 else 0,
                 quiet=quiet,
                 begin_s=epoch_s + (index + instant) / rate_hz,

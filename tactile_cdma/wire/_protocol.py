@@ -17,7 +17,6 @@ SIMULATED_ID = bytes.fromhex("73696d00")
 SYNC_UNIT_US = 16
 SYNC_RESTART = 1
 SYNC_FRAME = 2
-SYNC_CALL = 3
 SYNC_LEAD = 4
 SYNC_DIGIT = 8
 TURN_SHIFT = 3
@@ -35,13 +34,11 @@ DEMO_WIRED = 56833
 DEMO_WIRELESS = 56834
 FLAG_SYNC = 0x01
 FLAG_OVERRUN = 0x02
-FLAG_CALLED = 0x04
 
 # fmt: off
 PacketType = IntEnum("PacketType", {"INFO": 0x01, "SAMPLES": 0x02, "PACKED": 0x06, "QUIET": 0x05,
     "STATUS": 0x03, "ACK": 0x04, "GET_INFO": 0x81, "START": 0x82, "STOP": 0x83, "CONFIGURE": 0x84,
-    "ROLL_CALL": 0x85, "PACK": 0x86, "TOUCH": 0x87, "BOOTSEL": 0x88, "NUMBER": 0x8A,
-    "GROUPS": 0x89,})
+    "PACK": 0x86, "TOUCH": 0x87, "BOOTSEL": 0x88, "NUMBER": 0x8A, "GROUPS": 0x89,})
 """First byte of a body."""
 SyncMode = IntEnum("SyncMode", {"NONE": 0, "DRIVE": 1, "HEAR": 2,})
 """Where the mark of a frame's first sample comes from."""
@@ -116,7 +113,6 @@ FIELDS: dict[str, tuple[Field, ...]] = {
     "Stop": (),
     "Configure": (Field("frame", "FrameLayout"), Field("sync_mode", "B", SyncMode),
         Field("integrated", "B", bool), Field("quiet_uv", "I", U32),),
-    "RollCall": (),
     "Pack": (),
     "Touch": (Field("scene", "B", Scene), Field("node", "H", U16), Field("code", "H", U16),),
     "Bootsel": (),

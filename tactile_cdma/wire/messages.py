@@ -24,7 +24,6 @@ from ..base.sums import to_volts
 from ..code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from ._protocol import (
     FIELDS,
-    FLAG_CALLED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     MAX_SAMPLES,
@@ -195,15 +194,14 @@ class Stretch(Packet):
     first_index: index of the first sample among all samples sent or lost since START.
     sync: the first sample is the first of a frame.
     overrun: samples were lost just before these.
-    called: the frame that begins with the first sample belongs to a roll call.
-    turn: whose turn that frame is: number of groups + that of the group; 0: of all nodes.
+    turn: whose the frame is that begins with the first sample: number of groups + that of the
+        group; 0: of all nodes.
     """
 
     device_time_us: int
     first_index: int
     sync: bool = field(default=False, kw_only=True)
     overrun: bool = field(default=False, kw_only=True)
-    called: bool = field(default=False, kw_only=True)
     turn: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -215,8 +213,7 @@ class Stretch(Packet):
 
     @property
     def flags(self) -> int:
-        marks = FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | FLAG_CALLED * self.called
-        return marks | self.turn << TURN_SHIFT
+        return FLAG_SYNC * self.sync | FLAG_OVERRUN * self.overrun | self.turn << TURN_SHIFT
 
     @classmethod
     def _of(cls, values: Iterator[Any], **extra: Any) -> Self:
@@ -357,7 +354,7 @@ class Quiet(Stretch):
 
     @classmethod
     def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
-        """The packet that replaces these samples, (m,) int16. marks: sync, overrun, called."""
+        """The packet that replaces these samples, (m,) int16. marks: sync, overrun."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
         return cls(device_time_us, first_index, counts.size, total, squares, **marks)
@@ -429,10 +426,6 @@ class Configure(Command):
     sync_mode: SyncMode = SyncMode.DRIVE
     integrated: bool = False
     quiet_uv: int = 0
-
-
-class RollCall(Command):
-    """Asks every node to transmit alone once."""
 
 
 class Pack(Command):
@@ -544,7 +537,7 @@ WIRE = {name: struct.Struct("<" + _codes(name)) for name in FIELDS}
 PACKETS: dict[int, type[Packet]] = {
     PacketType[re.sub("(?<=[a-z])(?=[A-Z])", "_", kind.__name__).upper()]: kind
     for kind in (
-        *(Info, Samples, Packed, Quiet, Status, Ack, GetInfo, Start, Stop, Configure, RollCall),
+        *(Info, Samples, Packed, Quiet, Status, Ack, GetInfo, Start, Stop, Configure),
         *(Pack, Touch, Bootsel, Groups, Number),
     )
 }
@@ -553,7 +546,7 @@ for _type, _kind in PACKETS.items():
     _kind.TYPE = PacketType(_type)
 _AS_IN_SPEC = ("nodes", "bits", "order", "first_row", "parity", "resync_chips", "guard_chips")
 """Fields of FrameLayout that are those of FrameSpec."""
-_FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN, "called": FLAG_CALLED}
+_FLAGS = {"sync": FLAG_SYNC, "overrun": FLAG_OVERRUN}
 _MARKS: list[dict[str, Any]] = [
     {name: bool(flags & bit) for name, bit in _FLAGS.items()} | {"turn": flags >> TURN_SHIFT}
     for flags in range(256)

@@ -23,10 +23,10 @@ uint32_t shim_demo_begin(int32_t damaged)
     return demo.chip_count;
 }
 
-/* The next frame, which begins a roll call or not: copies its chips and the release after them. */
-void shim_demo_frame(uint8_t call, uint32_t *chips)
+/* The next frame: copies its chips and the release after them. */
+void shim_demo_frame(uint32_t *chips)
 {
-    struct dg_pulse pulse = {.units = call ? TP_SYNC_CALL : TP_SYNC_FRAME};
+    struct dg_pulse pulse = {.units = TP_SYNC_FRAME};
 
     demonstrator_hear(&demo, &pulse);
     demonstrator_plan(&demo);

@@ -29,7 +29,7 @@ uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uin
     return place;
 }
 
-enum { FRAME, CALL, MISSED };
+enum { FRAME, MISSED };
 
 /* Who talks in each of `size` frames that began like this, and whose turn they were. */
 void shim_events(const struct tp_node_record *record, uint16_t rest, const uint16_t *codes,
@@ -39,12 +39,10 @@ void shim_events(const struct tp_node_record *record, uint16_t rest, const uint1
 
     event_init(&event, record, rest);
     for (size_t i = 0; i < size; i++) {
-        bool call = frames[i] == CALL;
         bool others = frames[i] == FRAME && turn_is_others(turns[i], record->node);
 
-        talks[i] = frames[i] != MISSED && !others &&
-                   (call ? event_talks_first(&event) : event_talks(&event, codes[i]));
-        event_frame(&event, call, others, talks[i], codes[i]);
+        talks[i] = frames[i] != MISSED && !others && event_talks(&event, codes[i]);
+        event_frame(&event, others, talks[i], codes[i]);
     }
 }
 

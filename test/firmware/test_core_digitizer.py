@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.driver.timeline import sample_count
 from tactile_cdma.wire._protocol import (
-    SYNC_CALL,
     SYNC_FRAME,
     SYNC_LEAD,
     SYNC_RESTART,
@@ -32,9 +31,9 @@ from tactile_cdma.wire.messages import (
     GetInfo,
     Groups,
     Info,
+    Pack,
     Packet,
     Quiet,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -95,12 +94,12 @@ def test_it_begins_with_a_delimiter_and_says_what_it_is(digitizer: CoreDigitizer
 def test_every_command_is_acknowledged_once_and_in_order(digitizer: CoreDigitizer) -> None:
     awake(digitizer)
     digitizer.writer.sequence = 65_534
-    got = answers(digitizer, Configure(LAYOUT), GetInfo(), Start(), RollCall(), Stop(), Stop())
+    got = answers(digitizer, Configure(LAYOUT), GetInfo(), Start(), Pack(), Stop(), Stop())
     assert [(a.command, a.command_sequence, a.result) for a in of_kind(got, Ack)] == [
         (PacketType.CONFIGURE, 65_534, Result.OK),
         (PacketType.GET_INFO, 65_535, Result.OK),
         (PacketType.START, 0, Result.OK),
-        (PacketType.ROLL_CALL, 1, Result.OK),
+        (PacketType.PACK, 1, Result.OK),
         (PacketType.STOP, 2, Result.OK),
         (PacketType.STOP, 3, Result.OK),
     ]
@@ -137,7 +136,7 @@ BAD = [
     (wrap(b"\x83\1\0" + bytes(16_401)), PacketType.STOP, Result.BAD_LENGTH),
     (wrap(b"\x84\1\0" + bytes(35)), PacketType.CONFIGURE, Result.BAD_LENGTH),
     (wrap(b"\x84\1\0" + bytes(37)), PacketType.CONFIGURE, Result.BAD_LENGTH),
-    (wrap(b"\x85\1\0X"), PacketType.ROLL_CALL, Result.BAD_LENGTH),
+    (wrap(b"\x86\1\0X"), PacketType.PACK, Result.BAD_LENGTH),
     (wrap(b"\x84\1\0" + bytes(36)), PacketType.CONFIGURE, Result.OUT_OF_RANGE),
     (wrap(b"\x80\1\0"), 0x80, Result.UNKNOWN_COMMAND),
     (wrap(b"\xff\1\0" + bytes(900)), 0xFF, Result.UNKNOWN_COMMAND),
@@ -422,68 +421,6 @@ def test_there_are_no_pulses_where_there_is_no_stream_or_no_mark(core: ctypes.CD
     assert not digitizer.pulses(1)
     digitizer.send(of_frame(), Start())
     assert digitizer.pulses(1) == [Pulse(48_000 - 64 * 48, SYNC_FRAME)]
-
-
-def called_frames(digitizer: CoreDigitizer, frames: int) -> list[bool]:
-    """Whether the next frames belong to a roll call; takes their pulses."""
-    digitizer.samples(np.zeros(frames * 1024))
-    return [p.called for p in digitizer.packets(Samples) if p.sync]
-
-
-def test_a_roll_call_begins_with_the_next_pulse(core: ctypes.CDLL) -> None:
-    digitizer = digitizer_with(core, of_frame(nodes=3))
-    digitizer.samples(np.zeros(80))
-    units = [pulse.units for pulse in digitizer.pulses(2)]
-    digitizer.send(RollCall())
-    units += [pulse.units for pulse in digitizer.pulses(4)]
-    digitizer.send(RollCall(), RollCall())  # amid the frames of the first: anew
-    units += [pulse.units for pulse in digitizer.pulses(6)]
-    assert [number for number, unit in enumerate(units) if unit == SYNC_CALL] == [2, 6]
-    assert set(units) == {SYNC_FRAME, SYNC_CALL}
-    called = called_frames(digitizer, 12)
-    assert [number for number, one in enumerate(called) if one] == [2, 3, 4, 6, 7, 8]
-
-
-def test_a_roll_call_lasts_as_many_frames_as_there_are_nodes(core: ctypes.CDLL) -> None:
-    digitizer = digitizer_with(core, of_frame(nodes=70))
-    digitizer.send(RollCall())
-    digitizer.samples(np.zeros(80))
-    called = []
-    for _ in range(80):
-        digitizer.pulses(1)
-        called += called_frames(digitizer, 1)
-    assert called == [True] * 70 + [False] * 10
-
-
-def test_a_roll_call_asked_for_with_start_is_held(core: ctypes.CDLL) -> None:
-    digitizer = CoreDigitizer(core)
-    digitizer.send(Start(), RollCall())
-    assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_CALL, SYNC_FRAME]
-    digitizer.send(RollCall(), Start())  # a new stream has no calls of the old one
-    assert [pulse.units for pulse in digitizer.pulses(2)] == [SYNC_FRAME, SYNC_FRAME]
-
-
-def test_a_new_stream_begins_with_a_frame_and_no_roll_call(core: ctypes.CDLL) -> None:
-    asked = of_frame(resync_chips=50, guard_chips=4, frame_period_us=12_800, nodes=9)
-    digitizer = digitizer_with(core, asked)
-    first = digitizer.pulses(8)
-    digitizer.send(RollCall())
-    assert [pulse.units for pulse in digitizer.pulses(3)] == [SYNC_CALL, SYNC_RESTART, SYNC_RESTART]
-    digitizer.packets()
-    digitizer.send(Start())
-    assert digitizer.pulses(8) == first
-    digitizer.samples(np.zeros(80))
-    assert called_frames(digitizer, 2) == [False, False]
-    digitizer.send(RollCall())
-    digitizer.pulses(4)
-    assert called_frames(digitizer, 1) == [True]
-
-
-def test_a_roll_call_needs_marked_raw_frames(core: ctypes.CDLL) -> None:
-    digitizer = CoreDigitizer(core)
-    assert digitizer.results(RollCall(), Start(), RollCall()) == [REFUSED, Result.OK, Result.OK]
-    for asked in (of_frame(integrated=True), of_frame(SyncMode.NONE)):
-        assert digitizer.results(asked, Start(), RollCall()) == [Result.OK, Result.OK, REFUSED]
 
 
 def test_turns_are_told_in_binary_before_the_frame(core: ctypes.CDLL) -> None:

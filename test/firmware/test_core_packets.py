@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import (
-    FLAG_CALLED,
     FLAG_OVERRUN,
     FLAG_SYNC,
     TURN_SHIFT,
@@ -328,8 +327,7 @@ def c_check(vector: dict[str, Any]) -> str:
     declarations = []
     if vector["packet"] in ("Samples", "Packed", "Quiet"):
         flags = FLAG_SYNC * fields.pop("sync") | FLAG_OVERRUN * fields.pop("overrun")
-        flags |= FLAG_CALLED * fields.pop("called") | fields.pop("turn") << TURN_SHIFT
-        fields["flags"] = flags
+        fields["flags"] = flags | fields.pop("turn") << TURN_SHIFT
     if counts:
         declarations.append(f"static const int16_t counts[] = {c_value(counts)};")
         base, step = fields.get("base", 0), fields.get("step", 0)

@@ -14,7 +14,7 @@ import pytest
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import SyncMode
-from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, RollCall, Start, Stop
+from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Groups, Pack, Start, Stop
 from tactile_cdma.wire.packets import wrap
 from test.support.core_digitizer import Board, CoreDigitizer
 from test.support.firmware import need, run
@@ -62,7 +62,7 @@ def busy_day(core: ctypes.CDLL) -> CoreDigitizer:
         for turn in range(9):
             digitizer.pulses(2)
             if turn == 3:
-                digitizer.send(RollCall())
+                digitizer.send(Pack(), Groups(turn % 4))
             if turn == 5:
                 digitizer.lost(int(rng.integers(1, 900)))
             loud = rng.integers(0, 4096, 700)

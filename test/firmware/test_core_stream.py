@@ -20,7 +20,7 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.timeline import sample_count
-from tactile_cdma.sim.nodes import RollCalls
+from tactile_cdma.sim.nodes import Turns
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.packets import stream
 from tactile_cdma.wire._protocol import (
@@ -40,7 +40,6 @@ from tactile_cdma.wire.messages import (
     Groups,
     Pack,
     Quiet,
-    RollCall,
     Samples,
     Start,
 )
@@ -109,7 +108,7 @@ def test_packets_are_those_of_the_virtual_digitizer(
     query, quiet_uv, *kinds = SETUPS[name]
     options = SimOptions.from_url(f"sim://?seed=3&{query}")
     setup = replace(options.setup(), quiet_uv=quiet_uv)
-    calls, turn = RollCalls(), 0
+    turns, turn = Turns(), 0
     layout = FrameLayout.of(setup.spec, setup.samples_per_chip)
     board = Board.of(volts_per_count=options.channel.volts_per_count(setup.spec))
     marked = setup.sync != SyncMode.NONE
@@ -120,22 +119,19 @@ def test_packets_are_those_of_the_virtual_digitizer(
     digitizer.samples(np.full(before, MIDDLE))
     digitizer.pulses(1 if not setup.spec.resync_chips else 0)
     expected = []
-    calling = marked and not setup.spec.resync_chips
-    grouping = calling and setup.spec.frame_period_s - setup.spec.frame_s > 832e-6
-    for block in itertools.islice(stream(options, setup, calls), 150):
+    whole = marked and not setup.spec.resync_chips
+    grouping = whole and setup.spec.frame_period_s - setup.spec.frame_s > 832e-6
+    for block in itertools.islice(stream(options, setup, turns), 150):
         if block.sync:
             turn += 1
-            if turn > 1 and calling:
+            if turn > 1 and whole:
                 while digitizer.pulses(1)[0].units == SYNC_RESTART:
                     pass  # of the frame's turn
-            if turn in GROUPS and grouping:
+            if turn in GROUPS and grouping:  # the next frame's pulse is not given out yet
                 digitizer.send(Groups(GROUPS[turn]))
-                calls.asked_log2 = GROUPS[turn]
-            if turn in (3, 24, 27) and calling:  # the next frame's pulse is not given out yet
-                digitizer.send(RollCall())
-                calls.asked = True
+                turns.asked_log2 = GROUPS[turn]
         counts = block.counts + np.int16(MIDDLE)
-        marks: Any = {"sync": block.sync, "called": block.called, "turn": block.turn}
+        marks: Any = {"sync": block.sync, "turn": block.turn}
         kind = Quiet.of if block.quiet else Samples
         time_us = math.floor(block.begin_s * 1e6 + 0.5 + 1e-6)
         expected.append(kind(time_us, block.first_index, counts, **marks))
@@ -151,7 +147,6 @@ def test_packets_are_those_of_the_virtual_digitizer(
     for sync, letters in zip((True, False), kinds, strict=True):
         sent = {type(packet).__name__[0] for packet in got if packet.sync == sync}
         assert sent == set(letters)
-    assert any(packet.called for packet in got) == calling
     assert any(packet.turn for packet in got) == grouping
     assert not digitizer.parser.counters.lost_packets
 
@@ -369,6 +364,25 @@ def drifts(frame: FrameLayout) -> bool:
     return frame.chip_ns < SHORT_NS and frame.chip_ns * 48 % 1000 > 0
 
 
+@dataclass(frozen=True)
+class Course:
+    """How samples come: in chunks of these sizes by turns; some are lost: begin and length."""
+
+    size: int
+    chunks: list[int]
+    losses: list[tuple[int, int]]
+    seed: int
+
+
+courses = st.builds(
+    Course,
+    size=st.integers(1, 4000),
+    chunks=st.lists(st.integers(1, 700), min_size=1, max_size=4),
+    losses=st.lists(st.tuples(st.integers(0, 4000), st.integers(1, 600)), max_size=3),
+    seed=st.integers(0, 2**32 - 1),
+)
+
+
 @examples(150)
 @given(
     frame=layouts(),
@@ -376,10 +390,7 @@ def drifts(frame: FrameLayout) -> bool:
     packs=st.booleans(),
     quiet=st.booleans(),
     capacity=st.integers(1, 300) | st.just(8192),
-    size=st.integers(1, 4000),
-    chunks=st.lists(st.integers(1, 700), min_size=1, max_size=4),
-    losses=st.lists(st.tuples(st.integers(0, 4000), st.integers(1, 600)), max_size=3),
-    seed=st.integers(0, 2**32 - 1),
+    course=courses,
 )
 def test_packets_follow_the_rules_exactly(
     core: ctypes.CDLL,
@@ -388,11 +399,9 @@ def test_packets_follow_the_rules_exactly(
     packs: bool,
     quiet: bool,
     capacity: int,
-    size: int,
-    chunks: list[int],
-    losses: list[tuple[int, int]],
-    seed: int,
+    course: Course,
 ) -> None:
+    size, chunks, losses = course.size, course.chunks, course.losses
     quiet_uv = 100_000 if quiet and integrated else 0
     asked = Configure(frame, SyncMode.DRIVE, integrated, quiet_uv)
     digitizer = CoreDigitizer(core, capacity=capacity, output=1 << 20, now_us=START_US)
@@ -401,7 +410,7 @@ def test_packets_follow_the_rules_exactly(
     assume(accepted)
     size *= 1 + 9 * integrated
     rules = Rules(asked, digitizer.ticks_per_sample, capacity)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(course.seed)
     counts = rng.integers(0, 4096, size).astype(np.uint16)
     if quiet_uv:  # some silence
         level = rng.integers(0, 2, -(-size // 500)).repeat(500)[:size]

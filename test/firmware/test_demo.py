@@ -36,7 +36,6 @@ from tactile_cdma.wire.messages import (
     Configure,
     FrameLayout,
     Info,
-    RollCall,
     Samples,
     Start,
     Stop,
@@ -80,8 +79,8 @@ class Core:
         self._core, self._chips = core, np.empty(SPEC.chips + 1, np.uint32)
         assert core.shim_demo_begin(-1) == SPEC.chips
 
-    def frame(self, call: bool = False) -> tuple[Codes, NDArray[np.bool_]]:
-        self._core.shim_demo_frame(call, self._chips.ctypes.data_as(ctypes.c_void_p))
+    def frame(self) -> tuple[Codes, NDArray[np.bool_]]:
+        self._core.shim_demo_frame(self._chips.ctypes.data_as(ctypes.c_void_p))
         assert self._chips[-1] == self._chips[-2] & 0xFFFF, "all release the line as it is"
         return words_of(self._chips[:-1])
 
@@ -89,13 +88,12 @@ class Core:
         return int(self._core.shim_demo_touch(scene, node, code))
 
 
-def test_every_word_of_the_table_and_of_a_roll_call(core: ctypes.CDLL) -> None:
+def test_every_word_of_the_table(core: ctypes.CDLL) -> None:
     nodes, board, spoke = Nodes(), Core(core), np.zeros(NODES, int)
     for number in range(2 * 724):
-        turn = number - 300 if 300 <= number < 300 + NODES else None  # while it is pressed
-        codes, talks = board.frame(call=number == 300)
+        codes, talks = board.frame()
         expected = all_scenes(number)
-        np.testing.assert_array_equal(talks, nodes.speak(number, expected, turn), f"{number}")
+        np.testing.assert_array_equal(talks, nodes.speak(number, expected), f"{number}")
         np.testing.assert_array_equal(codes[talks], expected[talks], f"frame {number}")
         spoke += talks
     assert (spoke > 2 * 724 // 78).all(), "all of them were touched"
@@ -161,9 +159,9 @@ def test_every_word_of_the_hosts_scene(image: Path, mode: str) -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_every_word_from_power_up_on(image: Path, mode: str) -> None:
-    """At rest only heartbeats speak; from a roll call the driver takes no words."""
-    heard = listen(MODES[mode], 1.2, {0.4: [RollCall()]})
-    assert len(heard.called) == NODES and heard.lost_samples == 0
+    """At rest only heartbeats speak."""
+    heard = listen(MODES[mode], 1.2)
+    assert heard.lost_samples == 0
     right, wrong = count_words(heard, all_scenes)
     assert wrong == 0 and right >= NODES - 3
 

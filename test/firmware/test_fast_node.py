@@ -12,7 +12,6 @@ from tactile_cdma.code.encode import frame_levels, line_chips
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.node_memory import FAST, MCUS
 from test.support.emulated_node import (
-    CALL,
     CLOCK_KNOWN,
     FRAME,
     REST,
@@ -21,7 +20,6 @@ from test.support.emulated_node import (
     Bench,
     assert_says,
     bench,
-    node_for,
     slots,
     volts,
 )
@@ -183,23 +181,6 @@ def test_silent_nodes_leave_the_line_released() -> None:
         skin.press(volts(400, 10))
         start = skin.frame(6)
         np.testing.assert_array_equal(said(skin, start), wanted(skin.spec, 1, 400))
-
-
-@pytest.mark.parametrize("order", [2, 4, 16])
-def test_roll_call(order: int) -> None:
-    """Right after its long pulse a node is in time, whenever that falls; the others are silent."""
-    spec = fast(order - 1, order, bits=8)
-    nodes = [
-        node_for(spec, number, FAST, start_ns=37 * phase)
-        for number in range(1, min(3, spec.nodes) + 1)
-        for phase in range(40)
-    ]
-    with Bench(nodes, spec) as skin:
-        for turn, number in enumerate(range(skin.listen(), CLOCK_KNOWN + spec.nodes)):
-            start = skin.frame(number, CALL if turn == 0 else FRAME)
-            for place in range(len(nodes)):
-                levels = wanted(spec, turn + 1) * (place // 40 == turn)
-                np.testing.assert_array_equal(said(skin, start, place), levels)
 
 
 def test_missing_restart_ends_the_frame() -> None:

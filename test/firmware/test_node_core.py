@@ -19,14 +19,14 @@ from tactile_cdma.code.frame import MEASURING_S, ORTHOGONAL, SPARSE, FrameSpec
 from tactile_cdma.hardware.node_memory import MCUS, Mcu, node_memory, read_node_memory
 from tactile_cdma.readings.calibration import AdcScale, PressureCurve
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.nodes import RollCalls
+from tactile_cdma.sim.nodes import Turns
 from tactile_cdma.sim.options import Setup, SimOptions
 from tactile_cdma.sim.scene import SkinGeometry
 from tactile_cdma.wire.messages import WIRE
 from test.support.examples import examples
 from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, limits, load
 
-FRAME, CALL, MISSED = range(3)
+FRAME, MISSED = range(2)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
 LIMITS = Limits(4096, 30_000, 33_000, 34_000, 900_000, 1, False, 900, 80)
@@ -208,7 +208,6 @@ def talks(
     threshold=st.integers(0, 40),
     heartbeat=st.integers(0, 20),
     seed=st.integers(0, 2**32 - 1),
-    called=st.sets(st.integers(0, 59), max_size=4),
     divided=st.dictionaries(st.integers(0, 59), st.integers(0, 3), max_size=4),
 )
 def test_rules_are_those_of_the_simulator(
@@ -217,30 +216,28 @@ def test_rules_are_those_of_the_simulator(
     threshold: int,
     heartbeat: int,
     seed: int,
-    called: set[int],
     divided: dict[int, int],
 ) -> None:
-    """60 frames with random presses, roll calls and groups: who transmits when."""
+    """60 frames with random presses and groups: who transmits when."""
     spec = FrameSpec(nodes=nodes, order=16)
     rng = np.random.default_rng(seed)
     # stays, steps and drifts, so that every rule gets to decide
     steps = rng.choice([0, 0, 0, 0.1, 1, 10], (60, nodes)) * rng.choice([-1, 1], (60, nodes))
     pressures = np.abs(np.cumsum(steps, axis=0)) * 1e3 * rng.choice([0, 1], (60, nodes))
-    calls = RollCalls()
+    asked = Turns()
 
     def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         return pressures[min(59, round(t_s / spec.frame_period_s))]
 
     options = SimOptions(threshold=threshold, heartbeat=heartbeat)
-    coming = truth(options, Setup(spec), calls, scene)
+    coming = truth(options, Setup(spec), asked, scene)
     frames = []
     for number in range(60):
-        calls.asked = number in called
-        calls.asked_log2 = divided.get(number)
+        asked.asked_log2 = divided.get(number)
         frames.append(next(coming))
     codes = np.array([frame.codes for frame in frames])
     rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
-    began = np.array([CALL if number in called else FRAME for number in range(60)])
+    began = np.full(60, FRAME)
     turns = np.array([frame.turn for frame in frames])
     for node in range(nodes):
         memory = node_memory(spec, node + 1, threshold=threshold, heartbeat=heartbeat)
@@ -276,20 +273,13 @@ def test_digits_of_a_turn_are_where_the_page_says(core: ctypes.CDLL) -> None:
 
 
 def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:
-    """Heartbeat and roll call count all frames, not only those whose pulse was heard."""
-    memory = node_memory(SPEC, 3, threshold=1000, heartbeat=8)  # turn 4, third in a roll call
+    """Heartbeats count all frames, not only those whose pulse was heard."""
+    memory = node_memory(SPEC, 3, threshold=1000, heartbeat=8)  # turn 4
     codes = np.full(40, 500)
     began = np.full(40, FRAME)
     began[[2, 20, 21]] = MISSED
-    began[19] = CALL
     heard = talks(core, memory, 500, codes, began)
-    # 20 falls into the roll call, in which this node speaks in the frame after 20
-    expected = [4, 12, 28, 36]
-    assert np.flatnonzero(heard).tolist() == expected
-    began[21] = FRAME
-    assert np.flatnonzero(talks(core, memory, 500, codes, began)).tolist() == sorted(
-        [*expected, 21]
-    )
+    assert np.flatnonzero(heard).tolist() == [4, 12, 28, 36]
 
 
 @settings(deadline=None)
@@ -357,11 +347,11 @@ def test_only_credible_periods_count(
 
 @pytest.mark.parametrize("unit_ticks", [64, 128])
 def test_pulses(core: ctypes.CDLL, unit_ticks: int) -> None:
-    """Lengths are rounded to units; 1, 2 and 3 are valid."""
+    """Lengths are rounded to units; 1 and 2 are valid."""
     core.shim_pulse.restype = ctypes.c_uint8
     for ticks in [*range(0, 6 * unit_ticks), 65_536, 65_536 + 2 * unit_ticks, 2**32 - 1]:
         units = int(ticks / unit_ticks + 0.5)
-        assert core.shim_pulse(ticks, unit_ticks) == (units if units <= 3 else 0)
+        assert core.shim_pulse(ticks, unit_ticks) == (units if units <= 2 else 0)
 
 
 # Host and firmware agree on a node's memory and its limits

@@ -13,7 +13,6 @@ from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.hardware.node_memory import FAST, MCUS
 from test.support.emulated_node import (
     BUSY_NS,
-    CALL,
     CLOCK_KNOWN,
     EDGE_NS,
     FRAME,
@@ -189,7 +188,7 @@ def test_what_is_no_frame_pulse_is_ignored(mcu: str) -> None:
                 skin.pulse(at, round(length_us * 1_000))
                 at += round(length_us * 1_000) + 50_000
             skin.pulse(start + round(0.85 * skin.period_ns), FRAME * UNIT_NS)
-            skin.pulse(start + round(0.86 * skin.period_ns), CALL * UNIT_NS)
+            skin.pulse(start + round(0.86 * skin.period_ns), 48_000)
             skin.pulse(start + round(0.865 * skin.period_ns), 48_000_0)
             skin.end(start)
             assert_says(skin, start)
@@ -334,7 +333,7 @@ def test_digitizer_that_starts_anew(mcu: str, error: float, jump: float) -> None
 
 
 def test_end_of_a_pulse_while_an_attiny85s_timer_is_served() -> None:
-    """A fast clock and a late look at the end make no roll call of a frame."""
+    """A fast clock and a late look at the end make no glitch of a frame's pulse."""
     spec = FrameSpec(
         nodes=55, order=64, bits=9, parity=True, chip_s=64e-6, frame_period_s=54.718e-3
     )
@@ -426,26 +425,6 @@ def test_groups_speak_by_turns(mcu: str, clock_hz: float) -> None:
         for number, turn in enumerate([4, 5, 6, 7, 4, 0], 6 + len(turns)):
             told = [node - 1 for node in nodes if node % 4 == turn % 4 and number < 10 + len(turns)]
             assert skin.spoke(skin.frame(number, turn=turn)) == told
-        skin.press(volts(100, 10))
-        start = skin.frame(number + 1, units=CALL)  # goes before turns
-        assert skin.spoke(start) == [0]
-
-
-@pytest.mark.parametrize("mcu", SLOW)
-@pytest.mark.parametrize("clock_hz", [7.2e6, 8e6, 8.8e6])
-def test_roll_call(mcu: str, clock_hz: float) -> None:
-    """Everyone alone once, in turn, even who is pressed; the first right after the pulse."""
-    nodes = (1, 2, 3, 4)
-    with bench(SPEC, mcu, nodes, clock_hz=clock_hz, threshold=1, heartbeat=0) as skin:
-        for number in range(6):
-            assert skin.spoke(skin.frame(number)) == []
-        skin.press(volts(100, 10))
-        assert skin.spoke(skin.frame(6)) == [0, 1, 2, 3]
-        for turn in range(4):
-            start = skin.frame(7 + turn, units=FRAME if turn else CALL)
-            assert skin.spoke(start) == [turn]
-            assert_says(skin, start, 100, turn + 1, turn)
-        assert skin.spoke(skin.frame(11)) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("mcu", SLOW)
@@ -464,23 +443,20 @@ def test_pulses_of_any_length(mcu: str) -> None:
                 assert_says(skin, start, 60)
             skin.forget(start)
         lengths = [length_ns for length_ns in said if said[length_ns]]
-        assert lengths[0] < 28_000 and 50_000 < lengths[-1] <= 56_000
-        # of longer ones it depends on the timer's overflow whether there is time left
-        sure = [n for n in said if n <= 50_000]
-        assert [said[n] for n in sure] == [lengths[0] <= n for n in sure]
+        assert lengths[0] < 28_000 and 36_000 < lengths[-1] <= 40_000
+        assert lengths == [n for n in said if lengths[0] <= n <= lengths[-1]]
 
 
 @pytest.mark.parametrize("mcu", SLOW)
 def test_turns_are_kept_over_missing_pulses(mcu: str) -> None:
-    """Frames are counted by time where they aren't heard: in a roll call and for heartbeats."""
+    """Frames are counted by time where they aren't heard."""
     with bench(SPEC, mcu, (1, 2, 3, 4), threshold=100, heartbeat=20) as skin:
         heard = {number: skin.spoke(skin.frame(number)) for number in range(6)}
-        heard[6] = skin.spoke(skin.frame(6, units=CALL))
-        for number in (8, 9, 10, 13, 15, 20):
+        for number in (6, 8, 9, 10, 13, 15, 20):
             heard[number] = skin.spoke(skin.frame(number))
         assert heard == {
             **{number: [] for number in range(6)},
-            **{5: [1], 6: [0], 8: [2], 9: [3], 10: [2], 13: [], 15: [3], 20: [0]},
+            **{5: [1], 6: [], 8: [], 9: [], 10: [2], 13: [], 15: [3], 20: [0]},
         }
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.wire._protocol import (
-    SYNC_CALL,
     SYNC_FRAME,
     SYNC_RESTART,
     SYNC_UNIT_US,
@@ -26,7 +25,6 @@ from tactile_cdma.wire.messages import (
     GetInfo,
     Info,
     Quiet,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -189,22 +187,6 @@ def test_a_step_at_a_mark_is_seen_at_the_mark(rp2040_image: Path) -> None:
         assert len(marked) >= 6
         assert marked == steps_up[: len(marked)].tolist()
         assert np.all(counts[marked[0] :][:80] == 3000) and counts[marked[0] + 80] == 1000
-
-
-def test_roll_call(rp2040_image: Path) -> None:
-    with Bench(rp2040_image, USB) as bench:
-        bench.stream(PLAIN, 0.05)
-        bench.send(RollCall())
-        bench.run(18 * 12.8e-3 + 0.05)
-        assert bench.of(Ack)[-1].result == 0
-        lengths = [round(length / UNIT_NS) for _, length in bench.pulses]
-        assert lengths.count(SYNC_CALL) == 1
-        assert set(lengths) == {SYNC_FRAME, SYNC_CALL}
-        called = [packet.called for packet in bench.line if packet.sync]
-        begins = lengths.index(SYNC_CALL)
-        assert [i for i, is_called in enumerate(called) if is_called] == [
-            begins + i for i in range(16)
-        ]
 
 
 def test_without_marks_the_sync_line_rests(rp2040_image: Path) -> None:

@@ -14,7 +14,7 @@ from tactile_cdma.hardware.node_memory import node_memory
 from trial import expected_edges
 
 UNIT_NS, LEAD_NS, DIGIT_NS = 16_000, 64_000, 128_000
-RESTART, FRAME, CALL = 1, 2, 3
+RESTART, FRAME = 1, 2
 VREF = 3.3
 REST = 225
 """Code at rest."""

@@ -20,7 +20,7 @@ from tactile_cdma.recording.recording_file import Recorder, describe
 from tactile_cdma.sim.channel import Channel, first_sample, point_samples
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.nodes import NodeFrame, RollCalls
+from tactile_cdma.sim.nodes import NodeFrame, Turns
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.wire._protocol import Result, Signs, SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Samples, Start
@@ -77,9 +77,8 @@ class Truth:
     """
 
     def __init__(self, digitizer: VirtualDigitizer) -> None:
-        calls = digitizer.roll_calls  # the stream begins those asked for
-        called = RollCalls(calls.starts, divisions=calls.divisions)
-        self._coming = truth(digitizer.options, digitizer.setup, called)
+        turns = Turns(digitizer.turns.divisions)  # the stream begins those asked for
+        self._coming = truth(digitizer.options, digitizer.setup, turns)
         self._known: list[NodeFrame] = []
 
     def __getitem__(self, number: int) -> NodeFrame:

@@ -30,7 +30,6 @@ from tactile_cdma.wire.messages import (
     Packet,
     Quiet,
     Received,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -214,7 +213,7 @@ def read_offline(data: bytes) -> None:
 def read_commands(data: bytes) -> None:
     """Commands to the virtual digitizer that make sense or not: each has one answer."""
     digitizer = VirtualDigitizer(SimOptions(scene="moving"), lambda: 0.0)
-    kinds = (Configure.TYPE, GetInfo.TYPE, Start.TYPE, Stop.TYPE, RollCall.TYPE, Pack.TYPE)
+    kinds = (Configure.TYPE, GetInfo.TYPE, Start.TYPE, Stop.TYPE, Pack.TYPE)
     for kind, payload in _changed(data, kinds):
         if kind == Configure.TYPE and int.from_bytes(payload[:2], "little") > 256:
             continue  # such skins are simulated, but not quickly
@@ -245,7 +244,6 @@ def _templates() -> Mapping[int, bytes]:
         GetInfo(),
         Start(),
         Stop(),
-        RollCall(),
         Pack(),
         Configure(layout),
     ]
@@ -270,7 +268,7 @@ def _changed(data: bytes, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]
 def _seeds_of_packets() -> Mapping[str, bytes]:
     stream = _true_stream()
     writer = PacketWriter()
-    kinds = [Status(0), Ack(PacketType.START, 0), GetInfo(), Start(), Stop(), RollCall()]
+    kinds = [Status(0), Ack(PacketType.START, 0), GetInfo(), Start(), Stop(), Pack()]
     return {
         "info": stream[0],
         "stream": b"".join(stream[:4]),

@@ -37,7 +37,7 @@ FAST_SPEC = FrameSpec(
 """For the image that makes no longer chips, and starts anew at every bit."""
 NODE = 2
 RECOVERY = 12
-"""Frames after a storm: a node may have to wait for a roll call's end and relearn the period."""
+"""Frames after a storm: a node may have to relearn the period. Chosen."""
 JUDGED = 2
 """Number of these, the last ones, that must be right."""
 

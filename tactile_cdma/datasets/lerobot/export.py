@@ -158,11 +158,11 @@ class _Layout:
             self._check(source)
 
     def taken(self, source: SampleSource) -> dict[str, SampleStream]:
-        """The streams of a file that become columns."""
+        """Return the streams of a file that become columns."""
         return {k: one for k, one in source.streams.items() if column(one) not in self.lacking}
 
     def clock(self, source: SampleSource) -> str | None:
-        """The key of a stream of the clock's topic; None without one. Raises CaptureError."""
+        """Return the key of a stream of the clock's topic, None without; raises CaptureError."""
         if self.plan.clock is None:
             return None
         keys = {stream.topic: key for key, stream in self.taken(source).items()}
@@ -217,7 +217,7 @@ class _Layout:
 
 
 def _shapes(streams: Mapping[str, SampleStream]) -> dict[str, str]:
-    """What a file's columns hold, for people: shapes, or the names of vectors' elements."""
+    """Return what a file's columns hold, for people: shapes, or the names of vectors' elements."""
     elements: defaultdict[str, set[str]] = defaultdict(set)
     for stream in streams.values():
         if stream.kind in (Kind.STATE, Kind.ACTION):
@@ -283,7 +283,7 @@ def _export(
 
 
 def _said_of_stopped(stream: SampleStream, rows: int) -> str:
-    """Of a stream that had stopped in rows that were written."""
+    """Say that a stream had stopped in rows that were written."""
     if stream.kind == Kind.ACTION:
         return (
             f"action: the last command of {stream.topic} is repeated in {rows} rows: it stopped, "
@@ -299,7 +299,7 @@ def _rows(
     episodes: Sequence[Episode],
     progress: Progress,
 ) -> Iterator[tuple[Row, bool]]:
-    """Rows of a file, and whether each lies in a pause."""
+    """Yield rows of a file, and whether each lies in a pause."""
     last_ns = source.begin_ns
     for sample in samples_of(source, episodes, progress):
         if sample.stream not in streams:
@@ -313,7 +313,7 @@ def _rows(
 
 
 def _rate(source: SampleSource, key: str) -> int:
-    """Ticks per s of a stream, from the first of its stamps; raises CaptureError."""
+    """Measure the ticks per s of a stream by its first stamps; raises CaptureError."""
     until_ns = source.begin_ns + round(RATE_S * NANO)
     stamps = [
         sample.stamp_ns

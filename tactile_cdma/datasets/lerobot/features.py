@@ -44,7 +44,7 @@ class Feature:
 def features_of(
     streams: Iterable[SampleStream], slots: Mapping[str, int], mode: str
 ) -> list[Feature]:
-    """The columns for some streams. slots: samples of a tick, by the patches' features."""
+    """Return the columns for some streams. slots: samples of a tick, by the patches' features."""
     features = [Feature(TIME, "int64", (1,), (TIME,), "ns")]
     vectors: dict[str, tuple[str, ...]] = {}  # of several publishers
     for stream in streams:
@@ -74,7 +74,7 @@ def features_of(
 
 
 def column(stream: SampleStream) -> str:
-    """The name of a stream's feature."""
+    """Return the name of a stream's feature."""
     if stream.kind == Kind.ACTION:
         return "action"
     if stream.kind == Kind.STATE:
@@ -86,7 +86,7 @@ def column(stream: SampleStream) -> str:
 def obstacle(
     row: Row, streams: Iterable[SampleStream], policy: str, begin_ns: int, source: object
 ) -> str | None:
-    """Why a row has to be left out, in words; None if it is whole.
+    """Say why a row has to be left out, in words; None if it is whole.
 
     begin_ns: Unix time of the beginning of the source, which is called so.
     Touch, contacts and wrench have masks, and may have stopped; an old command is still in force.
@@ -105,7 +105,7 @@ def obstacle(
 
 
 def cells(row: Row, streams: Iterable[SampleStream], features: Iterable[Feature]) -> dict[str, Any]:
-    """What a row without an obstacle puts into the columns."""
+    """Return what a row without an obstacle puts into the columns."""
     found: dict[str, Any] = {TIME: np.array([row.tick.time_ns])}
     elements: dict[str, dict[str, Any]] = {}  # of vectors, by their names
     for stream in streams:

@@ -46,7 +46,7 @@ class DatasetMeta:
     def of(
         cls, patches: Iterable[PatchInfo], contacts: bool, fps: int, mode: str, policy: str
     ) -> DatasetMeta:
-        """That of a dataset of these skins and nothing else; contacts: which find contacts."""
+        """Describe a dataset of these skins and nothing else; contacts: which find contacts."""
         by_name = {patch.name: patch for patch in patches}
         counts = {name: slots(patch, fps, mode) for name, patch in by_name.items()}
         streams = {
@@ -100,7 +100,7 @@ def _content(path: Path) -> dict[str, Any]:
 
 
 def _columns(patches: Iterable[PatchInfo]) -> dict[str, SampleStream]:
-    """All streams that skins may have, by their columns."""
+    """Return all streams that skins may have, by their columns."""
     return {
         (column := f"observation.{kind}.{patch.name}"): skin_stream(column, kind, patch)
         for patch in patches
@@ -112,7 +112,7 @@ def _patch(name: str, taxels: dict[str, Any]) -> PatchInfo:
     count = len(taxels["node"])
 
     def known(key: str, *shape: int) -> Floats32:
-        """NaN where it is not."""
+        """Return an array of this shape; NaN where it is not known."""
         values = np.nan if taxels[key] is None else np.array(taxels[key]).reshape(shape)
         return np.full(shape, values, dtype=np.float32)
 

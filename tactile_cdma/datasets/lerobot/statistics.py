@@ -52,7 +52,7 @@ class Statistics:
         self._high = np.maximum(self._high, high.max(**along))
 
     def content(self) -> dict[str, Any]:
-        """As in meta/stats.json; zeros where there was no value."""
+        """Return what meta/stats.json holds; zeros where there was no value."""
         count = np.maximum(self._count, 1)
         mean = self._sum / count  # of the differences
         variance = np.maximum(self._squares / count - np.square(mean), 0.0)
@@ -69,7 +69,7 @@ class Statistics:
 
 
 def mask_content(shape: tuple[int, ...], count: int) -> dict[str, Any]:
-    """Of a mask: such that normalising by mean and deviation leaves it as it is.
+    """Return a mask's statistics, by which normalising leaves it as it is.
 
     The true ones of a mask that is 1 throughout would make the first 0 that a robot sees −10⁸.
     """

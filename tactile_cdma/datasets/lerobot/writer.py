@@ -69,12 +69,12 @@ class DatasetWriter:
 
     @property
     def length(self) -> int:
-        """Rows of the last episode so far."""
+        """Return how many rows the last episode has so far."""
         return int(self._episodes[-1]["length"]) if self._episodes else 0
 
     @property
     def not_finite(self) -> dict[str, int]:
-        """How many elements of a feature were NaN or infinite, where there were some."""
+        """Tell how many elements of a feature were NaN or infinite, where there were some."""
         return {name: one.not_finite for name, one in self._statistics.items() if one.not_finite}
 
     def begin(self, task: str) -> None:
@@ -153,7 +153,7 @@ class DatasetWriter:
                 statistics.add(decoded(row[name], name)[::4, ::4].T / 255.0)
 
     def _content(self, feature: Feature) -> dict[str, Any]:
-        """What meta/stats.json says of a feature."""
+        """Return what meta/stats.json says of a feature."""
         if feature.mask:
             return mask_content(feature.shape, self.frames)
         content = self._statistics[feature.name].content()
@@ -171,7 +171,7 @@ class DatasetWriter:
         self._table = self._open.enter_context(ParquetTable(path, columns))
 
     def _write_tasks(self) -> None:
-        """As pandas writes a table whose index is the task."""
+        """Write the tasks as pandas writes a table whose index is the task."""
         library = self._arrow
         table = library.table({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
         types = ("task_index", "int64", "int64"), ("task", "unicode", "object")

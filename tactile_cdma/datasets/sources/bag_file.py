@@ -34,7 +34,7 @@ _defined = storage_mcap.get_msgdef
 
 
 def _defined_or_foreign(schema: storage_mcap.Schema | None) -> MessageDefinition:
-    """For a schema of another system (protobuf, JSON) none, in place of rosbags' KeyError.
+    """Return no definition for a schema of another system (protobuf, JSON), where rosbags raises.
 
     One such channel would make all of the bag unreadable.
     """
@@ -70,12 +70,12 @@ class BagFile:
 
     @property
     def channels(self) -> Sequence[Connection]:
-        """What was recorded: topic, type, number of messages."""
+        """Return what was recorded: topic, type, number of messages."""
         return self._reader.connections
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """When the first and the last message were recorded, ns, by what most of them say.
+        """Tell when the first and the last message were recorded, ns, by what most of them say.
 
         Damaged times may be centuries off.
         """
@@ -86,14 +86,14 @@ class BagFile:
             return believed_span(seen_ns for _, seen_ns, _ in self._reader.messages())
 
     def of(self, topic: str) -> list[Connection]:
-        """The channels of a topic. Raises CaptureError for one that is not there."""
+        """Return the channels of a topic. Raises CaptureError for one that is not there."""
         if found := [channel for channel in self.channels if channel.topic == topic]:
             return found
         there = ", ".join(sorted({channel.topic for channel in self.channels}))
         raise CaptureError(f"{self.path}: no topic {topic} (there are {there})")
 
     def obstacle(self, channel: Connection) -> str | None:
-        """Why the messages of a channel cannot be read; None if they can."""
+        """Say why the messages of a channel cannot be read; None if they can."""
         found = self._types_of(channel)
         return found if isinstance(found, str) else None
 
@@ -103,7 +103,7 @@ class BagFile:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Topic, time of recording, ns, and message; None for one that does not fit its definition.
+        """Yield topic, time of recording, ns, and message; None: it does not fit its definition.
 
         stop_ns: messages are earlier than this.
         """
@@ -155,7 +155,7 @@ class BagFile:
 
 
 def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
-    """First and last of the times, at least one, that most of them are within FAR_NS of.
+    """Return the first and last time of the largest run that has no gap of more than FAR_NS.
 
     Memory grows with the days that they lie in, not with their number.
     """
@@ -174,12 +174,12 @@ def believed_span(times_ns: Iterable[int]) -> tuple[int, int]:
 
 
 def encoding(channel: Connection) -> str:
-    """How the messages of a channel are encoded: as ROS 2's if that is CDR."""
+    """Tell how the messages of a channel are encoded: as ROS 2's if that is CDR."""
     return cast(ConnectionExtRosbag2, channel.ext).serialization_format
 
 
 def _types(channel: Connection) -> Typestore | str:
-    """The types that the messages of a channel are made of, or why there are none."""
+    """Return the types that the messages of a channel are made of, or why there are none."""
     if (its := encoding(channel)) != CDR:
         return f"its messages are encoded as {its or 'nothing known'}, not as ROS 2's ({CDR})"
     definition = channel.msgdef

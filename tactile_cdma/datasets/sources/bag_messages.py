@@ -26,19 +26,19 @@ PERIODS_S = (50e-6, 60.0)
 
 
 def stamp_ns(message: Any) -> int:
-    """When a message's content was measured; 0 if it does not say."""
+    """Tell when a message's content was measured; 0 if it does not say."""
     stamp = message.header.stamp if hasattr(message, "header") else None
     return stamp.sec * NANO + stamp.nanosec if stamp else 0
 
 
 def patch_name(topic: str) -> str:
-    """left_palm of /left_palm/skin/tactile, skin of /skin/tactile."""
+    """Make left_palm of /left_palm/skin/tactile, skin of /skin/tactile."""
     parts = topic.strip("/").split("/")[:-1] or ["skin"]
     return feature_name("_".join(parts[:-1] if parts[-1] == "skin" and parts[1:] else parts))
 
 
 def skin_frame(message: Any, time_ns: int, patch: PatchInfo) -> SkinFrame:
-    """A TactileArray of a patch; time_ns: its stamp. Raises CaptureError for another skin's."""
+    """Read a patch's TactileArray; time_ns: its stamp. Raises CaptureError for another skin's."""
     pressure, voltage, taxels = message.pressure, message.voltage, len(patch)
     for name, values in (("pressure", pressure), ("status", message.status), ("voltage", voltage)):
         if len(values) != taxels and (len(values) or name != "voltage"):
@@ -59,7 +59,7 @@ def skin_frame(message: Any, time_ns: int, patch: PatchInfo) -> SkinFrame:
 
 
 def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
-    """A patch from its first frame and, if the bag holds it, its info."""
+    """Describe a patch by its first frame and, if the bag holds it, its info."""
     taxels = len(array.pressure)
     if not taxels:
         raise CaptureError(f"{topic}: its first frame has no taxels")
@@ -98,7 +98,7 @@ def patch(topic: str, file: str, array: Any, info: Any | None) -> PatchInfo:
 
 
 def with_later(first: PatchInfo, info: Any, later: Any) -> tuple[PatchInfo, list[str]]:
-    """A patch of which a bag holds another info: about names both, as does each of the notes.
+    """Return a patch of which a bag holds another info: about names both, and so do notes.
 
     Its taxels stay those of the first info.
     """
@@ -120,7 +120,7 @@ def with_later(first: PatchInfo, info: Any, later: Any) -> tuple[PatchInfo, list
 
 
 def contacts(message: Any) -> Floats32:
-    """(7,) a TactileContacts, by CONTACT_NAMES; NaN: unknown."""
+    """Read a TactileContacts, (7,) by CONTACT_NAMES; NaN: unknown."""
     centre = message.position
     counts = message.touched, message.untouched, len(message.contacts)
     values = [*map(float, counts), message.area, centre.x, centre.y, centre.z]
@@ -128,14 +128,14 @@ def contacts(message: Any) -> Floats32:
 
 
 def wrench(message: Any) -> Floats32:
-    """(6,) a WrenchStamped, N and N m; NaN: unknown."""
+    """Read a WrenchStamped, (6,) N and N m; NaN: unknown."""
     force, torque = message.wrench.force, message.wrench.torque
     values = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
     return np.array(values, dtype=np.float32)
 
 
 def vector_choice(text: str) -> tuple[str, tuple[str, ...]]:
-    """Topic and names of TOPIC or TOPIC:NAME,…; no names: all."""
+    """Split TOPIC or TOPIC:NAME,… into topic and names; no names: all."""
     topic, _, names = text.partition(":")
     return topic, tuple(name for name in names.split(",") if name)
 
@@ -143,7 +143,7 @@ def vector_choice(text: str) -> tuple[str, tuple[str, ...]]:
 def publishers(
     topic: str, said: Iterable[tuple[str, ...]], chosen: tuple[str, ...]
 ) -> list[tuple[str, ...]]:
-    """Names of a vector's elements, by the programs that publish them on one topic.
+    """Group the names of a vector's elements by the programs that publish them on one topic.
 
     said: names in each message. chosen: those that are wanted; none: all. Raises CaptureError for
     a name that nobody publishes, or several programs do.
@@ -167,7 +167,7 @@ def publishers(
 
 
 def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
-    """Positions of a JointState, or the data of an array, in the order of the names.
+    """Return the positions of a JointState, or the data of an array, in the order of the names.
 
     None for a message without them: another program's.
     """
@@ -175,7 +175,7 @@ def vector(message: Any, names: tuple[str, ...]) -> Floats32 | None:
 
 
 def vector_names(message: Any) -> tuple[str, ...]:
-    """Names of a vector's elements."""
+    """Return the names of a vector's elements."""
     names = tuple(getattr(message, "name", ()))
     size = len(_values(message))
     return names if len(names) == size else tuple(f"value_{i}" for i in range(size))
@@ -191,7 +191,7 @@ def _points(points: Any) -> Floats32:
 
 
 def _facts(info: Any) -> dict[str, str]:
-    """What a TactileSkinInfo says of where readings come from."""
+    """Return what a TactileSkinInfo says of where readings come from."""
     return {
         "origin": _origin(info.origin),
         "measured_by": _origin(info.measured_by),

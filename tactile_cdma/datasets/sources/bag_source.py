@@ -55,9 +55,8 @@ _Take: TypeAlias = Callable[[Any, int], Value | None]
 class BagSource:
     """A bag: a folder with metadata.yaml, or one MCAP or sqlite3 file; see samples.SampleSource.
 
-    Of all cameras, those are read that are no picture of a skin. counts: type and number of the
-    messages of every topic. Raises CaptureError for a bag that cannot be read, or that holds none
-    of what is asked for.
+    Cameras are read, but no pictures of a skin. counts: type and number of the messages of every
+    topic. Raises CaptureError for a bag that cannot be read, or holds none of what is asked for.
     """
 
     def __init__(self, path: Path, wanted: Wanted) -> None:
@@ -126,11 +125,27 @@ class BagSource:
             ) from None
 
     def _find(self, bag: BagFile, wanted: Wanted) -> Iterator[SampleStream]:
-        """The streams of skins, cameras and vectors."""
+        """Yield the streams of skins, cameras and vectors."""
         kinds = {c.topic: c.msgtype for c in bag.channels if c.msgcount and encoding(c) == CDR}
         foreign = {c.topic: encoding(c) for c in bag.channels if encoding(c) != CDR}
         self._notes += [f"{topic} is left out: encoded as {its}" for topic, its in foreign.items()]
         arrays = [topic for topic in sorted(kinds) if kinds[topic] == fields.ARRAY]
+        yield from self._skins(bag, wanted, kinds, arrays)
+        pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
+        others = (
+            t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
+        )
+        for topic in others if wanted.cameras is None else wanted.cameras:
+            stream = self._camera(bag, topic, asked=wanted.cameras is not None)
+            if stream is not None:
+                yield stream
+        yield from self._joined(bag, Kind.STATE, wanted.state)
+        yield from self._joined(bag, Kind.ACTION, wanted.action)
+
+    def _skins(
+        self, bag: BagFile, wanted: Wanted, kinds: Mapping[str, str], arrays: Sequence[str]
+    ) -> Iterator[SampleStream]:
+        """Yield the streams of patches, of their contacts and wrenches; kinds: types of topics."""
         for topic in wanted.topics:
             if topic not in arrays:
                 there = ", ".join(arrays) or "none"
@@ -158,27 +173,21 @@ class BagSource:
                 if wanted.derived and kinds.get(beside) == type_ and self._first(bag, beside):
                     self._takes[beside].append((beside, _without_time(take)))
                     yield skin_stream(beside, kind, patch)
-        pictures = tuple(topic.rpartition("/")[0] + "/" for topic in arrays)
-        others = (
-            t for t in sorted(kinds) if kinds[t] in fields.IMAGES and not t.startswith(pictures)
-        )
-        for topic in others if wanted.cameras is None else wanted.cameras:
-            stream = self._camera(bag, topic, asked=wanted.cameras is not None)
-            if stream is not None:
-                yield stream
-        for kind, choices in ((Kind.STATE, wanted.state), (Kind.ACTION, wanted.action)):
-            taken: set[str] = set()
-            for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
-                if twice := taken.intersection(stream.names):
-                    raise CaptureError(
-                        f"{self.path}: {kind}: {stream.topic} has {', '.join(sorted(twice))}, as "
-                        f"another topic does: choose by --{kind} {stream.topic}:NAME,…"
-                    )
-                taken.update(stream.names)
-                yield stream
+
+    def _joined(self, bag: BagFile, kind: Kind, choices: Sequence[str]) -> Iterator[SampleStream]:
+        """Yield the streams of several vectors, which are joined by name."""
+        taken: set[str] = set()
+        for stream in chain.from_iterable(self._vectors(bag, kind, one) for one in choices):
+            if twice := taken.intersection(stream.names):
+                raise CaptureError(
+                    f"{self.path}: {kind}: {stream.topic} has {', '.join(sorted(twice))}, as "
+                    f"another topic does: choose by --{kind} {stream.topic}:NAME,…"
+                )
+            taken.update(stream.names)
+            yield stream
 
     def _infos(self, bag: BagFile, stem: str, elsewhere: Path | None) -> list[Any]:
-        """Infos of a patch: this bag's; else another's, or those of the first file of a split bag.
+        """Find a patch's infos: in this bag, else in another or the first file of a split one.
 
         An info is recorded when it changes, so that later files of a split bag have none.
         """
@@ -203,7 +212,7 @@ class BagSource:
         return [info for _, _, info in bag.messages(channels) if info is not None]
 
     def _camera(self, bag: BagFile, topic: str, asked: bool) -> SampleStream | None:
-        """The stream of an image topic; None, with a note, for images that are not taken."""
+        """Return the stream of an image topic; None, with a note, for images that are not taken."""
         if (kind := bag.of(topic)[0].msgtype) not in fields.IMAGES:
             raise CaptureError(f"{self.path}: {topic} is {kind}, not an image")
         if (first := self._first(bag, topic, asked)) is None:
@@ -224,7 +233,7 @@ class BagSource:
         return SampleStream(topic, Kind.IMAGE, name, shape)
 
     def _vectors(self, bag: BagFile, kind: Kind, text: str) -> Iterator[SampleStream]:
-        """A stream for every program that publishes on a topic, by the names of its elements."""
+        """Yield a stream for every program that publishes on a topic, by its elements' names."""
         topic, chosen = fields.vector_choice(text)
         if (said := bag.of(topic)[0].msgtype) not in fields.VECTORS:
             raise CaptureError(
@@ -239,7 +248,7 @@ class BagSource:
             yield SampleStream(key, kind, kind, (len(names),), names)
 
     def _first(self, bag: BagFile, topic: str, asked: bool = False) -> Any:
-        """The first message of a topic; None, with a note, where none can be read.
+        """Return the first message of a topic; None, with a note, where none can be read.
 
         asked: by name; then that raises CaptureError.
         """
@@ -265,7 +274,7 @@ class BagSource:
         begin_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[tuple[str, int, Any]]:
-        """Messages with their topic and when they were recorded, ns.
+        """Yield messages with their topic and when they were recorded, ns.
 
         Without those that cannot be read, or that were not recorded when the bag says: these are
         counted.

@@ -38,14 +38,14 @@ CONVERTED = {
 DEPTHS = {"16UC1": ("uint16", "mm"), "mono16": ("uint16", ""), "32FC1": ("float32", "m")}
 """Encodings that are kept as they are: numpy's type, unit (REP 118)."""
 COMPRESSED_DEPTH, HEADER_BYTES = "compressedDepth", 12
-"""In the format of compressed depths; what image_transport has before their PNG."""
+"""A word in the format of compressed depths; bytes that image_transport puts before their PNG."""
 PNG_LEVEL = 1
 """Effort of compression; chosen: 6 takes three times as long for some 5 % less."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 
 
 def problem(message: Any) -> str | None:
-    """Why an Image or CompressedImage cannot ride along; None if it can."""
+    """Say why an Image or CompressedImage cannot ride along; None if it can."""
     if hasattr(message, "encoding"):
         taken = (*ENCODINGS, *CONVERTED, *DEPTHS)
         if message.encoding in taken:
@@ -61,19 +61,19 @@ def problem(message: Any) -> str | None:
 
 
 def is_depth(message: Any) -> bool:
-    """Whether an image holds numbers, which are kept exactly, in place of colours."""
+    """Tell whether an image holds numbers, which are kept exactly, in place of colours."""
     if hasattr(message, "encoding"):
         return message.encoding in DEPTHS
     return COMPRESSED_DEPTH in message.format
 
 
 def depth_unit(message: Any) -> str:
-    """The unit of an image that is_depth(), empty if it has none."""
+    """Return the unit of an image that is_depth(), empty if it has none."""
     return DEPTHS[getattr(message, "encoding", "16UC1")][1]
 
 
 def depth(message: Any, topic: str) -> NDArray[Any]:
-    """(height, width) the numbers of an image that is_depth(). Raises CaptureError."""
+    """Return the numbers of an image that is_depth(), (height, width). Raises CaptureError."""
     if (reason := problem(message)) is not None:
         raise CaptureError(f"{topic}: {reason}")
     if not hasattr(message, "encoding"):
@@ -85,7 +85,7 @@ def depth(message: Any, topic: str) -> NDArray[Any]:
 
 
 def encoded(message: Any, topic: str) -> bytes:
-    """The image as a PNG or JPEG file. Raises CaptureError, naming the topic, for a broken one."""
+    """Make the image a PNG or JPEG file. Raises CaptureError, with the topic, for a broken one."""
     if (reason := problem(message)) is not None:
         raise CaptureError(f"{topic}: {reason}")
     if not hasattr(message, "encoding"):
@@ -114,14 +114,14 @@ def check_size(message: Any, topic: str, shape: tuple[int, ...]) -> None:
 
 
 def decoded(file: bytes, topic: str) -> NDArray[np.uint8]:
-    """(height, width, 3) the pixels of an encoded image. Raises CaptureError for a broken one."""
+    """Decode an image to (height, width, 3) pixels. Raises CaptureError for a broken one."""
     with _opened(file, topic) as image:
         return np.asarray(image.convert("RGB"))
 
 
 @contextmanager
 def _opened(file: bytes, topic: str) -> Iterator[Any]:
-    """An encoded image; raises CaptureError for a broken one, then or when it is read."""
+    """Open an encoded image; raises CaptureError for a broken one, then or when it is read."""
     from PIL import Image
 
     try:
@@ -132,12 +132,12 @@ def _opened(file: bytes, topic: str) -> Iterator[Any]:
 
 
 def _file(message: Any) -> bytes:
-    """The image file in a CompressedImage."""
+    """Return the image file in a CompressedImage."""
     return bytes(message.data)[HEADER_BYTES if is_depth(message) else 0 :]
 
 
 def _pixels(message: Any, topic: str) -> NDArray[np.uint8]:
-    """(height, width, 3) red, green and blue of an Image."""
+    """Return red, green and blue of an Image, (height, width, 3)."""
     height, width = int(message.height), int(message.width)
     if message.encoding in ENCODINGS:
         size, channels = ENCODINGS[message.encoding]
@@ -155,7 +155,7 @@ def _pixels(message: Any, topic: str) -> NDArray[np.uint8]:
 
 
 def _rows(message: Any, topic: str, lines: int, size: int) -> NDArray[np.uint8]:
-    """(lines, size) the bytes of an Image without what fills up its rows. Raises CaptureError."""
+    """Return the (lines, size) bytes of an Image without its rows' padding; raises CaptureError."""
     step = int(message.step)
     if step < size or len(message.data) < step * lines or not lines * size:
         raise CaptureError(

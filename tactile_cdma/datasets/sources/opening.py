@@ -35,7 +35,7 @@ class Wanted:
 
 
 def open_source(path: Path, wanted: Wanted) -> SampleSource:
-    """A source for what a path names. Raises CaptureError."""
+    """Open what a path names as a source. Raises CaptureError."""
     if is_bag(path):
         with needed_for("a bag", "rosbags"):
             from .bag_source import BagSource  # slow to load, and needed here only
@@ -60,12 +60,12 @@ def open_source(path: Path, wanted: Wanted) -> SampleSource:
 
 
 def has_times(path: Path) -> bool:
-    """Whether frames of this source have a wall time: raw bytes have none. Raises CaptureError."""
+    """Tell whether a source's frames have a wall time: raw bytes have none. Raises CaptureError."""
     return is_bag(path) or is_recording(path)
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: a folder, or named as one of its files.
+    """Tell whether a path is a bag: a folder, or named as one of its files.
 
     Raises CaptureError for one of its files that is compressed as a whole.
     """

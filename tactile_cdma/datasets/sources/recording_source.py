@@ -55,13 +55,13 @@ class RecordingSource:
 
     @property
     def streams(self) -> Mapping[str, SampleStream]:
-        """Those of the skin, as far as the file has been decoded; see patch."""
+        """Return the skin's streams, as far as the file has been decoded; see patch."""
         kinds = (Kind.TACTILE, *DERIVED) if self._derived else (Kind.TACTILE,)
         return {kind: skin_stream(kind, kind, self.patch) for kind in kinds}
 
     @property
     def patch(self) -> PatchInfo:
-        """The skin, as far as the file has been decoded: its digitizer introduces itself there."""
+        """Return the skin as far as the file is decoded: its digitizer introduces itself there."""
         about = {"file": self.path.name, "parameters": self.capture.values}
         return patch_info(self.capture.config, self.capture.source, self.name, about)
 
@@ -91,7 +91,7 @@ class RecordingSource:
 
 
 def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:
-    """A decoded frame; wall_s: Unix time of its middle."""
+    """Make a SkinFrame of a decoded frame; wall_s: Unix time of its middle."""
     readings = frame.readings
     return SkinFrame(
         sequence=frame.sequence,
@@ -108,7 +108,7 @@ def skin_frame(frame: TactileFrame, wall_s: float) -> SkinFrame:
 def patch_info(
     config: SkinConfig, source: Source, name: str, about: Mapping[str, Any]
 ) -> PatchInfo:
-    """A patch that is decoded here. source: who measures. about: what else is known of it."""
+    """Describe a patch that is decoded here. source: who measures. about: what else is known."""
     layout = config.layout
     return PatchInfo(
         name=name,
@@ -135,7 +135,7 @@ def patch_info(
 def samples_of(
     keys: Sequence[str], frame: SkinFrame, found: Contacts | None, stamp_ns: int, seen_ns: int
 ) -> Iterator[Sample]:
-    """Samples of a frame and, unless None, of its contacts.
+    """Yield samples of a frame and, unless None, of its contacts.
 
     keys: of the streams of touch, contacts and wrench.
     """
@@ -147,6 +147,6 @@ def samples_of(
 
 
 def _contacts(found: Contacts) -> Floats32:
-    """(7,) by samples.CONTACT_NAMES."""
+    """Return contacts as (7,) numbers by samples.CONTACT_NAMES."""
     counts = float(found.touched), float(found.untouched), float(len(found))
     return np.array([*counts, found.total_area_m2, *found.centre_m], dtype=np.float32)

@@ -26,7 +26,6 @@ from tactile_cdma.wire.messages import (
     FrameLayout,
     GetInfo,
     Packet,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -146,9 +145,9 @@ def events(config: SkinConfig) -> st.SearchStrategy[Event]:
         sync=st.booleans(),
     )
     statuses = st.builds(Status, st.sampled_from([0, 10**6, 2**63]), streaming=st.booleans())
-    kinds = st.sampled_from([PacketType.START, PacketType.CONFIGURE, PacketType.ROLL_CALL])
+    kinds = st.sampled_from([PacketType.START, PacketType.CONFIGURE, PacketType.PACK])
     acks = st.builds(Ack, kinds, st.just(0), st.sampled_from(Result))
-    commands = st.sampled_from([Stop(), Start(), GetInfo(), RollCall(), configure, other])
+    commands = st.sampled_from([Stop(), Start(), GetInfo(), configure, other])
     spans = st.sampled_from([0.02, 0.1, 0.5, 1.2])
     return st.one_of(
         st.builds(Event, st.just("go_on"), spans),

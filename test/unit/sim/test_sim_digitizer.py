@@ -25,7 +25,6 @@ from tactile_cdma.wire.messages import (
     Pack,
     Quiet,
     Received,
-    RollCall,
     Samples,
     Start,
     Status,
@@ -414,37 +413,6 @@ def test_noise_between_commands_is_harmless() -> None:
     bench.digitizer.receive(np.random.default_rng(0).bytes(5000) + b"\0")
     bench.send(GetInfo())
     assert Ack(GetInfo.TYPE, 0) in bench.read()
-
-
-def test_a_roll_call_lets_every_node_speak_alone() -> None:
-    bench = Bench("nodes=9&threshold=0&noise=0&samples_per_chip=2")
-    bench.send(RollCall())
-    assert of_kind(bench.read(), Ack)[0].result == Result.UNSUPPORTED  # nothing streams
-    bench.send(Start())
-    packets = bench.run(0.1, 0.004)
-    bench.send(RollCall())
-    assert Truth(bench.digitizer)[1].active.all()
-    packets += bench.run(0.3, 0.004)
-    assert of_kind(packets, Ack)[-1].result == Result.OK
-    marks = [packet for packet in samples(packets) if packet.sync]
-    called = [number for number, packet in enumerate(marks) if packet.called]
-    assert called == list(range(called[0], called[0] + 9))
-    assert not any(packet.called for packet in samples(packets) if not packet.sync)
-    line = np.concatenate([packet.counts for packet in samples(packets)])
-    spec = bench.digitizer.setup.spec
-    for number in (called[0] - 1, *called, called[-1] + 1):
-        truth, first = Truth(bench.digitizer)[number], marks[number].first_index
-        turn = np.arange(9) == number - called[0]
-        assert np.array_equal(truth.active, turn if number in called else np.ones(9, bool))
-        chips = line[first : first + 2 * spec.chips : 2].reshape(spec.bits, -1)
-        rows = correlate(chips.astype(np.float32), spec.book)[:, spec.rows]
-        assert np.array_equal(np.abs(rows).mean(axis=0) > 0.5 * np.abs(rows).max(), truth.active)
-
-
-def test_integrated_frames_know_no_roll_call() -> None:
-    bench = Bench("integrated=1")
-    bench.send(Start(), RollCall())
-    assert [ack.result for ack in of_kind(bench.read(), Ack)] == [Result.OK, Result.UNSUPPORTED]
 
 
 @pytest.mark.parametrize("query", ["samples_per_chip=8", "integrated=1&samples_per_chip=8"])

@@ -23,7 +23,7 @@ from benchmarks.paper.sensor import (
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCurve
 from tactile_cdma.sim.line import truth
-from tactile_cdma.sim.nodes import NodeFrame, RollCalls
+from tactile_cdma.sim.nodes import NodeFrame
 from tactile_cdma.sim.options import SimOptions
 from tactile_cdma.sim.scene import DWELL_S, LOADS, STEPS_KPA, TURN_S, TURNS_KPA
 from tactile_cdma.sim.sensor import (
@@ -41,9 +41,9 @@ from tactile_cdma.sim.sensor import (
 PERIOD_S = FrameSpec().frame_period_s
 
 
-def frames(query: str, count: int, roll_calls: RollCalls | None = None) -> list[NodeFrame]:
+def frames(query: str, count: int) -> list[NodeFrame]:
     options = SimOptions.from_url(f"sim://?{query}")
-    return list(islice(truth(options, options.setup(), roll_calls), count))
+    return list(islice(truth(options, options.setup()), count))
 
 
 def test_the_sensor_has_the_papers_figures() -> None:
@@ -115,8 +115,7 @@ def test_noise_is_white_and_as_large_as_it_says() -> None:
 
 
 def test_a_dead_node_never_speaks() -> None:
-    calls = RollCalls(asked=True)
-    said = np.array([frame.active for frame in frames("dead=3,99&threshold=0", 100, calls)])
+    said = np.array([frame.active for frame in frames("dead=3,99&threshold=0", 100)])
     assert not said[:, 2].any()
     assert np.delete(said, 2, axis=1).any(axis=0).all()
 

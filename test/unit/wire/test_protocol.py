@@ -108,7 +108,7 @@ CONTENT = (
     *2 * (st.integers(0, 2**64 - 1),),
     COUNTS.map(lambda counts: np.array(counts, dtype=np.int16)),
 )
-FLAGS = {name: st.booleans() for name in ("sync", "overrun", "called")}
+FLAGS = {name: st.booleans() for name in ("sync", "overrun")}
 SAMPLES, QUIET = (st.builds(kind, *CONTENT, **FLAGS) for kind in (Samples, Quiet.of))
 FIXED = (Info, Status, Ack, GetInfo, Start, Stop, Configure, Pack)
 PACKETS = st.one_of(SAMPLES, QUIET, *(messages(kind) for kind in FIXED))
