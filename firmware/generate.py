@@ -77,7 +77,7 @@ def main() -> int:
 
 
 def outputs() -> Iterator[tuple[str, str]]:
-    """Path and text of every generated file, in order of dependence."""
+    """Yield path and text of every generated file, in order of dependence."""
     definition = yaml.safe_load((ROOT / DEFINITION).read_text(encoding="utf-8"))
     yield PYTHON, f"# {LICENCE}\n\n" + python_tables(definition)
     yield HEADER, f"// {LICENCE}\n\n" + c_header(definition)
@@ -100,7 +100,7 @@ def outputs() -> Iterator[tuple[str, str]]:
 
 
 def size_of(definition: Definition, type_name: str) -> int:
-    """Size in bytes on the wire."""
+    """Return the size in bytes on the wire."""
     if type_name in definition["structs"]:
         fields = definition["structs"][type_name]["fields"]
         return sum(size_of(definition, field["type"]) for field in fields)
@@ -108,18 +108,18 @@ def size_of(definition: Definition, type_name: str) -> int:
 
 
 def scalar(definition: Definition, type_name: str) -> Scalar:
-    """The wire type behind a field type that is not a struct."""
+    """Return the wire type behind a field type that is not a struct."""
     enum = definition["enums"].get(type_name)
     return SCALARS[enum["type"] if enum else type_name]
 
 
 def messages(definition: Definition) -> dict[str, Definition]:
-    """Structs, records and packets by name."""
+    """Return structs, records and packets by name."""
     return {**definition["structs"], **definition["records"], **definition["packets"]}
 
 
 def upper(name: str) -> str:
-    """FrameLayout → FRAME_LAYOUT."""
+    """Turn FrameLayout into FRAME_LAYOUT."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).upper()
 
 
@@ -185,7 +185,7 @@ def python_enum(name: str, doc: str, values: Mapping[str, object]) -> Iterator[s
 
 
 def filled(parts: list[str], indent: str, end: str) -> Iterator[str]:
-    """Lines of at most 100 characters that hold these parts, the first one opening them."""
+    """Yield lines of at most 100 characters that hold these parts, the first one opening them."""
     line, separator = parts[0], ""
     for part in parts[1:]:
         if len(line) + len(separator) + len(part) + len(end) > 100:
@@ -301,12 +301,12 @@ def c_header(definition: Definition) -> str:
 
 
 def c_string(text: str) -> str:
-    """A string literal with these bytes, all of them escaped: no digit continues an escape."""
+    """Write a string literal with these bytes, all escaped: no digit continues an escape."""
     return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
 def c_struct(definition: Definition, name: str, message: Definition) -> Iterator[str]:
-    """The struct, assertions of its layout, and for CHECKED messages a check of all ranges."""
+    """Write the struct, assertions of its layout, and for CHECKED messages a check of ranges."""
     tag = f"tp_{upper(name).lower()}"
     yield f"/* {message['doc']} */"
     yield f"struct __attribute__((packed)) {tag} {{"
@@ -337,7 +337,7 @@ def c_struct(definition: Definition, name: str, message: Definition) -> Iterator
 
 
 def in_range(definition: Definition, message: Definition, path: str) -> Iterator[str]:
-    """C conditions: every field of a struct is within its range."""
+    """Yield C conditions: every field of a struct is within its range."""
     for field in message["fields"]:
         name, type_name = path + field["name"], field["type"]
         if type_name in definition["structs"]:
@@ -363,7 +363,7 @@ def in_range(definition: Definition, message: Definition, path: str) -> Iterator
 
 
 def document(definition: Definition, examples: dict[str, str]) -> str:
-    """The text of DOCUMENT, with what is between its markers regenerated."""
+    """Return the text of DOCUMENT, with what is between its markers regenerated."""
     text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
     packets = {**definition["structs"], **definition["packets"]}
     blocks = {
@@ -414,7 +414,7 @@ def enum_table(enum: Definition) -> str:
 
 
 def in_columns(rows: Sequence[tuple[str, ...]]) -> str:
-    """Rows as preformatted text, columns as wide as they need."""
+    """Write rows as preformatted text, columns as wide as they need."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = (
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -153,7 +153,7 @@ SIGN_ROWS = (*range(32), 1023, 4095, 65_534, 65_535)
 
 
 def protocol_vectors() -> str:
-    """firmware/vectors/protocol.json."""
+    """Make firmware/vectors/protocol.json."""
     packets = []
     for name, (sequence, packet) in PACKETS.items():
         wire = PacketWriter(sequence).encode(packet)
@@ -180,7 +180,7 @@ def protocol_vectors() -> str:
 
 
 def code_vectors() -> str:
-    """firmware/vectors/codes.json: chips and signs as strings of + and -."""
+    """Make firmware/vectors/codes.json: chips and signs as strings of + and -."""
     orders = {order: tuple(range(order)) for order in CODE_ORDERS} | LONG_ORDERS
     return dump(
         {
@@ -199,7 +199,7 @@ def code_vectors() -> str:
 
 
 def demo_memories() -> str:
-    """C: the memories of a demonstrator's nodes, which are those of its parameter file."""
+    """Write in C the memories of a demonstrator's nodes, which are those of its parameter file."""
     spec = SkinConfig.of(read_file(DEMO_PARAMS)).spec
     memories = [node_memory(spec, node + 1, rest=DEMO_REST) for node in range(spec.nodes)]
     rows = [
@@ -217,7 +217,7 @@ def demo_memories() -> str:
 
 
 def example() -> str:
-    """The worked example of docs/protocol.md."""
+    """Write the worked example of docs/protocol.md."""
     sequence = next(sequence for sequence, packet in PACKETS.values() if packet is EXAMPLE)
     wire = PacketWriter(sequence).encode(EXAMPLE)
     raw = cobs_decode(wire[:-1])
@@ -236,7 +236,7 @@ def example() -> str:
 
 
 def book_table() -> str:
-    """The code books of docs/protocol.md: factors, last row, CRC-32 of all rows."""
+    """Write the code books of docs/protocol.md: factors, last row, CRC-32 of all rows."""
     table = ["| order | factors | row N − 1 | CRC-32 |", "|--:|---|---|---|"]
     for order in (12, 20, 28, 36, 40, 100, 144):
         book = code_book(order)
@@ -248,7 +248,7 @@ def book_table() -> str:
 
 
 def sign_table() -> str:
-    """The row signs of docs/protocol.md."""
+    """Write the row signs of docs/protocol.md."""
     rows = (0, 1, 1000, 65_535)
     table = [f"| sign_seed | {' | '.join(f'r = {row}' for row in rows)} |", "|--:" * 5 + "|"]
     for seed in (0, 1, 0xFFFFFFFF):
@@ -258,7 +258,7 @@ def sign_table() -> str:
 
 
 def sparse_table() -> str:
-    """The sparse codes of docs/protocol.md: first octets, CRC-32 of a frame's."""
+    """Write the sparse codes of docs/protocol.md: first octets, CRC-32 of a frame's."""
     table = [
         "| nodes | order | bits | node | code number | octets | CRC-32 |",
         "|--:" * 5 + "|---|---|",
@@ -277,7 +277,7 @@ def sparse_table() -> str:
 
 
 def as_json(message: Message) -> dict[str, Any]:
-    """The fields of a packet as plain JSON; bytes in hex."""
+    """Return the fields of a packet as plain JSON; bytes in hex."""
 
     def plain(value: Any) -> Any:
         match value:
@@ -294,12 +294,12 @@ def as_json(message: Message) -> dict[str, Any]:
 
 
 def plus_minus(chips: np.ndarray) -> str:
-    """[1, -1] → "+-"."""
+    """Turn [1, -1] into "+-"."""
     return "".join("+" if chip > 0 else "-" for chip in chips)
 
 
 def dump(vectors: dict[str, Any]) -> str:
-    """JSON with one vector per line, for readable diffs."""
+    """Write JSON with one vector per line, for readable diffs."""
     sections = []
     for name, items in vectors.items():
         lines = ",\n".join("  " + json.dumps(item) for item in items)

@@ -62,7 +62,7 @@ struct detector {
 /* As Detected: rows (k, 2^m), heard (n), left (k, N), power (k). */
 struct detected {
     float *rows, *left;
-    bool *heard;
+    uint8_t *heard;
     double *power, level;
     bool settled;
 };

@@ -537,6 +537,20 @@ enum stream_event stream_next(struct stream *stream)
 
 /* ---- what is said from outside ------------------------------------------------------------------ */
 
+static bool are_possible(const struct stream_rules *rules, const struct frame_code *code)
+{
+    const struct frame_rules *frame = &rules->frame;
+    const struct words_frame *words = &frame->frame;
+    size_t order = words->order;
+
+    return words->bits && words->bits <= WORDS_MOST_BITS && words->nodes && words->first <= order &&
+           words->nodes <= order - words->first && frame->spare <= order &&
+           frame->spare_count <= order - frame->spare && frame->size && frame->size <= STREAM_MOST_SAMPLES &&
+           frame->whole_size && rules->gap_size && rules->gap_size <= STREAM_MOST_SAMPLES &&
+           rules->least_rest > 1 && frame->chip > 0 && rules->rate_hz > 0 &&
+           (!code->transform || transform_order(code->transform) == order);
+}
+
 bool stream_describe(struct stream *stream, const struct stream_rules *rules,
                      const struct frame_code *code, float *rows)
 {
@@ -544,6 +558,8 @@ bool stream_describe(struct stream *stream, const struct stream_rules *rules,
     stream->described = false;
     if (!rules)
         return true;
+    if (!are_possible(rules, code))
+        return false;
     float *scratch = malloc(2 * (rules->frame.frame.nodes + 1) * sizeof *scratch);
     if (!scratch)
         return false;
@@ -681,7 +697,13 @@ bool stream_look(struct stream *stream, int64_t due)
 bool stream_carry(struct stream *stream, const struct stream_timing *timing,
                   const struct frame_edges *edges)
 {
-    if (!make_room(stream, timing->due))
+    const struct frame_timing *frame = &timing->frame;
+    bool is_possible = timing->due && timing->due <= STREAM_MOST_SAMPLES && timing->over <= STREAM_MOST_SAMPLES &&
+                       (!timing->has_frame ||
+                        (frame->heard && frame->tail >= frame->heard && frame->tail_end >= frame->tail &&
+                         frame->chip > 0 && frame->until <= STREAM_MOST_SAMPLES));
+
+    if (!is_possible || !make_room(stream, timing->due))
         return false;
     stream->timing = *timing;
     stream->edges = *edges;

@@ -96,7 +96,7 @@ struct stream *stream_new(struct scanner *scanner);
 void stream_free(struct stream *stream);
 
 /* From here on packets of samples are those of such a digitizer; NULL: of an unknown one. What is known
- * of the line is forgotten. code, rows (k, N): are kept. False: no memory. */
+ * of the line is forgotten. code, rows (k, N): are kept. False: no memory, or the rules are those of no frame. */
 bool stream_describe(struct stream *stream, const struct stream_rules *rules,
                      const struct frame_code *code, float *rows);
 
@@ -130,7 +130,8 @@ bool stream_decide(struct stream *stream, int64_t due, int64_t over, double leve
 /* due: index up to which samples are gathered for the next block. */
 bool stream_look(struct stream *stream, int64_t due);
 
-/* How frames are read from here on. At any time. edges: their arrays are kept. */
+/* How frames are read from here on. At any time. edges: their arrays are kept. False: no
+ * memory, or the timing is that of no frame. */
 bool stream_carry(struct stream *stream, const struct stream_timing *timing,
                   const struct frame_edges *edges);
 

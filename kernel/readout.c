@@ -18,9 +18,27 @@ struct readout {
     uint8_t *late; /* n */
 };
 
+/* Whether sizes fit each other, and what the skin's arrays count is there. */
+static bool are_possible(const struct readout_settings *settings, const struct readout_skin *skin)
+{
+    const struct words_frame *frame = &settings->frame;
+    size_t codes = settings->codes;
+    bool in_range = true;
+
+    for (size_t i = 0; skin->source && i < settings->taxels; i++)
+        in_range = in_range && skin->source[i] < (int64_t)frame->nodes;
+    for (size_t i = 0; i < frame->nodes; i++)
+        in_range = in_range && skin->kept_codes[i] >= 0 && (size_t)skin->kept_codes[i] < codes;
+    return in_range && frame->bits > settings->reading.parity && frame->bits <= WORDS_MOST_BITS &&
+           codes == (size_t)1 << (frame->bits - settings->reading.parity) && settings->scrambled == !!skin->offset &&
+           (skin->source || settings->taxels == frame->nodes) && frame->first <= frame->order &&
+           frame->nodes <= frame->order - frame->first && settings->spare <= frame->order &&
+           settings->spare_count <= frame->order - settings->spare;
+}
+
 struct readout *readout_new(const struct readout_settings *settings, const struct readout_skin *skin)
 {
-    struct readout *readout = calloc(1, sizeof *readout);
+    struct readout *readout = are_possible(settings, skin) ? calloc(1, sizeof *readout) : NULL;
     size_t nodes = settings->frame.nodes, order = settings->frame.order;
 
     if (!readout)

@@ -63,7 +63,7 @@ struct readout_frame {
 
 struct readout;
 
-/* NULL: out of memory. The arrays of the skin have to outlive it. */
+/* NULL: out of memory, or settings and arrays do not fit each other. The arrays of the skin have to outlive it. */
 struct readout *readout_new(const struct readout_settings *settings, const struct readout_skin *skin);
 void readout_free(struct readout *readout);
 const struct readout_settings *readout_settings(const struct readout *readout);

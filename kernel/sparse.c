@@ -36,7 +36,10 @@ static bool make_products(struct sparse *sparse)
 
 struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_rules *rules)
 {
-    struct sparse *sparse = calloc(1, sizeof *sparse);
+    bool is_possible = book->bits && book->bits <= WORDS_MOST_BITS && book->order && book->nodes &&
+                       book->nodes < book->rows && transform_order(book->walsh) == book->rows &&
+                       rules->capacity <= book->nodes;
+    struct sparse *sparse = is_possible ? calloc(1, sizeof *sparse) : NULL;
 
     if (!sparse)
         return NULL;

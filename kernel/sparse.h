@@ -26,7 +26,8 @@ struct sparse_told {
 
 struct sparse;
 
-struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_rules *rules); /* NULL: no memory */
+struct sparse *sparse_new(const struct sparse_book *book, const struct sparse_rules *rules);
+/* NULL: no memory, or the book is none of this transform, or of so many nodes */
 void sparse_free(struct sparse *sparse);
 struct detector *sparse_detector(const struct sparse *sparse);
 const struct sparse_book *sparse_book(const struct sparse *sparse);

@@ -311,6 +311,14 @@ void words_fit(const struct words_frame *frame, const float *rows, float *amplit
     *misfit = (float)frame_power(frame, rows) / (bits_power < tiny ? tiny : bits_power) - 1.0f;
 }
 
+void words_fit_all(const struct words_frame *frame, size_t count, const float *rows, float *amplitude, float *uneven,
+                   float *pedestal, float *power, float *spread, float *misfit)
+{
+    for (size_t i = 0; i < count; i++)
+        words_fit(frame, rows + i * frame->bits * frame->order, amplitude + i * frame->nodes,
+                  uneven + i * frame->nodes, pedestal + i, power + i, spread + i, misfit + i);
+}
+
 VECTORS double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude)
 {
     const size_t from = frame->first > 0, end = frame->first + frame->nodes;

@@ -42,6 +42,10 @@ struct words_frame {
 void words_fit(const struct words_frame *frame, const float *rows, float *amplitude, float *uneven,
                float *pedestal, float *power, float *spread, float *misfit);
 
+/* The same of `count` candidates, whose values follow each other. */
+void words_fit_all(const struct words_frame *frame, size_t count, const float *rows, float *amplitude, float *uneven,
+                   float *pedestal, float *power, float *spread, float *misfit);
+
 /* What the bit of which words leave the most leaves more than the others, V²: see WordFit.is_clear. amplitude: (n,) V,
  * of the words. */
 double words_most_left(const struct words_frame *frame, const float *rows, const float *amplitude);

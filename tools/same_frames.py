@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.codes import code_book
-from tactile_cdma.code.transform import compiled_transform
+from tactile_cdma.code.transform import CompiledTransform
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.same_frames import assert_same
 from test.support.simulated import run, stream
@@ -43,19 +43,19 @@ STREAMS: tuple[tuple[dict[str, object], str], ...] = (
 FRAMES = 60
 """Per stream; chosen."""
 ORDERS = (8, 16, 20, 72, 912, 4096, 16_384)
-"""Of the transforms: powers of 2, with a factor of Paley's, with two."""
+"""Orders of the transforms: powers of 2, with a factor of Paley's, with two."""
 
 
 def transforms(values: dict[int, NDArray[np.float32]]) -> dict[int, bytes]:
-    """The transform of the values of each order. Raises SystemExit if it depends on the lanes."""
+    """Return the transform of each order's values. Raises SystemExit if it depends on the lanes."""
     assert kernel.compiled is not None
     found = {}
     for order, chips in values.items():
         results = set()
         for lanes in (1, 4, 8):
-            if lanes <= kernel.compiled.LANES:
+            if lanes <= kernel.compiled.transform_lanes():
                 out = np.empty_like(chips)
-                compiled_transform(code_book(order).plan, False, lanes).multiply(chips, out)
+                CompiledTransform(code_book(order).plan, False, lanes).multiply(chips, out)
                 results.add(out.tobytes())
         if len(results) > 1:
             raise SystemExit(f"order {order}: the bits depend on the number of lanes")

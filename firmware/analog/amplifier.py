@@ -73,7 +73,7 @@ shorter chip it takes a single sample, late (firmware/core/setup.h)."""
 LATE_SAMPLE = 7 / 8
 """Place in a chip of its only sample."""
 LOOP_GAIN = 10.0
-"""Of an amplifier at the corner of the feedback, so that the parts set the corner; chosen."""
+"""Loop gain of an amplifier at the corner of the feedback, so that parts set the corner. Chosen."""
 MOST_GAIN_BANDWIDTH_HZ = 80e6
 """Gain-bandwidth of an amplifier above which nodes are wired in groups. Chosen: with a margin for
 cheap ones of the kind (100 MHz at 3.3 V, rail to rail, unity-gain stable: TLV3541)."""
@@ -81,8 +81,8 @@ INPUT_F = 8e-12
 """Capacitance at a follower's input with its copper and the released pin, F: data sheets give 3 to
 6 pF for the op-amp; the rest is chosen."""
 TOLERANCE, BIAS_TOLERANCE = 0.01, 0.001
-"""Of resistors, and of the two that make half the supply for an amplifier's + input: its noise gain
-multiplies their error."""
+"""Tolerances of resistors, and of the two that make half the supply for an amplifier's + input: its
+noise gain multiplies their error."""
 SIGMAS = 3.0
 """Standard deviations of the rest of the line that the range leaves room for; chosen."""
 E24 = (  # of the resistors; capacitors have every other value
@@ -95,9 +95,9 @@ E96 = tuple(round(100 * 10 ** (step / 96)) for step in range(96))
 EXACT = 1 + 1e-9
 """Forgives rounding where values of a series are compared."""
 LEAST_USED = 1 / 4
-"""Of the room, that the sum of all nodes has to reach; chosen: two bits of the converter."""
+"""Share of the room that the sum of all nodes has to reach. Chosen: two bits of the converter."""
 FINE = 1e-3
-"""Of the room, to which its use is found: far finer than neighbours in E24."""
+"""Share of the room to which its use is found: far finer than neighbours in E24."""
 FILTER_OHM = 300.0
 """Least resistance of the filter, Ω, an easy load for the amplifier; the design stays below ten
 times that, for the converter. Chosen."""
@@ -115,22 +115,22 @@ class Stage:
 
     @property
     def gain(self) -> float:
-        """Of one input: Rf/Rin, or Rs/Rg."""
+        """Return the gain of one input: Rf/Rin, or Rs/Rg."""
         return self.feedback_ohm / self.input_ohm
 
     @property
     def noise_gain(self) -> float:
-        """Factor to the amplifier's own offset and noise."""
+        """Return the factor to the amplifier's own offset and noise."""
         return 1 + self.inputs * self.gain
 
     @property
     def corner_hz(self) -> float:
-        """Corner of the feedback."""
+        """Return the corner of the feedback, Hz."""
         return 1 / (2 * math.pi * self.feedback_ohm * self.feedback_f)
 
     @property
     def gain_bandwidth_hz(self) -> float:
-        """Least gain-bandwidth of the amplifier.
+        """Return the least gain-bandwidth of the amplifier, Hz.
 
         At the corner, inputs and wire divide it by |1 + (n·Rf/Rin + j·wire/Cf)/(1 + j)|, and that
         is at most 1 + the larger one of the two.
@@ -148,7 +148,7 @@ class Attenuator:
 
     @property
     def share(self) -> float:
-        """Of the pin's swing, at the follower."""
+        """Return the share of the pin's swing at the follower."""
         return self.bias_ohm / (2 * self.series_ohm + self.bias_ohm)
 
     @property
@@ -181,7 +181,7 @@ class FrontEnd:
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The amplifiers between a node and the converter."""
+        """Return the amplifiers between a node and the converter."""
         return (self.nodes_stage, *([self.groups_stage] if self.groups_stage else []))
 
     @property
@@ -191,12 +191,12 @@ class FrontEnd:
 
     @property
     def polarity(self) -> int:
-        """Whether the line rises (1) or falls (−1) with a pin."""
+        """Tell whether the line rises (1) or falls (−1) with a pin."""
         return 1 if self.groups_stage else -1
 
     @property
     def node_level_v(self) -> float:
-        """What a high pin adds to half the supply before Rin."""
+        """Tell what a high pin adds to half the supply before Rin."""
         return self.supply_v / 2 * (self.attenuator.share if self.attenuator else 1)
 
     @property
@@ -206,47 +206,47 @@ class FrontEnd:
 
     @property
     def gain(self) -> float:
-        """From a node's level to the converter."""
+        """Return the gain from a node's level to the converter."""
         return math.prod(stage.gain for stage in self.stages)
 
     @property
     def amplitude_v(self) -> float:
-        """A, one node on the digitized line."""
+        """Return A, one node on the digitized line."""
         return self.node_level_v * self.gain
 
     @property
     def room(self) -> float:
-        """Room in units of A: so many nodes may agree."""
+        """Return the room in units of A: so many nodes may agree."""
         return self.room_v / self.amplitude_v
 
     @property
     def full_scale(self) -> float:
-        """Room in units of √n·A, n nodes talking."""
+        """Return the room in units of √n·A, n nodes talking."""
         return self.room / math.sqrt(self.talking)
 
     @property
     def filter_hz(self) -> float:
-        """Corner of the filter behind the amplifiers."""
+        """Return the corner of the filter behind the amplifiers, Hz."""
         return 1 / (2 * math.pi * self.filter_ohm * self.filter_f)
 
     @property
     def slew_v_per_s(self) -> float:
-        """Least slew rate of the amplifiers: end to end in one time constant of the feedback."""
+        """Return the least slew rate: end to end in one time constant of the feedback."""
         return 2 * self.room_v * 2 * math.pi * self.stages[-1].corner_hz
 
     @property
     def half_tolerance(self) -> float:
-        """Of the two resistors that make half the supply."""
+        """Return the tolerance of the two resistors that make half the supply."""
         return half_tolerance(self.attenuator)
 
     @property
     def follower_bandwidth_hz(self) -> float:
-        """Least gain-bandwidth of a follower, where there are any."""
+        """Return the least gain-bandwidth of a follower, Hz, where there are any."""
         return LOOP_GAIN * self.nodes_stage.corner_hz
 
     @property
     def follower_slew_v_per_s(self) -> float:
-        """Least slew rate of a follower: a step in half a time constant.
+        """Return the least slew rate of a follower: a step in half a time constant.
 
         With a whole one, 1.0 % of a step is left at 16 nodes' first sample, so 0.8 % (make spice).
         """
@@ -254,7 +254,7 @@ class FrontEnd:
 
     @cached_property
     def unsettled(self) -> float:
-        """Share of a step that is left at a chip's first sample, with parts as slow as allowed."""
+        """Return the share of a step left at a chip's first sample by parts as slow as allowed."""
         poles = [self.filter_ohm * self.filter_f]
         if self.attenuator:
             poles += [self.attenuator.time_s, 1 / (2 * math.pi * self.follower_bandwidth_hz)]
@@ -265,7 +265,7 @@ class FrontEnd:
 
     @property
     def count_v(self) -> float:
-        """One count of the converter."""
+        """Return one count of the converter, V."""
         return self.adc_volts / (1 << self.adc_bits)
 
 
@@ -280,7 +280,7 @@ def design(
     active: float | None = None,
     circuit: str = DIRECT,
 ) -> FrontEnd:
-    """The front end for a skin. circuit: of CIRCUITS.
+    """Design the front end for a skin. circuit: of CIRCUITS.
 
     active: largest share of the nodes that talk at once; None: all, or of sparse codes as many as a
     frame holds.
@@ -328,7 +328,7 @@ def design(
 
 
 def first_sample_s(chip_s: float, samples_per_chip: int, adc_hz: float = ADC_HZ) -> float:
-    """When the first sample of a chip is taken, s after it begins."""
+    """Tell when the first sample of a chip is taken, s after it begins."""
     most = int(chip_s * adc_hz * EXACT)
     if most < LEAST_SAMPLES:
         return LATE_SAMPLE * chip_s
@@ -336,7 +336,7 @@ def first_sample_s(chip_s: float, samples_per_chip: int, adc_hz: float = ADC_HZ)
 
 
 def step_left(t_s: float, poles_s: Sequence[float]) -> float:
-    """Share of a step that low passes in a row, of these time constants, leave at a time.
+    """Return the share of a step that low passes in a row, of these time constants, have left.
 
     By partial fractions: Σ e^(−t/τᵢ) · Πⱼ τᵢ/(τᵢ − τⱼ).
     """
@@ -374,14 +374,14 @@ def low_pass_s(sample_s: float, stages: int, attenuator: Attenuator | None) -> f
 
 
 def half_tolerance(attenuator: Attenuator | None) -> float:
-    """Of the two resistors that make half the supply: 1 % does where the noise gain is small."""
+    """Return the tolerance of the resistors that make half the supply: 1 % at small noise gains."""
     return BIAS_TOLERANCE if attenuator else TOLERANCE
 
 
 def rest_deviation_v(
     stages: Sequence[Stage], supply_v: float, attenuator: Attenuator | None
 ) -> float:
-    """Standard deviation of the output's rest, V: dividers whose parts are off within tolerance.
+    """Return the deviation of the output's rest, V, RMS: of dividers within tolerance.
 
     Two resistors with errors uniform in ±t shift a supply's half by S/4·√2·t/√3. Pins have the
     whole supply, which has no such error.
@@ -410,7 +410,7 @@ def _within(
     sample_s: float,
     attenuator: Attenuator | None,
 ) -> tuple[list[Stage], float]:
-    """The stages of the largest swing that leaves their own margin free, by bisection.
+    """Find the stages of the largest swing that leaves their own margin free, by bisection.
 
     A larger gain takes a larger margin: most of the room, where few of many nodes talk. It needs
     faster amplifiers, too. Raises SpecError where LEAST_USED needs too fast ones.
@@ -438,7 +438,7 @@ def _within(
 def _stages(
     spec: FrameSpec, active: float, level: float, sample_s: float, attenuator: Attenuator | None
 ) -> tuple[list[Stage], float] | None:
-    """Amplifiers, and the time constant of each. level: the room in units of a node's level.
+    """Design amplifiers, and the time constant of each. level: the room in units of a node's level.
 
     Nodes are divided into as few groups of up to GROUP_NODES, else larger ones, as an amplifier of
     MOST_GAIN_BANDWIDTH_HZ allows; None where it allows no number of groups.
@@ -462,7 +462,7 @@ def _stages(
 
 
 def largest_sum(spec: FrameSpec, talking: int) -> float:
-    """Of so many nodes, in units of one."""
+    """Return the largest sum of so many nodes, in units of one."""
     if spec.sign_seed is None:
         return float(talking)
     return min(float(talking), CREST * math.sqrt(talking))
@@ -484,7 +484,7 @@ def _stage(inputs: int, ohms: tuple[float, float], tau: float, wire_f: float) ->
 
 
 def _attenuator(share: float) -> Attenuator:
-    """R1 and Rb that leave the share of a pin's swing that is nearest to this one.
+    """Choose R1 and Rb that leave the share of a pin's swing that is nearest to this one.
 
     Rb is 10 to 22 kΩ: little current, and fast with a follower's input capacitance.
     """
@@ -500,7 +500,7 @@ def _attenuator(share: float) -> Attenuator:
 
 
 def _summing(gain: float) -> tuple[float, float]:
-    """Rin and Rf, Ω, with the largest ratio Rf/Rin up to this gain.
+    """Choose Rin and Rf, Ω, with the largest ratio Rf/Rin up to this gain.
 
     The smaller one is 2 to 4.3 kΩ: an output drives it, and wire capacitance matters little.
     """
@@ -513,23 +513,23 @@ def _summing(gain: float) -> tuple[float, float]:
 
 
 def _decades(first: float, count: int) -> list[float]:
-    """The values of E24 in so many decades from the first one on."""
+    """Return the values of E24 in so many decades from the first one on."""
     return [value * first / 10 * 10.0**decade for decade in range(count) for value in E24]
 
 
 def _below(value: float, series: Sequence[int] = E24) -> float:
-    """The largest value of a series up to this one."""
+    """Return the largest value of a series up to this one."""
     decade = _decade(value)
     return max(part * decade for part in series if part * decade <= value * EXACT)
 
 
 def _above(value: float, series: Sequence[int] = E24) -> float:
-    """The smallest value of a series from this one on."""
+    """Return the smallest value of a series from this one on."""
     decade = _decade(value) * 10 / series[0]
     parts = (*series, 10 * series[0])
     return min(part * decade for part in parts if part * decade * EXACT >= value)
 
 
 def _decade(value: float) -> float:
-    """Factor to the two digits of a series, for values about this one."""
+    """Return the factor to the two digits of a series, for values about this one."""
     return float(10.0 ** (math.floor(math.log10(value * EXACT)) - 1))

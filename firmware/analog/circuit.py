@@ -25,20 +25,20 @@ from amplifier import INPUT_F, FrontEnd, Stage
 EDGE_S = 10e-9
 """Rise and fall of a pin, s: an AVR's into some pF."""
 PIN_OHM = 30.0
-"""Of a pin's driver, Ω: an ATmega328P's at 3.3 V, by its data sheet's curves."""
+"""Resistance of a pin's driver, Ω: an ATmega328P's at 3.3 V, by its data sheet's curves."""
 OUTPUT_OHM = 50.0
-"""Of an op-amp without feedback, Ω. Chosen, like the next one, as is usual of the kind."""
+"""Output of an op-amp without feedback, Ω. Chosen, like the next one, as is usual of the kind."""
 SECOND_POLE = 3.0
 """Frequency of an op-amp's second pole over its gain-bandwidth: a phase margin of 72°."""
 OPEN_LOOP = 1e5
 NOISE_OHM = 3.9e3
 """A resistor whose noise is that of an op-amp's input: 8 nV/√Hz."""
 TAIL_STEPS = np.arange(0, 7, 0.125)
-"""Where a released pin's tail has points, in its time constants: 0.2 % of it off between them."""
+"""Points of a released pin's tail, in its time constants: 0.2 % of it off between them."""
 HALF_OHM, HALF_F = 10e3, 10e-12
-"""Of half the supply at an amplifier's + input."""
+"""Resistance and capacitance of half the supply at an amplifier's + input."""
 FOLLOWER_F = 3e-12
-"""Of the op-amp's own at its input."""
+"""Capacitance of a follower's op-amp at its input, F."""
 
 OPAMP = f"""\
 .subckt opamp plus minus out supply bandwidth=1e6 slew=1e6 half=1.65
@@ -58,7 +58,7 @@ rout o out {OUTPUT_OHM:g}
 
 
 def netlist(front: FrontEnd, level_files: Sequence[str], end_s: float, step_s: float) -> str:
-    """A transient analysis of a front end whose nodes' levels, −1…1, are in files.
+    """Write a transient analysis of a front end whose nodes' levels, −1…1, are in files.
 
     One file: the mean level of all. Two: that of the first node, and the mean of the others. n:
     that of each, in one group.
@@ -79,7 +79,7 @@ def netlist(front: FrontEnd, level_files: Sequence[str], end_s: float, step_s: f
 
 
 def noise_netlist(front: FrontEnd, depth: int, highest_hz: float) -> str:
-    """Noise at the converter, from 10 Hz to a frequency; prints onoise_total, V.
+    """Write an analysis of noise at the converter, 10 Hz to a frequency; it prints onoise_total, V.
 
     depth: amplifiers, counted from the converter, that are real in one path; one more than there
     are: a follower, too. All other paths end in their resistors. So the difference of two powers is
@@ -123,7 +123,7 @@ def _head(front: FrontEnd) -> list[str]:
 
 
 def _summed(front: FrontEnd) -> list[str]:
-    """From the line to the converter; all groups as one, through Rg/groups."""
+    """Write what is from the line to the converter; all groups as one, through Rg/groups."""
     nodes, last, groups = front.nodes_stage, front.groups_stage, front.groups
     lines = _filter(front)
     lines.append(f"cline line 0 {nodes.wire_f:g}")
@@ -139,7 +139,7 @@ def _summed(front: FrontEnd) -> list[str]:
 
 
 def _amplified(front: FrontEnd) -> list[str]:
-    """Nodes at half the supply when nobody talks: where ngspice begins to look."""
+    """List nodes at half the supply when nobody talks: where ngspice begins to look."""
     followers = ["pins0"] if front.attenuator else []
     return ["out", "adc", "line", *followers, *(["nodes", "sum"] if front.groups_stage else [])]
 
@@ -149,7 +149,7 @@ def _filter(front: FrontEnd) -> list[str]:
 
 
 def _node(front: FrontEnd, number: int, level: str, count: float) -> list[str]:
-    """One node in place of `count` of them: pin, attenuator and follower, if any, Rin/count."""
+    """Write one node for `count` of them: pin, attenuator and follower, if any, Rin/count."""
     n, rin = number, front.nodes_stage.input_ohm / count
     pin = f"bpin{n} pin{n} 0 v={{supply}}/2*(1+v({level}))"
     if front.attenuator is None:
@@ -168,7 +168,7 @@ def _node(front: FrontEnd, number: int, level: str, count: float) -> list[str]:
 
 
 def _stage(name: str, front: FrontEnd, stage: Stage, summing: str) -> list[str]:
-    """A summing amplifier with its output at `name`."""
+    """Write a summing amplifier with its output at `name`."""
     speed = f"bandwidth={stage.gain_bandwidth_hz:g} slew={front.slew_v_per_s:g}"
     return [
         f"rup{name} supply half{name} {HALF_OHM:g}",
@@ -186,7 +186,7 @@ def level_points(
     tail_s: float = 0.0,
     released: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Times and levels (m, 2) of a file: steps at the chips' ends, (span,) levels from 0 on.
+    """Return a file's times and levels (m, 2): steps at the chips' ends, (span,) levels from 0 on.
 
     tail_s: time constant with which a released pin's level leaves it. released: (span + 1,) levels
     of the pins that are released when a chip begins; without it those of a pin by itself.
@@ -213,6 +213,6 @@ def level_points(
 
 
 def steps_of(chip_s: float, tail_s: float = 0.0) -> float:
-    """Largest step of a transient analysis, s: 40 in a chip of 2 µs, 200 at most; 2 in a tail."""
+    """Choose the largest step of an analysis, s: 40 in a chip of 2 µs, 200 at most; 2 in a tail."""
     step_s = max(50e-9, chip_s / 200)
     return min(step_s, tail_s / 2) if tail_s else step_s

@@ -107,7 +107,7 @@ class Load:
 
 
 def loads(spec: FrameSpec, front: FrontEnd) -> dict[str, Load]:
-    """Simulated scenes without noise, by name; nodes that may talk are spread over the skin.
+    """Simulate scenes without noise, by name; nodes that may talk are spread over the skin.
 
     "random codes": independent ones. The others are the simulator's: in "idle" all nodes have one
     code, in "press" all but those under one press.
@@ -128,7 +128,7 @@ def loads(spec: FrameSpec, front: FrontEnd) -> dict[str, Load]:
 
 
 def gaussian_clipping(front: FrontEnd) -> float:
-    """Share of chips beyond the range if the sum of the nodes is taken as Gaussian."""
+    """Return the share of chips beyond the range if the nodes' sum is taken as Gaussian."""
     return 0.0 if front.room >= front.talking else 2 * _tail(front.full_scale)
 
 
@@ -148,7 +148,7 @@ class Resolution:
 
 
 def resolution(spec: FrameSpec, front: FrontEnd) -> Resolution:
-    """Effect of the converter's steps on one node: a step of q has an rms of q/√12."""
+    """Return the effect of the converter's steps on one node: a step of q has an rms of q/√12."""
     signal_v = math.sqrt(spec.order) * front.amplitude_v
     rho = signal_v * math.sqrt(12) / front.count_v
     step_v = math.sqrt(12 * (LOSS - 1)) * signal_v / LEAST_RHO
@@ -161,7 +161,7 @@ def resolution(spec: FrameSpec, front: FrontEnd) -> Resolution:
 
 
 def report(spec: FrameSpec, front: FrontEnd) -> dict[str, Any]:
-    """Everything about a front end, as plain values by name."""
+    """Tell everything about a front end, as plain values by name."""
     derived = [
         name
         for name, kind in vars(FrontEnd).items()
@@ -181,7 +181,7 @@ def report(spec: FrameSpec, front: FrontEnd) -> dict[str, Any]:
 
 
 def describe(spec: FrameSpec, front: FrontEnd) -> str:
-    """A front end as text: parts, what they must be capable of, range and resolution."""
+    """Describe a front end: parts, what they must be capable of, range and resolution."""
     seen = resolution(spec, front)
     scenes = loads(spec, front)
     worst = max(scenes, key=lambda name: scenes[name].peak)
@@ -221,7 +221,7 @@ def describe(spec: FrameSpec, front: FrontEnd) -> str:
 
 
 def _node(front: FrontEnd) -> dict[str, str]:
-    """The lines about what is between a pin and the line."""
+    """Write the lines about what is between a pin and the line."""
     rin = f"Rin {_si(front.nodes_stage.input_ohm)}Ω"
     if front.attenuator is None:
         tail = f"a released pin's level leaves the line with {_si(front.tail_s)}s"
@@ -237,7 +237,7 @@ def _node(front: FrontEnd) -> dict[str, str]:
 
 
 def _amplifiers(front: FrontEnd) -> dict[str, str]:
-    """The lines about the amplifiers."""
+    """Write the lines about the amplifiers."""
     half = f"+ input at {front.supply_v / 2:g} V"
     lines, nodes = {}, front.nodes_stage
     speed = f"{_slew(front.slew_v_per_s)}, rail to rail"
@@ -269,7 +269,7 @@ def _feedback(name: str, stage: Stage) -> str:
 
 
 def _scenes(spec: FrameSpec, rng: np.random.Generator) -> dict[str, Iterable[NDArray[np.int64]]]:
-    """Codes of some frames, (n,) each, by the name of the scene."""
+    """Return the codes of some frames, (n,) each, by the name of the scene."""
     timed = replace(spec, chip_s=1e-8, frame_period_s=SCENE_STEP_S)
     options = (SimOptions(scene=name, threshold=0) for name in SCENES)
     scenes: dict[str, Iterable[NDArray[np.int64]]] = {
@@ -281,7 +281,7 @@ def _scenes(spec: FrameSpec, rng: np.random.Generator) -> dict[str, Iterable[NDA
 
 
 def _tail(rho: float) -> float:
-    """Q(ρ): share of a Gaussian beyond ρ deviations, on one side."""
+    """Return Q(ρ): the share of a Gaussian beyond ρ deviations, on one side."""
     return 0.5 * math.erfc(rho / math.sqrt(2))
 
 
@@ -294,7 +294,7 @@ def _slew(volts_per_s: float) -> str:
 
 
 def _si(value: float) -> str:
-    """A value with the prefix of its unit: 27000 is "27 k"."""
+    """Write a value with the prefix of its unit: 27000 is "27 k"."""
     power = min(max(math.floor(math.log10(value * EXACT) / 3), -4), 2)
     return f"{value / 1000.0**power:.3g} {'pnµm kM'[power + 4].strip()}"
 

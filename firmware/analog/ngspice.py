@@ -28,7 +28,7 @@ def waveform(
     end_s: float,
     released: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times, s, and voltages at the converter, V, of a front end.
+    """Simulate a front end: times, s, and voltages at the converter, V.
 
     levels: (m, span) levels of nodes in every chip, −1…1, from time 0 on, and 0 after them: see
     netlist. released: mean of the levels of pins that are released when a chip begins, (span + 1,),
@@ -42,7 +42,7 @@ def waveform(
 
 
 def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times, s, and voltages, V, of a netlist's transient analysis that saves one of them."""
+    """Run a netlist's transient analysis that saves one voltage: times, s, and voltages, V."""
     with TemporaryDirectory() as folder:
         raw = Path(folder) / "out.raw"
         said = _run(Path(folder), text, "-r", str(raw))
@@ -58,7 +58,7 @@ def transient(text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def noise_v(front: FrontEnd) -> float:
-    """RMS noise at the converter, V, of all amplifiers, followers and resistors."""
+    """Simulate the RMS noise at the converter, V, of all amplifiers, followers and resistors."""
     paths = [front.groups] if front.groups_stage else []
     if front.attenuator:
         paths.append(front.nodes)
@@ -77,7 +77,7 @@ def _noise_v(front: FrontEnd, depth: int) -> float:
 
 
 def _run(folder: Path, text: str, *options: str) -> str:
-    """What ngspice prints for a netlist."""
+    """Return what ngspice prints for a netlist."""
     program = shutil.which("ngspice")
     if program is None:
         raise SpiceError("no ngspice on this machine: apt install ngspice")

@@ -36,12 +36,12 @@ class PassiveRun:
 
     @property
     def sample_s(self) -> float:
-        """From a chip's begin to its first sample."""
+        """Return the time from a chip's begin to its first sample, s."""
         return FIRST_SAMPLE * self.config.spec.chip_s
 
 
 def passive_runs() -> Iterator[PassiveRun]:
-    """Every network, with one node speaking, with half of them and with all."""
+    """Simulate every network, with one node speaking, with half of them and with all."""
     for nodes, input_ohm, bias_ohm in NETWORKS:
         for talking in (1, nodes // 2, nodes):
             yield passive_run(nodes, input_ohm, bias_ohm, talking)
@@ -75,7 +75,7 @@ def passive_run(nodes: int, input_ohm: float, bias_ohm: float, talking: int) -> 
 
 
 def netlist(line: PassiveLine, level_files: list[str], end_s: float, step_s: float) -> str:
-    """A transient analysis with a file of levels for each node: −1, 1, and 0 for a released pin."""
+    """Write an analysis with a file of levels per node: −1, 1, and 0 for a released pin."""
     lines = [
         "* pins, Rin each, and two Rb that halve the supply",
         f"vsupply supply 0 {line.supply_v:g}",

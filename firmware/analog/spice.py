@@ -61,7 +61,7 @@ class Figures:
 
 
 def parameters(nodes: int) -> dict[str, Value]:
-    """Of a skin, but for the amplitude, which is computed. Raises ParameterError."""
+    """Read a skin's parameters but for its amplitude, which is computed. Raises ParameterError."""
     found = read_file(CONFIG / FILES[nodes]) if nodes in FILES else {}
     given = {name: value for name, value in found.items() if name not in ("port", "amplitude_mv")}
     return {"nodes": nodes, **({"frame_period_ms": 36.0} if nodes == 64 else {}), **given}
@@ -116,7 +116,7 @@ def _mean_levels(
 
 
 def _step(front: FrontEnd, chip_s: float) -> tuple[float, float, float]:
-    """Amplitude of a node, V; what a step leaves at the first sample; overshoot."""
+    """Return a node's amplitude, V; what a step leaves at the first sample; overshoot."""
     groups = front.groups  # lumped: the node steps in all of them at once, by a share within range
     share = min(1.0, front.room_v / (2 * groups * front.amplitude_v))
     alone = share * np.repeat([-1.0, 1.0, 1.0], STEP_CHIPS)
@@ -139,7 +139,7 @@ def _wrong(
     volts: NDArray[np.float64],
     sent: NDArray[np.int64],
 ) -> int:
-    """Words of PERIODS frames that are not as sent (−1: by nobody), or are missing."""
+    """Count words of PERIODS frames that are not as sent (−1: by nobody), or are missing."""
     decoded = [*_decoded(config, front, times, volts)]
     wrong = sum(int(np.sum(np.where(active, said, -1) != sent)) for active, said in decoded)
     return wrong + (PERIODS - len(decoded)) * config.spec.nodes
@@ -151,7 +151,7 @@ def _decoded(
     times: NDArray[np.float64],
     volts: NDArray[np.float64],
 ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.int32]]]:
-    """Who spoke, and the codes, of the frames that the driver finds in PERIODS of these volts."""
+    """Yield who spoke, and the codes, of the frames found in PERIODS of these volts."""
     spec, per_chip = config.spec, config.samples_per_chip
     integrated = per_chip == 1
     if integrated:

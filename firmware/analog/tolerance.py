@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What inexact parts make of a front end: many skins, drawn at random from the parts' classes."""
+"""Finds what inexact parts make of a front end: many skins, drawn from the parts' classes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def scatter(front: FrontEnd, half_tolerance: float | None = None, seed: int = 1)
 def _output(
     front: FrontEnd, half_tolerance: float, rng: np.random.Generator
 ) -> tuple[float, Floats]:
-    """The middle of one skin's output, V, and what each node adds to it, (n,) V."""
+    """Compute the middle of one skin's output, V, and what each node adds to it, (n,) V."""
 
     def parts(ohm: float, shape: int | tuple[int, ...], tolerance: float = TOLERANCE) -> Floats:
         return ohm * (1 + rng.uniform(-tolerance, tolerance, shape))
@@ -87,7 +87,7 @@ def _output(
 
 
 def _half(supply_v: float, pair: Floats) -> Floats:
-    """A divider's output, V, of two resistors (2, m)."""
+    """Return a divider's output, V, of two resistors (2, m)."""
     upper, lower = pair
     half_v: Floats = supply_v * lower / (upper + lower)
     return half_v

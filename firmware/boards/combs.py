@@ -38,28 +38,28 @@ class Comb:
 
     @property
     def edge(self) -> float:
-        """From the middle to the inner comb."""
+        """Return the distance from the middle to the inner comb."""
         return self.size / 2 - self.width - self.gap
 
     @property
     def fingers(self) -> int:
-        """Of the inner comb, between which the outer one has one less."""
+        """Count the fingers of the inner comb, between which the outer one has one less."""
         return int((2 * self.edge + self.width + 2 * self.gap) / (2 * (self.width + self.gap)))
 
     @property
     def pitch(self) -> float:
-        """From a finger to the next one, of the other comb."""
+        """Return the distance from a finger to the next one, of the other comb."""
         return (2 * self.edge - self.width) / (2 * self.fingers - 2)
 
     def inner(self) -> list[Rectangle]:
-        """The sensor's comb: its back at the right, then its fingers."""
+        """Draw the sensor's comb: its back at the right, then its fingers."""
         edge = self.edge
         tops = [-edge + 2 * i * self.pitch for i in range(self.fingers)]
         back = (edge - SPINE_MM, -edge, edge, edge)
         return [back, *((-edge, top, edge - SPINE_MM, top + self.width) for top in tops)]
 
     def outer(self) -> list[Rectangle]:
-        """Ground: the ring's four sides, then its fingers, from the left."""
+        """Draw ground: the ring's four sides, then its fingers, from the left."""
         half, w = self.size / 2, self.width
         ring = [(-half, -half, half, w - half), (-half, half - w, half, half)]
         ring += [(-half, w - half, w - half, half - w), (half - w, w - half, half, half - w)]
@@ -68,7 +68,7 @@ class Comb:
         return [*ring, *((w - half, top, end, top + w) for top in tops)]
 
     def text(self) -> str:
-        """The footprint, as KiCad's file."""
+        """Write the footprint as KiCad's file."""
         half = self.size / 2
         lines = [
             f'(footprint "{self.name}" (version 20241229) (generator "tactile_cdma") '
@@ -108,7 +108,7 @@ class Comb:
 
 
 COMBS = (Comb(8.0, 0.4, 0.35), Comb(5.5, 0.3, 0.35))
-"""Of the strips, and of the paper's units (Liu et al. 2025, Fig. 5)."""
+"""Combs of the strips, and of the paper's units (Liu et al. 2025, Fig. 5)."""
 
 
 def main() -> int:

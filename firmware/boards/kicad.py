@@ -22,9 +22,9 @@ PICTURES = {
 """Board and page of every picture."""
 DOTS_PER_INCH = 110
 MADE = "F.Cu,{inner}B.Cu,F.Mask,B.Mask,F.Paste,B.Paste,F.Silkscreen,B.Silkscreen,Edge.Cuts"
-"""What a board house gets."""
+"""Layers that a board house gets."""
 OUTLINES = "F.Cu,F.Mask,B.Cu,Edge.Cuts"
-"""What a drawing program gets of a board, as DXF."""
+"""Layers that a drawing program gets, as DXF."""
 
 
 class KicadError(RuntimeError):
@@ -48,7 +48,7 @@ def check(folder: Path) -> str:
 
 
 def netlist(folder: Path, board: str) -> str:
-    """KiCad's netlist of a board, as XML."""
+    """Return KiCad's netlist of a board, as XML."""
     options = ("--format", "kicadxml", f"{board}.kicad_sch")
     return _run("sch", "export", "netlist", *options, to="netlist.xml", folder=folder)
 
@@ -80,7 +80,7 @@ def fabricate(folder: Path, board: str, target: Path) -> None:
 
 
 def _run(*arguments: str, to: str, folder: Path) -> str:
-    """What kicad-cli writes into a file; in the boards' folder, where their library is found."""
+    """Return what kicad-cli writes into a file; in the boards' folder, where their library is."""
     with TemporaryDirectory(dir=folder) as scratch:
         out = Path(scratch) / to
         _kicad(folder, *arguments, "-o", str(out))

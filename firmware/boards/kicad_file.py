@@ -32,29 +32,29 @@ class Item:
         self.values: list[str | Item] = []
 
     def all(self, *kinds: str) -> Iterator[Item]:
-        """Items of these kinds in this one."""
+        """Return items of these kinds in this one."""
         return (v for v in self.values if isinstance(v, Item) and v.kind in kinds)
 
     def one(self, kind: str) -> Item:
-        """The first item of a kind."""
+        """Return the first item of a kind."""
         for item in self.all(kind):
             return item
         raise self.error(f"there is no ({kind} …) in it")
 
     @property
     def texts(self) -> list[str]:
-        """The values that are no items."""
+        """Return the values that are no items."""
         return [value for value in self.values if isinstance(value, str)]
 
     def text(self, index: int = 0) -> str:
-        """One of them."""
+        """Return one of the values that are no items."""
         try:
             return self.texts[index]
         except IndexError:
             raise self.error("it lacks a value") from None
 
     def number(self, index: int = 0) -> float:
-        """One of them, as a number."""
+        """Return one of the values that are no items, as a number."""
         try:
             number = float(self.text(index))
             if not math.isfinite(number):
@@ -66,7 +66,7 @@ class Item:
         return number
 
     def field(self, name: str) -> str:
-        """The text of a property."""
+        """Return the text of a property."""
         try:
             return self.fields[name]
         except KeyError:
@@ -78,12 +78,12 @@ class Item:
         return {field.text(): field.text(1) for field in self.all("property")}
 
     def error(self, what: str) -> KicadFileError:
-        """What to raise about this item."""
+        """Make the error to raise about this item."""
         return KicadFileError(f"{self.file}: line {self.line}: ({self.kind} …): {what}")
 
 
 def load(path: Path) -> Item:
-    """A schematic or a layout. Raises KicadFileError."""
+    """Read a schematic or a layout. Raises KicadFileError."""
     kind = path.suffix[1:]
     try:
         text = path.read_bytes().decode()

@@ -42,13 +42,13 @@ class Copper:
 
 
 def read_board(path: Path) -> list[Copper]:
-    """All copper of a board that has a net. Raises KicadFileError."""
+    """Read all copper of a board that has a net. Raises KicadFileError."""
     tree = load(path)
     return [*_pads(tree), *_tracks(tree), *_zones(tree)]
 
 
 def unconnected(copper: list[Copper]) -> list[tuple[str, list[set[Terminal]]]]:
-    """Nets whose pads are not all connected, each with its parts."""
+    """List nets whose pads are not all connected, each with its parts."""
     found = []
     for net, items in _by_net(copper).items():
         parts = _parts(items)
@@ -58,7 +58,7 @@ def unconnected(copper: list[Copper]) -> list[tuple[str, list[set[Terminal]]]]:
 
 
 def nets(copper: list[Copper]) -> set[frozenset[Terminal]]:
-    """Pads by the net that the board says."""
+    """Return pads by the net that the board says."""
     found: dict[str, set[Terminal]] = {}
     for item in copper:
         if item.terminal:
@@ -74,7 +74,7 @@ def _by_net(copper: list[Copper]) -> dict[str, list[Copper]]:
 
 
 def _parts(items: list[Copper]) -> list[set[Terminal]]:
-    """Terminals of a net that are connected with each other."""
+    """Group the terminals of a net that are connected with each other."""
     above = list(range(len(items)))
 
     def root(i: int) -> int:
@@ -108,7 +108,7 @@ def _touch(one: Copper, other: Copper) -> bool:
 
 
 def _covers(item: Copper, point: Point) -> bool:
-    """Whether a point lies in a pad, a via or a track."""
+    """Tell whether a point lies in a pad, a via or a track."""
     if item.kind == "zone":
         return _inside(point, item.points)
     if item.kind == "track":
@@ -123,7 +123,7 @@ def _covers(item: Copper, point: Point) -> bool:
 
 
 def _distance(point: Point, begin: Point, end: Point) -> float:
-    """From a point to a line's nearest one."""
+    """Return the distance from a point to a line's nearest one."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     length = dx * dx + dy * dy
     share = ((point[0] - begin[0]) * dx + (point[1] - begin[1]) * dy) / length if length else 0.0
@@ -154,7 +154,7 @@ def _point(item: Item) -> Point:
 
 
 def _turn(at: Item) -> float:
-    """Of a place, degrees."""
+    """Return the turn of a place, degrees."""
     return at.number(2) if len(at.texts) > 2 else 0.0
 
 
@@ -166,14 +166,14 @@ def _outline(item: Item, points: Iterable[Point]) -> tuple[Point, ...]:
 
 
 def _turned(middle: Point, offset: Point, turn: float) -> Point:
-    """A place that is off a middle, turned with its part by an angle, rad."""
+    """Turn a place that is off a middle with its part by an angle, rad."""
     (x, y), (dx, dy) = middle, offset
     cosine, sine = math.cos(turn), math.sin(turn)
     return x + dx * cosine + dy * sine, y - dx * sine + dy * cosine
 
 
 def _layers(names: list[str]) -> frozenset[str]:
-    """Copper that "*.Cu" and names of layers stand for."""
+    """List the copper that "*.Cu" and names of layers stand for."""
     return frozenset(COPPER if "*.Cu" in names else (name for name in names if name in COPPER))
 
 
@@ -203,7 +203,7 @@ def _pad(pad: Item, net: str, terminal: Terminal, middle: Point, turn: float) ->
 
 
 def _places(tree: Item) -> Iterator[Point]:
-    """Every place in a drawing."""
+    """Yield every place in a drawing."""
     for item in tree.values:
         if isinstance(item, Item):
             if item.kind in ("xy", "start", "end", "center"):

@@ -85,7 +85,7 @@ def make() -> int:
 
 
 def faults_of(board: str, schematic: Netlist) -> Iterator[str]:
-    """Nets of a layout that are in parts, or that are not the schematic's."""
+    """List nets of a layout that are in parts, or that are not the schematic's."""
     copper = read_board(KICAD / f"{board}.kicad_pcb")
     for net, parts in unconnected(copper):
         yield f"{board}.kicad_pcb: {net} is in {len(parts)} parts"
@@ -98,12 +98,12 @@ def faults_of(board: str, schematic: Netlist) -> Iterator[str]:
 
 
 def is_fresh(path: Path, text: str) -> bool:
-    """Whether a file is there with this text."""
+    """Tell whether a file is there with this text."""
     return path.exists() and path.read_bytes() == text.encode()
 
 
 def outputs() -> Iterator[tuple[Path, str]]:
-    """Path and text of every generated file."""
+    """Return path and text of every generated file."""
     parts = read_parts(KICAD)
     yield PARTS, csv_text(parts)
     text = (ROOT / DOCUMENT).read_text(encoding="utf-8")

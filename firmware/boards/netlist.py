@@ -19,7 +19,7 @@ from kicad_file import Item, load
 Terminal = tuple[str, str]
 """A part's reference, and the number of its pin."""
 Place = tuple[int, int]
-"""On a sheet, µm."""
+"""Place on a sheet, µm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Netlist:
     names: dict[str, frozenset[Terminal]]
 
     def net(self, reference: str, pin: str) -> frozenset[Terminal]:
-        """What a pin, by number or name, is connected to, itself included."""
+        """Return what a pin, by number or name, is connected to, itself included."""
         pins = self.components[reference].pins
         (number,) = [number for number, name in pins.items() if pin in (number, name)]
         (net,) = [net for net in self.nets if (reference, number) in net]
@@ -50,7 +50,7 @@ class Netlist:
 
 
 def read(path: Path) -> Netlist:
-    """The board whose first sheet is this file. Raises KicadFileError."""
+    """Read the board whose first sheet is this file. Raises KicadFileError."""
     reader = _Reader()
     root = load(path)
     reader.sheet(root, "/" + root.one("uuid").text())
@@ -58,7 +58,7 @@ def read(path: Path) -> Netlist:
 
 
 def components(tree: Item, path: str = "") -> Iterator[tuple[Component, Item, Item]]:
-    """Parts of a sheet, each with its item and its symbol, without supplies.
+    """Yield parts of a sheet, each with its item and its symbol, without supplies.
 
     path: of the sheet's use; without it, parts are named as in the first one.
     """
@@ -144,7 +144,7 @@ class _Reader:
 
 
 def _symbols(tree: Item) -> Iterator[tuple[Item, Item]]:
-    """Symbols of a sheet, each with its definition."""
+    """Yield symbols of a sheet, each with its definition."""
     definitions = {item.text(): item for item in tree.one("lib_symbols").all("symbol")}
     for item in tree.all("symbol"):
         name = item.one("lib_id").text()
@@ -172,7 +172,7 @@ def _pins(definition: Item) -> Iterator[tuple[str, str, Place]]:
 
 
 def _placed(pin: Place, at: Item) -> Place:
-    """A pin's place on the sheet: symbols are drawn y up, sheets y down."""
+    """Return a pin's place on the sheet: symbols are drawn y up, sheets y down."""
     turn = math.radians(at.number(2))
     cosine, sine = round(math.cos(turn)), round(math.sin(turn))
     x, y = _point(at)
@@ -180,5 +180,5 @@ def _placed(pin: Place, at: Item) -> Place:
 
 
 def _on(at: Place, begin: Place, end: Place) -> bool:
-    """Whether a point is on a level or upright wire."""
+    """Tell whether a point is on a level or upright wire."""
     return all(min(b, e) <= p <= max(b, e) for p, b, e in zip(at, begin, end, strict=True))

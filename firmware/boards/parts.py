@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which part to buy for each symbol and value, and what it costs.
+"""Chooses the part to buy for each symbol and value, and tells what it costs.
 
 Data sheet figures and pin-outs are as remembered, prices are estimates for late 2026 at some
 hundred pieces, in US dollars: check both before ordering.
@@ -52,7 +52,7 @@ OPAMPS = {
     "group amplifier": TLV3541,
     "sum": TLV3541,
 }
-"""By use, as the schematics name it."""
+"""Op-amps by their use, as the schematics name it."""
 
 _0402, _C0402 = "Resistor_SMD:R_0402_1005Metric", "Capacitor_SMD:C_0402_1005Metric"
 _LARGE_CAPACITORS = {
@@ -124,7 +124,7 @@ _OTHERS = {
 
 
 def part(symbol: str, value: str = "") -> Part:
-    """The part of a symbol; value: of a resistor or capacitor, or what an op-amp is used for.
+    """Choose a symbol's part; value: of a resistor or capacitor, or what an op-amp is used for.
 
     Raises PartError where there is none.
     """
@@ -139,7 +139,7 @@ def part(symbol: str, value: str = "") -> Part:
 
 
 def _resistor(value: str) -> Part:
-    """Yageo's, whose numbers tell the value: 3.9k is 3K9, 820 is 820R."""
+    """Name Yageo's part, whose numbers tell the value: 3.9k is 3K9, 820 is 820R."""
     digits, letter = _digits(value, "R", "k?")
     unit = letter.upper() or "R"
     code = digits.replace(".", unit) if "." in digits else digits + unit
@@ -148,7 +148,7 @@ def _resistor(value: str) -> Part:
 
 
 def _capacitor(value: str) -> Part:
-    """Murata's; of C0G up to 1 nF, whose numbers tell the value: 220 pF is 221."""
+    """Name Murata's part; of C0G up to 1 nF, whose numbers tell the value: 220 pF is 221."""
     if value in _LARGE_CAPACITORS:
         number, cost, footprint, what = _LARGE_CAPACITORS[value]
         return Part("Murata", number, cost, footprint, f"{_farad(value)}, {what}")
@@ -160,7 +160,7 @@ def _capacitor(value: str) -> Part:
 
 
 def _digits(value: str, symbol: str, letters: str) -> tuple[str, str]:
-    """Digits and prefix of a value."""
+    """Return digits and prefix of a value."""
     found = re.fullmatch(rf"([0-9]+(?:\.[0-9]+)?)({letters})", value)
     if found is None:
         raise PartError(f"{value!r} is no value of a {symbol}, as 3.9k, 820, 220p or 1u are")
@@ -173,4 +173,4 @@ def _farad(value: str) -> str:
 
 SENSOR_SHEET = Part("Adafruit", "1361", 5.00, "", "Velostat, 280 mm × 280 mm × 0.1 mm")
 SUPPLY_5V = Part("Mean Well", "LRS-50-5", 18.00, "", "supply 5 V, 10 A")
-"""What no schematic shows."""
+"""Parts that no schematic shows."""

@@ -26,17 +26,17 @@ STRIP_NODES = 8
 SHEETS = ("node", "node-fast", "strip", "strip-fast", "digitizer", "digitizer-fast", "group")
 """Files of the boards of a skin."""
 Parts = dict[str, list[Component]]
-"""By file, those that one buys."""
+"""Parts that one buys, by file."""
 
 
 def front_end(nodes: int) -> FrontEnd:
-    """The front end of a skin, as `make spice` simulates it."""
+    """Design the front end of a skin, as `make spice` simulates it."""
     config = SkinConfig.of(spice.parameters(nodes))
     return design(config.spec, config.samples_per_chip)
 
 
 def read_parts(folder: Path) -> Parts:
-    """Of every sheet of a skin, by itself. Raises KicadFileError."""
+    """Read every sheet of a skin, by itself. Raises KicadFileError."""
     trees = {name: load(folder / f"{name}.kicad_sch") for name in SHEETS}
     return {
         name: [c for c, *_ in components(tree) if "MPN" in c.fields] for name, tree in trees.items()
@@ -44,7 +44,7 @@ def read_parts(folder: Path) -> Parts:
 
 
 def boards_of(nodes: int) -> dict[str, int]:
-    """How many of each board a skin has. Strips of a group are not shared with another one."""
+    """Count each board of a skin. Strips of a group are not shared with another one."""
     front = front_end(nodes)
     if front.groups == 1:
         return {"node": nodes, "strip": ceil(nodes / STRIP_NODES), "digitizer": 1}
@@ -55,7 +55,7 @@ def boards_of(nodes: int) -> dict[str, int]:
 
 
 def needed(parts: Parts, nodes: int) -> Counter[Part]:
-    """The parts of a skin, without boards, cables and assembly. Raises PartError."""
+    """List the parts of a skin, without boards, cables and assembly. Raises PartError."""
     counts: Counter[Part] = Counter()
     for board, number in boards_of(nodes).items():
         for component in parts[board]:
@@ -75,7 +75,7 @@ SENSOR_SHEET_TAXELS = 27 * 27
 
 
 def bought(component: Component, nodes: int) -> Part:
-    """The part of a symbol on a skin's boards. Raises PartError."""
+    """Choose the part of a symbol on a skin's boards. Raises PartError."""
     fields, key = component.fields, "MPN"
     value = fields.get("Use", component.value)
     if nodes == MORE and f"MPN{MORE}" in fields:
@@ -87,7 +87,7 @@ def bought(component: Component, nodes: int) -> Part:
 
 
 def csv_text(parts: Parts) -> str:
-    """All parts as CSV: a line per part, quantities and costs by number of nodes."""
+    """Write all parts as CSV: a line per part, quantities and costs by number of nodes."""
     counts = {nodes: needed(parts, nodes) for nodes in SKINS}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -101,7 +101,7 @@ def csv_text(parts: Parts) -> str:
 
 
 def assembly_csv(schematic: Path, nodes: int = FEW) -> str:
-    """A board's parts as assemblers take them: a line per number, with its places.
+    """Write a board's parts as assemblers take them: a line per number, with its places.
 
     nodes: of the skin; the boards of MORE have other parts in some places.
     """
@@ -124,7 +124,7 @@ def assembly_csv(schematic: Path, nodes: int = FEW) -> str:
 
 
 def markdown(parts: Parts) -> str:
-    """What they cost together, and how many boards there are, as a table."""
+    """Write a table of what parts cost together, and how many boards there are."""
     counts = {nodes: needed(parts, nodes) for nodes in SKINS}
     sums = [sum(p.cost * count for p, count in counts[n].items()) for n in SKINS]
     boards = [boards_of(n) for n in SKINS]
@@ -141,7 +141,7 @@ def markdown(parts: Parts) -> str:
 
 
 def _ordered(counts: dict[int, Counter[Part]]) -> list[Part]:
-    """Every part, what costs most with MANY nodes first."""
+    """Yield every part, what costs most with MANY nodes first."""
     every = {p for c in counts.values() for p in c}
     most = max(SKINS)
     return sorted(every, key=lambda p: (-p.cost * counts[most][p], -p.cost, p.number))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an oscilloscope should show while a skin is put to work: `make scope`, into docs/img.
+"""Draws what an oscilloscope should show while a skin is put to work: `make scope`.
 
 Pins are those of the nodes' images under simavr; the circuit between them and the converter is in
 SPICE, like the sync line. The digitizer's pulses are those of docs/protocol.md.
@@ -32,17 +32,17 @@ from tactile_cdma.wire._protocol import SYNC_FRAME, SYNC_LEAD, SYNC_RESTART, SYN
 
 IMAGES, CONFIG = ROOT / "docs" / "img", ROOT / "config"
 WARM_UP_FRAMES = 20
-"""Until nodes have learnt their code at rest and the period."""
+"""Frames until nodes have learnt their code at rest and the period."""
 SENSOR_V = 2.14
-"""At every sensor: a code with ones and zeros."""
+"""Voltage of every sensor, V: a code with ones and zeros."""
 LEAD_S = SYNC_LEAD * SYNC_UNIT_US * 1e-6
 SYNC_OHM, FAST_SYNC_OHM = 68.0, 33.0
-"""Between a buffer and its sync line: with that of 16 to 64 slow nodes on some metres, and of a
-group's 70 on 2 m, an edge overshoots by less than a pin stands (test_boards.py)."""
+"""Resistors between a buffer and its sync line, Ω: with that of 16 to 64 slow nodes on some metres,
+and of a group's 70 on 2 m, an edge overshoots by less than a pin stands (test_boards.py)."""
 BUFFER_OHM = 15.0
-"""Of a 74LVC1G17's output at 3.3 V, by its data sheet's curves."""
+"""Output of a 74LVC1G17 at 3.3 V, Ω, by its data sheet's curves."""
 WIRE_H, WIRE_F = 600e-9, 60e-12
-"""Of a metre of sync wire beside ground: 100 Ω, 6 ns."""
+"""Inductance and capacitance of a metre of sync wire beside ground: 100 Ω, 6 ns."""
 WIRE_M, INPUT_F = 2.0, 10e-12
 """Length of the wire, and capacitance of a node's sync input with its copper."""
 
@@ -66,7 +66,7 @@ def pulses(config: SkinConfig) -> NDArray[np.float64]:
 
 
 def pins(config: SkinConfig, mcu: str, step_s: float, span_s: float) -> NDArray[np.float64]:
-    """Levels of the nodes' pins, −1…1, from a frame's pulse on: (n, span/step)."""
+    """Return levels of the nodes' pins, −1…1, from a frame's pulse on: (n, span/step)."""
     period_s = config.spec.frame_period_s
     with EmulatedNodes(reference_nodes(config, Spread(clock=50e-6), mcu=mcu, threshold=0)) as nodes:
         nodes.press(SENSOR_V)
@@ -86,7 +86,7 @@ def pins(config: SkinConfig, mcu: str, step_s: float, span_s: float) -> NDArray[
 
 
 def line(front: FrontEnd, levels: NDArray[np.float64], step_s: float, name: str) -> Trace:
-    """The voltage at the converter; levels of all nodes, or of one that speaks alone."""
+    """Return the voltage at the converter; levels of all nodes, or of one that speaks alone."""
     if len(levels) == 1:
         apart, released = np.append(levels, np.zeros_like(levels), axis=0), None
     else:
@@ -101,7 +101,7 @@ def line(front: FrontEnd, levels: NDArray[np.float64], step_s: float, name: str)
 
 
 def sync(config: SkinConfig, end_s: float) -> Trace:
-    """The sync pin of a frame."""
+    """Return the sync pin of a frame."""
     edges = [
         (t, level) for pulse in pulses(config) for t, level in zip(pulse, (3.3, 0), strict=True)
     ]
@@ -113,7 +113,7 @@ def sync(config: SkinConfig, end_s: float) -> Trace:
 
 
 def sync_edge(nodes: int, at: int, ohm: float) -> Trace:
-    """The rising edge at a node, counted from 1, in SPICE: buffer, resistor, wire and inputs."""
+    """Simulate the rising edge at a node, counted from 1: buffer, resistor, wire and inputs."""
     henry, farad = (each * WIRE_M / nodes for each in (WIRE_H, WIRE_F))
     lines = ["* sync line", "vpin pin 0 pulse(0 3.3 20n 2n 2n 1u 2u)"]
     lines.append(f"rpin pin n0 {BUFFER_OHM + ohm:g}")

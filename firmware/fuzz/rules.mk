@@ -11,7 +11,7 @@ FUZZ_OUT := $(BUILD)/fuzz
 FUZZ_UNPACK := python3 ../torture/fuzz/corpus.py unpack
 FUZZ_NAMES := framing setup digitizer demonstrator node kernel stream sparse $(if $(wildcard /usr/include/simavr/sim_avr.h),board)
 # The driver's, which this Makefile does not build otherwise:
-FUZZ_KERNEL := $(filter-out binding module module_%,$(basename $(notdir $(wildcard ../kernel/*.c))))
+FUZZ_KERNEL := $(basename $(notdir $(wildcard ../kernel/*.c)))
 FUZZ_SOURCES := $(addprefix fuzz/,commands.c framing.c host.c line.c settings.c) $(wildcard $(CORE)/*.c)
 FUZZ_HEADERS := $(wildcard fuzz/*.h sim/*.h $(CORE)/*.h ../kernel/*.h) fuzz/rules.mk
 # -g1: lines for the sanitizers' reports; gcc takes nine times as long to follow variables, too.

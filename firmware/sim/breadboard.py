@@ -17,12 +17,12 @@ from tactile_cdma.hardware.passive import PassiveLine
 from tactile_cdma.hardware.programmer import node_image
 
 UNO_OHM, UNO_V = 1.5, 5.0
-"""Of an Arduino of 5 V among those of 3.3 V: its Rin over theirs, so that it is as loud."""
+"""Rin of an Arduino of 5 V over that of those of 3.3 V, so that it is as loud; its supply, V."""
 
 
 @contextmanager
 def breadboard_nodes(config: SkinConfig, *, unos: int = 0, silent: int = 0) -> Iterator[list[Node]]:
-    """The nodes of a skin, whose EEPROM is blank; the last ones of 16 MHz and 5 V.
+    """Make the nodes of a skin, whose EEPROM is blank; the last ones of 16 MHz and 5 V.
 
     silent: first ones, which speak when they are touched only; the others do in every frame.
     """
@@ -42,5 +42,5 @@ def breadboard_nodes(config: SkinConfig, *, unos: int = 0, silent: int = 0) -> I
 
 
 def breadboard_line(line: PassiveLine) -> Amplifier:
-    """The line in place of an amplifier."""
+    """Design the line in place of an amplifier."""
     return Amplifier(offset_v=line.supply_v / 2, noise_v=NOISE_V, load=line.load)

@@ -54,7 +54,7 @@ HISTORY_S = 60.0
 
 
 def on_virtual_board(config: SkinConfig, mcu: str, frames: int) -> tuple[Trial, str]:
-    """Trial of nodes of one kind on the core's virtual board, and the errors at their pins."""
+    """Try nodes of one kind on the core's virtual board; returns the errors at their pins, too."""
     nodes = reference_nodes(config, mcu=mcu, threshold=0)
     with EmulatedSkin(nodes, reference_amplifier(config), history_s=HISTORY_S) as skin:
         trial = press(skin, skin, config, frames)
@@ -62,7 +62,7 @@ def on_virtual_board(config: SkinConfig, mcu: str, frames: int) -> tuple[Trial, 
 
 
 def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
-    """Trial of nodes on the RP2040's image with a USB host; edges relate to its sync pin."""
+    """Try nodes on the RP2040's image with a USB host; edges relate to its sync pin."""
     nodes = reference_nodes(config, threshold=0)
     with Rp2040Skin(nodes, reference_amplifier(config)) as skin:
         trial = press(skin, skin, config, frames)
@@ -75,7 +75,7 @@ def on_rp2040(config: SkinConfig, frames: int) -> tuple[Trial, str]:
 
 
 def fast_on_virtual_board(frames: int) -> tuple[Trial, str]:
-    """Trial of 60 nodes with chips of 2 µs on the core's virtual board."""
+    """Try 60 nodes with chips of 2 µs on the core's virtual board."""
     config = SkinConfig.of(read_file(THOUSAND) | FAST_SKIN)
     nodes = reference_nodes(config, Spread(clock=100e-6), mcu=FAST, threshold=0)
     with EmulatedSkin(nodes, reference_amplifier(config), history_s=0.1) as skin:
@@ -85,7 +85,7 @@ def fast_on_virtual_board(frames: int) -> tuple[Trial, str]:
 def on_breadboard(
     frames: int, config: SkinConfig, ohm: float, bias_ohm: float
 ) -> tuple[Trial, str]:
-    """Trial without an amplifier; the last node has 16 MHz and 5 V."""
+    """Try nodes without an amplifier; the last node has 16 MHz and 5 V."""
     line = passive_line(config.spec, input_ohm=ohm, bias_ohm=bias_ohm)
     with (
         breadboard_nodes(config, unos=1) as nodes,
@@ -96,7 +96,7 @@ def on_breadboard(
 
 
 def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.int32]]) -> str:
-    """Largest error of an edge, and largest change of the error from one edge to the next, µs."""
+    """Return the largest error of an edge, and its largest change from one edge to the next, µs."""
     errors_us = [errors / 1e3 for errors in edge_errors(nodes, config.spec, words)]
     edge_us = max(np.abs(errors).max() for errors in errors_us)
     jitter_us = max(np.abs(np.diff(errors)).max() for errors in errors_us)
@@ -104,7 +104,7 @@ def edges(nodes: EmulatedNodes, config: SkinConfig, words: dict[int, NDArray[np.
 
 
 def press(nodes: EmulatedNodes, digitizer: Digitized, config: SkinConfig, frames: int) -> Trial:
-    """Trial with a contact that moves over the skin."""
+    """Try a skin with a contact that moves over it."""
     skin = PressedSkin(config, SCENES["moving"], nodes, digitizer)
     return press_and_decode(skin, config, frames)
 

@@ -37,12 +37,12 @@ from tactile_cdma.words.groups import FULL
 Codes = NDArray[np.int64]
 
 REST_CODE = 1000
-"""Chosen: near the usual curve's 0 kPa."""
+"""Code of a node at rest. Chosen: near the usual curve's 0 kPa."""
 THRESHOLD = 1
 SETTLING = 14
 """First frames: nodes measure two periods of the sync line, the host the line's noise in eight."""
 PRESSED_SHARE = 0.04
-"""Of the nodes that are on the wire, in a frame; as many are released: 8 % speak."""
+"""Share of the nodes that is pressed in a frame; as many are released: 8 % speak."""
 HUG, HUG_FRAMES, RANDOM_FRAMES = 300, 4, 8
 WAY = 4
 """Frames until there are groups: those that tell that it is too many, and the command's way."""
@@ -58,7 +58,7 @@ PATIENCE = 6
 
 
 def script(nodes: int, most: int, seed: int) -> Iterator[Codes]:
-    """The codes of so many nodes, frame by frame. most: nodes that may speak in one."""
+    """Yield the codes of so many nodes, frame by frame. most: nodes that may speak in one."""
     rng = np.random.default_rng(seed)
     rest = np.full(nodes, REST_CODE)
 
@@ -87,7 +87,7 @@ def script(nodes: int, most: int, seed: int) -> Iterator[Codes]:
 
 
 class Rules:
-    """What every node says, as docs/protocol.md and firmware/core/event.h have it.
+    """Tells what every node says, as docs/protocol.md and firmware/core/event.h have it.
 
     numbers: of the nodes, from 1, of so many.
     """
@@ -99,7 +99,7 @@ class Rules:
         self._owed = np.zeros(numbers.size, bool)
 
     def speakers(self, frame: int, codes: Codes, turn: int) -> Bools:
-        """Who speaks in a frame; frames come one after the other."""
+        """Tell who speaks in a frame; frames come one after the other."""
         groups = 2 ** (turn.bit_length() - 1) if turn else 1
         others = self._numbers % groups != turn % groups
         due = self._beats == frame % self._heartbeat
@@ -135,7 +135,7 @@ class Found:
 
     @property
     def all_is_well(self) -> bool:
-        """Whether everybody was heard, and nothing false."""
+        """Tell whether everybody was heard, and nothing false."""
         false = self.wrong + self.missed + self.unflagged + self.doubted + self.lost_samples
         return bool(self.frames and self.heard.all() and not false)
 
@@ -162,7 +162,7 @@ class Found:
 
 
 class Host:
-    """What the driver's side makes of the bytes: frames, and the turns that packets tell."""
+    """Makes frames of the bytes, as the driver does, and takes note of turns."""
 
     def __init__(self, config: SkinConfig) -> None:
         self.pipeline, self._parser = Pipeline(config), PacketParser()
@@ -170,7 +170,7 @@ class Host:
         """By the time of the frame's first chip, µs."""
 
     def feed(self, data: bytes, now_ns: int) -> list[TactileFrame]:
-        """The frames that bytes complete."""
+        """Return the frames that bytes complete."""
         for packet in self._parser.feed(data):
             if isinstance(packet, Samples | Quiet) and packet.sync:
                 self.turns[packet.device_time_us] = packet.turn

@@ -36,12 +36,12 @@ PARAMS = ROOT / "config" / "demo_skin.yaml"
 NODES = 16
 RESISTORS = Network((100e3,) * NODES)
 SECONDS = 10.0
-"""Of the demonstrator's time: more than one round of its scenes."""
+"""Time of the demonstrator, s: more than one round of its scenes."""
 READY_S = 0.05
-"""By this time the host has configured the device."""
+"""Time by which the host has configured the device, s."""
 STEP_S = 0.02
 REST, HEARTBEAT, THRESHOLD = 1015, 78, 1
-"""In the nodes' memories: LSB, frames, LSB."""
+"""Settings in the nodes' memories: LSB, frames, LSB."""
 X, Y = np.arange(NODES) % 4, np.arange(NODES) // 4
 Codes = NDArray[np.int64]
 
@@ -57,7 +57,7 @@ class Press:
     frames: int
 
     def codes(self, frame: int) -> Codes:
-        """(16,) what the nodes measure; the depth rises in 32 frames, and falls in as many."""
+        """Return what the nodes measure, (16,); depth rises in 32 frames, and falls in as many."""
         deepest = self.depth * min(frame, self.frames - frame, 32) // 32
         squares = (X - self.x - self.x_speed * frame) ** 2 + (Y - self.y) ** 2
         fallen: Codes = np.floor(deepest * np.maximum(1 - squares / 2, 0)).astype(np.int64)
@@ -72,7 +72,7 @@ TABLE = {
 
 
 def all_scenes(frame: int) -> Codes:
-    """The codes of frame `frame` of the table's scenes, one after another."""
+    """Return the codes of frame `frame` of the table's scenes, one after another."""
     frame %= sum(press.frames for press in TABLE.values())
     for press in TABLE.values():
         if frame < press.frames:
@@ -82,14 +82,14 @@ def all_scenes(frame: int) -> Codes:
 
 
 class Nodes:
-    """When nodes speak: while their code is off its rest or off what was sent last, and in turn."""
+    """Tells when nodes speak: while a code is off its rest, or off what was sent, and in turn."""
 
     def __init__(self) -> None:
         self.last = np.full(NODES, REST)
         self._turn = np.arange(NODES) * HEARTBEAT // NODES
 
     def speak(self, frame: int, codes: Codes) -> NDArray[np.bool_]:
-        """(16,) who speaks."""
+        """Tell who speaks, (16,)."""
         speaks: NDArray[np.bool_] = (np.abs(codes - REST) > THRESHOLD) | (
             np.abs(codes - self.last) > THRESHOLD
         )
@@ -149,7 +149,7 @@ def listen(
 
 
 def count_words(heard: Heard, truth: Callable[[int], Codes]) -> tuple[int, int]:
-    """Numbers of words that were right; and that were wrong, missing or made up."""
+    """Count words that were right; and those that were wrong, missing or made up."""
     nodes, right, wrong = Nodes(), 0, 0
     for number in range(max(heard.codes) + 1):
         codes = truth(number)
@@ -161,7 +161,7 @@ def count_words(heard: Heard, truth: Callable[[int], Codes]) -> tuple[int, int]:
 
 
 def floating(times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
-    """The counts of a pin that nothing is connected to: hum."""
+    """Return the counts of a pin that nothing is connected to: hum."""
     return (600 + 400 * np.sin(times_ns * 1e-9 * 2 * np.pi * 50)).astype(np.uint16)
 
 

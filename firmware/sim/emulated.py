@@ -219,7 +219,7 @@ class EmulatedNodes:
         self._library.skin_run(self._skin, t_ns)
 
     def volts(self, t_ns: float, step_ns: float, size: int) -> NDArray[np.float64]:
-        """The line at instants t_ns, t_ns + step_ns, …, before the time run to: (size,), V."""
+        """Return the line at t_ns, t_ns + step_ns, …, before the time run to: (size,), V."""
         volts = np.empty(size)
         self._library.skin_volts(
             self._skin, t_ns, step_ns, volts.ctypes.data_as(POINTER(c_double)), size
@@ -227,7 +227,7 @@ class EmulatedNodes:
         return volts
 
     def edges(self, node: int) -> NDArray[np.void]:
-        """Changes of a node's output pin, in order: (m,) of EDGE. The pin was released before."""
+        """Return changes of a node's output pin, in order: (m,) of EDGE. It was released before."""
         edges, before = c_void_p(), c_int8()
         size = self._library.node_edges(self._node(node), byref(edges), byref(before))
         return np.frombuffer(ctypes.string_at(edges, size * EDGE.itemsize) if size else b"", EDGE)
@@ -237,17 +237,17 @@ class EmulatedNodes:
         self._library.skin_forget(self._skin, t_ns)
 
     def led(self, node: int) -> bool:
-        """Whether a node's status LED is lit."""
+        """Tell whether a node's status LED is lit."""
         return bool(self._library.node_led(self._node(node)))
 
     def memory(self, node: int) -> bytes:
-        """The first KiB of a node's EEPROM, or all of it."""
+        """Return the first KiB of a node's EEPROM, or all of it."""
         content = ctypes.create_string_buffer(1024)
         size = self._library.node_memory(self._node(node), content, len(content))
         return content.raw[:size]
 
     def counters(self, node: int) -> NodeCounters:
-        """What a node did since power-up."""
+        """Tell what a node did since power-up."""
         counters = NodeCounters()
         self._library.node_count(self._node(node), byref(counters))
         return counters
@@ -300,11 +300,11 @@ class EmulatedSkin(EmulatedNodes):
             self.forget(self.now_ns - self._history_ns)
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host reach the digitizer."""
+        """Pass bytes from the host to the digitizer."""
         self._library.board_write(self._board, data, len(data))
 
     def read(self) -> bytes:
-        """What the host has received since the last call."""
+        """Tell what the host has received since the last call."""
         parts = []
         while size := self._library.board_read(self._board, self._buffer, len(self._buffer)):
             parts.append(self._buffer.raw[:size])
@@ -312,7 +312,7 @@ class EmulatedSkin(EmulatedNodes):
 
 
 def _flash(image: Path) -> bytes:
-    """What Intel hex says of a node's flash; nothing of an ELF file, which the library reads."""
+    """Read a node's flash from Intel hex; nothing of an ELF file, which the library reads."""
     try:
         head = image.read_bytes()
     except OSError as error:

@@ -49,7 +49,7 @@ def share_awake(config: SkinConfig, mcu: str, threshold: int) -> float:
 
 
 def digitizer(chip_s: float, samples_per_chip: int, usb: bool) -> tuple[float, int, int]:
-    """CPU load of the RP2040 while streaming; samples received; samples lost, packets dropped."""
+    """Measure the RP2040's load while it streams; samples received, lost, packets dropped."""
     order = 20 if samples_per_chip > 1 else 912
     period_s = round(1.2 * 10 * order * chip_s, 6)
     spec = FrameSpec(chip_s=chip_s, frame_period_s=period_s, order=order)

@@ -76,7 +76,7 @@ class Bus:
 
 
 ROOT_PORT = Bus(retry_ns=0.0, gap_ns=2e3, busy=0.1)
-"""Chosen: asks at once again; a tenth is a mouse and a headset."""
+"""Bus of a root port, which asks again at once. Chosen: a tenth is a mouse and a headset."""
 HUB = Bus(retry_ns=125e3, gap_ns=10e3, busy=0.2)
 """Behind a hub of USB 2, whose host asks anew in the next microframe. The rest is chosen."""
 
@@ -170,7 +170,7 @@ class Rp2040:
 
     @property
     def load(self) -> float:
-        """Share of the time since power-up that the CPU was awake."""
+        """Return the share of the time since power-up that the CPU was awake."""
         return self.cycles / (self.now * CPU_HZ)
 
     def run(self, until: float) -> None:
@@ -185,7 +185,7 @@ class Rp2040:
         self._send(b"U", data)
 
     def read_uart(self) -> bytes:
-        """Bytes sent by UART0 since the last call."""
+        """Return the bytes sent by UART0 since the last call."""
         data = bytes(self._uart)
         self._uart.clear()
         return data
@@ -219,7 +219,7 @@ class Rp2040:
         self._send(b"S", data)
 
     def read_usb(self) -> bytes:
-        """Bytes that the USB host has read since the last call."""
+        """Return the bytes that the USB host has read since the last call."""
         data = bytes(self._usb)
         self._usb.clear()
         return data
@@ -284,7 +284,7 @@ class Rp2040:
                 self._handle(*self._receive())
 
     def _receive(self) -> tuple[str, bytes]:
-        """The next message."""
+        """Return the next message."""
         assert self._process.stdout is not None
         while True:
             if len(self._pending) >= 5:
@@ -300,7 +300,7 @@ class Rp2040:
 
 
 def _device(told: dict[str, list[int] | list[list[int] | None]]) -> UsbDevice:
-    """The device's descriptors from the emulator's JSON."""
+    """Return the device's descriptors from the emulator's JSON."""
     strings = tuple(
         None if string is None else bytes(string)[2:].decode("utf-16-le")
         for string in told["strings"]

@@ -40,7 +40,7 @@ class Rp2040Skin(EmulatedNodes):
 
     @property
     def now_ns(self) -> int:
-        """How far the emulation has come."""
+        """Tell how far the emulation has come."""
         return round(self.chip.now * 1e9)
 
     def run(self, t_ns: int) -> None:
@@ -49,11 +49,11 @@ class Rp2040Skin(EmulatedNodes):
         super().run(t_ns)
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host reach the digitizer."""
+        """Pass bytes from the host to the digitizer."""
         self.chip.write_usb(data)
 
     def read(self) -> bytes:
-        """What the host has received since the last call."""
+        """Return the next frame in order, waited for."""
         return self.chip.read_usb()
 
     def _edge(self, t_ns: float, level: bool) -> None:
@@ -62,7 +62,7 @@ class Rp2040Skin(EmulatedNodes):
         self.sync(round(t_ns), level)
 
     def _counts(self, times_ns: NDArray[np.float64]) -> NDArray[np.uint16]:
-        """The ADC's counts of the line at evenly spaced times."""
+        """Return the ADC's counts of the line at evenly spaced times."""
         super().run(int(times_ns[-1]) + 1)
         step_ns = times_ns[1] - times_ns[0] if len(times_ns) > 1 else 0.0
         volts = self.volts(times_ns[0], step_ns, len(times_ns))

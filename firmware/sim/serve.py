@@ -69,7 +69,7 @@ class LiveSkin:
 
 
 def nodes_for(config: SkinConfig) -> list[Node]:
-    """The nodes that make chips of this length: fast ones, with crystals, or slow ones."""
+    """Return the nodes that make chips of this length: fast ones, with crystals, or slow ones."""
     if round(config.spec.chip_s * 1e9) <= MCUS[FAST].longest_chip_ns:
         return reference_nodes(config, CRYSTALS, mcu=FAST)
     return reference_nodes(config)

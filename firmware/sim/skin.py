@@ -53,7 +53,7 @@ def reference_nodes(
     heartbeat: int | None = None,
     rest: int | None = None,
 ) -> list[Node]:
-    """The nodes of a skin, each with the memory that `tactile-cdma node` would give it.
+    """Make the nodes of a skin, each with the memory that `tactile-cdma node` would give it.
 
     The slowest and the fastest clock of the spread are included. Raises SpecError if the parameters
     leave the amplitude open.
@@ -91,7 +91,7 @@ def reference_nodes(
 
 
 def reference_amplifier(config: SkinConfig) -> Amplifier:
-    """The amplifier between these nodes and the digitizer."""
+    """Design the amplifier between these nodes and the digitizer."""
     return Amplifier(polarity=config.spec.polarity, noise_v=NOISE_V)
 
 
@@ -100,16 +100,16 @@ class Digitized(Protocol):
 
     @property
     def now_ns(self) -> int:
-        """How far the emulation has come."""
+        """Tell how far the emulation has come."""
 
     def run(self, t_ns: int) -> None:
         """Run everything to a time."""
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host reach the digitizer."""
+        """Pass bytes from the host to the digitizer."""
 
     def read(self) -> bytes:
-        """What the host has received since the last call."""
+        """Return the next frame in order, waited for."""
 
 
 class PressedSkin:
@@ -134,7 +134,7 @@ class PressedSkin:
 
     @property
     def now_ns(self) -> int:
-        """How far the emulation has come."""
+        """Tell how far the emulation has come."""
         return self._digitizer.now_ns
 
     def run(self, t_ns: int) -> None:
@@ -145,15 +145,15 @@ class PressedSkin:
         self._digitizer.run(t_ns)
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host reach the digitizer."""
+        """Pass bytes from the host to the digitizer."""
         self._digitizer.write(data)
 
     def read(self) -> bytes:
-        """What the host has received since the last call."""
+        """Return the next frame in order, waited for."""
         return self._digitizer.read()
 
     def codes(self, t_ns: int) -> NDArray[np.int64]:
-        """Codes of ideal converters for the sensors' voltages at a time: (n,)."""
+        """Return codes of ideal converters for the sensors' voltages at a time: (n,)."""
         return self._codes[bisect_right(self._pressed_ns, t_ns) - 1]
 
     def _press(self) -> None:

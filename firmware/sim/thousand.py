@@ -44,7 +44,7 @@ QUICK = {"nodes": 128, "rows": 8, "columns": 16, "order": 912}
 
 
 AMPLITUDE: dict[str, Value] = {"amplitude_mv": 4.06}
-"""From `make amplifier PARAMS=config/sparse_skin.yaml`."""
+"""Amplitude by `make amplifier PARAMS=config/sparse_skin.yaml`."""
 STREAM_BYTES = 4096
 """More at once than a digitizer sends that does not stream."""
 
@@ -58,7 +58,7 @@ class RandomPresses:
     def __call__(
         self, t_s: float, skin: SkinGeometry
     ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """Pressures at a time: (n,) Pa."""
+        """Return the pressures at a time: (n,) Pa."""
         return self._rng.uniform(0, HEAVIEST_PA, len(skin.positions_m))
 
 
@@ -75,12 +75,12 @@ class Listener:
 
     @property
     def now_ns(self) -> int:
-        """How far the emulation has come."""
+        """Tell how far the emulation has come."""
         return self._skin.now_ns
 
     @property
     def bytes_per_s(self) -> float:
-        """Of the stream, since it is under way."""
+        """Return the rate of the stream since it is under way, bytes/s."""
         return self._bytes / ((self.now_ns - self._since_ns) * 1e-9)
 
     def run(self, t_ns: int) -> None:
@@ -88,11 +88,11 @@ class Listener:
         self._skin.run(t_ns)
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host reach the digitizer."""
+        """Pass bytes from the host to the digitizer."""
         self._skin.write(data)
 
     def read(self) -> bytes:
-        """What the host has received since the last call."""
+        """Tell what the host has received since the last call."""
         data = self._skin.read()
         if self._since_ns:
             self._bytes += len(data)
@@ -170,7 +170,7 @@ def main() -> int:
 
 
 def many(arguments: argparse.Namespace) -> int:
-    """The same of nodes with sparse codes."""
+    """Run the trial with nodes of sparse codes."""
     values = read_file(SPARSE_PARAMS) | AMPLITUDE
     images = crowd.QUICK if arguments.quick else None
     spread, begin = replace(CRYSTALS, seed=arguments.seed), time.monotonic()

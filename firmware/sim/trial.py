@@ -110,14 +110,14 @@ class Marks:
             self.marks_ns.append(round(1e3 * mark_us))
 
     def nearest(self, frame: TactileFrame) -> int:
-        """The mark of a frame, ns."""
+        """Return the mark of a frame, ns."""
         return min(self.marks_ns[::-1], key=lambda mark: abs(mark - frame.t_start * 1e9))
 
 
 def edge_errors(
     nodes: EmulatedNodes, spec: FrameSpec, words: dict[int, NDArray[np.int32]]
 ) -> list[NDArray[np.float64]]:
-    """Errors of the edges at the nodes' pins: an array per node and frame, ns.
+    """Return the errors of the edges at the nodes' pins: an array per node and frame, ns.
 
     words: as in Trial. Silent nodes have no edges. Raises AssertionError if edges are missing or
     there are too many.
@@ -139,7 +139,7 @@ def edge_errors(
 
 
 def expected_edges(spec: FrameSpec, node: int, code: int) -> NDArray[np.void]:
-    """Changes of a node's pin in one frame, t_ns in chips from its start."""
+    """Yield changes of a node's pin in one frame, t_ns in chips from its start."""
     alone = np.arange(spec.nodes) == node
     chips = line_chips(spec, np.where(alone, code, 0), alone, amplitude_v=float(spec.polarity))
     levels = np.sign(frame_levels(chips, spec)).astype(np.int8)

@@ -3,82 +3,111 @@
 """Chooses what does the arithmetic of every frame: the compiled kernel, or numpy.
 
 numpy is the reference, and what is left where the kernel was not built. Modules that have both
-forms of a stage ask `compiled` once, when they are loaded or a stage is set up. What a function of
-the kernel takes stands before its body in kernel/module*.c; another array or number raises.
+forms of a stage ask `compiled` once, when they are loaded or a stage is set up.
+
+The kernel's functions are called by their names in kernel/*.h, as `compiled.words_noise(…)`: cffi
+checks how many arguments there are, and their types. Arrays are handed over by `pointer`, which
+checks how many values there are, structs by `struct`, and objects are held by a `Held`.
 """
 
 from __future__ import annotations
 
 import os
 from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from .errors import ParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
     from numpy.typing import NDArray
-
-Function = TypeVar("Function", bound="Callable[..., Any]")
 
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
-VERSION = 34
-"""Of the functions that this package expects in the kernel."""
+_ARRAYS = {
+    "f": "float[]", "d": "double[]", "i": "int32_t[]", "h": "int16_t[]", "b": "int8_t[]",
+    "B": "uint8_t[]", "?": "uint8_t[]",
+}  # fmt: skip
+"""Types in C of numpy's arrays. Flags are bytes there."""
 
 
-def _choose(wanted: str) -> tuple[ModuleType | None, str]:
-    """The kernel, None for numpy; and why numpy. Raises ParameterError."""
+def _choose(wanted: str) -> tuple[Any, Any, str]:
+    """Return the kernel and its cffi, None for numpy; and why numpy. Raises ParameterError."""
     if wanted not in ("", "numpy", "compiled"):
         raise ParameterError(
             f"{VARIABLE} is {wanted!r}; it must be numpy, compiled or empty (compiled where the "
             "kernel was built)"
         )
     if wanted == "numpy":
-        return None, f"{VARIABLE} is numpy"
+        return None, None, f"{VARIABLE} is numpy"
     try:
-        module = import_module("tactile_cdma._kernel")
-        reason = ""
-        if module.VERSION != VERSION:
-            reason = (
-                f"the kernel is of version {module.VERSION}, and this package needs {VERSION}: one "
-                "of them is older"
-            )
+        module: Any = import_module("tactile_cdma._kernel")
     except ImportError as error:
         reason = f"the kernel was not built for this Python, or does not load ({error})"
-    if reason and wanted == "compiled":
-        raise ParameterError(f"{VARIABLE} is compiled, but {reason}")
-    return (None, reason) if reason else (module, "")
+        if wanted == "compiled":
+            raise ParameterError(f"{VARIABLE} is compiled, but {reason}") from error
+        return None, None, reason
+    return module.lib, module.ffi, ""
 
 
-compiled, why_numpy = _choose(os.environ.get(VARIABLE, ""))
-"""The kernel's module, None where numpy is used; and why, "" where it is not."""
+compiled, ffi, why_numpy = _choose(os.environ.get(VARIABLE, ""))
+"""The kernel's functions, None where numpy is used; cffi's side of them; why numpy, or ""."""
 
 
-def either(name: str, reference: Function) -> Function:
-    """The kernel's function of this name; where there is no kernel, the same in numpy."""
-    chosen: Function = reference if compiled is None else getattr(compiled, name)
-    return chosen
+def pointer(values: NDArray[Any], *shape: int, written: bool = False) -> Any:
+    """Return a pointer to the values of an array, for the kernel; it keeps the array.
 
-
-def settings(struct: str, **fields: float) -> NDArray[np.void]:
-    """One of the kernel's C structs, filled by the names of its members; () of its dtype.
-
-    For functions of the kernel that take SETTINGS(struct). Raises TypeError unless exactly its
-    members are given.
+    Raises ValueError unless the array is C-contiguous and of this shape, and writeable if it is
+    written to. That it has the function's type, cffi checks in the call.
     """
-    import numpy as np  # here: the doctor asks for the kernel where numpy is missing
+    if values.shape != shape:
+        raise ValueError(f"the kernel needs an array of shape {shape}, not {values.shape}")
+    return ffi.from_buffer(_ARRAYS[values.dtype.char], values, written)
 
-    assert compiled is not None
-    size, members = compiled.STRUCTS[struct]
-    names, offsets, formats = zip(*members, strict=True)
-    if fields.keys() != set(names):
-        wrong = ", ".join(sorted(fields.keys() ^ set(names)))
-        raise TypeError(f"struct {struct} of the kernel: missing or unknown: {wrong}")
-    dtype = np.dtype(
-        {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}, align=False
-    )
-    return np.array(tuple(fields[name] for name in names), dtype)
+
+class Held:
+    """Keeps an object of the kernel, and what that uses, as long as this lives.
+
+    at: points to it.
+    """
+
+    def __init__(self, at: Any, free: Callable[[Any], None] | None, *used: object) -> None:
+        """at: what the kernel's function has made, or, without free, a struct of this module.
+
+        Raises ValueError where the function made nothing.
+        """
+        if not at:
+            raise ValueError(
+                f"{ffi.typeof(at).item.cname} of the kernel: what it is made of does not fit "
+                "together, is beyond what the kernel is built for, or there is no memory for it"
+            )
+        self.at, self._used = ffi.gc(at, free) if free else at, used
+
+
+def struct(name: str, **members: Any) -> Held:
+    """Make one of the kernel's structs, by the names of its members and of those of structs in it.
+
+    It keeps the arrays that its members point to. Raises TypeError unless exactly its members are
+    given.
+    """
+    given = dict(members)
+    at = ffi.new(f"struct {name} *", _filled(ffi.typeof(f"struct {name}"), name, given))
+    if given:
+        raise TypeError(f"struct {name} of the kernel has no {', '.join(sorted(given))}")
+    return Held(at, None, members)
+
+
+def _filled(kind: Any, name: str, members: dict[str, Any]) -> dict[str, Any]:
+    """Take what a struct of this type is filled with out of members."""
+    values: dict[str, Any] = {}
+    for member, field in kind.fields:
+        if field.type.kind == "struct":
+            values[member] = _filled(field.type, name, members)
+        elif member in members:
+            value = members.pop(member)
+            is_array = field.type.kind == "pointer" and hasattr(value, "shape")
+            values[member] = pointer(value, *value.shape) if is_array else value
+        else:
+            raise TypeError(f"struct {name} of the kernel: {member} is missing")
+    return values

@@ -24,7 +24,7 @@ from ..base.arrays import Bools, Floats, Floats32
 from .amplitude import LEAST_SHARE
 from .frame import FrameSpec
 from .sparse import code_places
-from .transform import chips_of, compiled_transform, rows_of
+from .transform import CompiledTransform, chips_of, rows_of
 
 SOFT_NOISE = 0.1
 """Noise of a level, of a node's amplitude, up to which words are hard. Chosen: it is then of the
@@ -91,34 +91,28 @@ class Detector:
         """certificate: what the kernel certifies frames by; see framing/sparse_timing.py."""
         assert spec.flips is not None, "sparse codes are scrambled"
         self._spec = spec
-        self.kernel = None
+        self.kernel: kernel.Held | None = None
         swing = spec.node_swing_v or 0.0
         self._before = Before(
             np.zeros(spec.nodes, np.bool_), np.full(spec.nodes, swing, np.float32)
         )
         if kernel.compiled is not None:
-            self.kernel = kernel.compiled.Sparse(
-                kernel.settings(
-                    "sparse_rules",
-                    swing=swing,
-                    least=LEAST_SHARE * swing,
-                    soft_noise=SOFT_NOISE,
-                    slope=SLOPE,
-                    log_odds=LOG_ODDS,
-                    hard_share=HARD_SHARE,
-                    settled=SETTLED,
-                    near=NEAR,
-                    negligible=NEGLIGIBLE * swing**2,
-                    stalled=STALLED,
-                    turns=MOST_TURNS,
-                    **certificate,
-                ),
-                compiled_transform(spec.book.plan, spreading=True),
-                np.ascontiguousarray(spec.flips),
-                code_places(spec.nodes, spec.line_bits, spec.order).astype(np.int32),
-                spec.code_numbers.astype(np.int32),
-                spec.nodes,
+            rules = kernel.struct(
+                "sparse_rules",
+                swing=swing,
+                least=LEAST_SHARE * swing,
+                soft_noise=SOFT_NOISE,
+                slope=SLOPE,
+                log_odds=LOG_ODDS,
+                hard_share=HARD_SHARE,
+                settled=SETTLED,
+                near=NEAR,
+                negligible=NEGLIGIBLE * swing**2,
+                stalled=STALLED,
+                turns=MOST_TURNS,
+                **certificate,
             )
+            self.kernel = _compiled(spec, rules)
 
     def detect(self, chips: Floats32, damping: float = 0.0) -> Detected:
         """The words in chips (k, N) float32, V.
@@ -129,10 +123,16 @@ class Detector:
         if self.kernel is None:
             return numpy_detect(chips, spec, damping, self._before)
         rows = np.empty((spec.line_bits, spec.row_count), np.float32)
-        heard, left = np.empty(spec.nodes, np.bool_), np.empty_like(chips)
-        power = np.empty(spec.line_bits)
-        level, settled = self.kernel.detect(chips, damping, rows, heard, left, power)
-        return Detected(rows, heard, level, left, power, settled)
+        left = np.empty((spec.line_bits, spec.order), np.float32)
+        heard, power = np.empty(spec.nodes, np.bool_), np.empty(spec.line_bits)
+        found = kernel.struct(
+            "detected", rows=rows, heard=heard, left=left, power=power, level=0.0, settled=False
+        )
+        detector = kernel.compiled.sparse_detector(self.kernel.at)
+        kernel.compiled.detector_detect(
+            detector, kernel.pointer(chips, *left.shape), damping, found.at
+        )
+        return Detected(rows, heard, found.at.level, left, power, found.at.settled)
 
     def detect_from(self, words: Floats32, chips: Floats32) -> Detected:
         """The words in chips (k, N) float32, V, beginning with others, (k, 2^m) V."""
@@ -142,9 +142,40 @@ class Detector:
         """Mean |r| of every node, (n,) V, in chips (k, N) that are read so much later in bits."""
         if self.kernel is None:
             return numpy_loudness(chips, lateness, self._spec)
-        loudness = np.empty(self._spec.nodes, np.float32)
-        self.kernel.loudness(chips, abs(lateness), lateness > 0, loudness)
+        spec = self._spec
+        if abs(lateness) >= spec.order:
+            raise ValueError(f"{lateness} chips late: all of a bit's {spec.order}")
+        loudness = np.empty(spec.nodes, np.float32)
+        detector, order = kernel.compiled.sparse_detector(self.kernel.at), spec.order
+        of_chips = kernel.pointer(chips, spec.line_bits, order)
+        of_nodes = kernel.pointer(loudness, spec.nodes)
+        kernel.compiled.detector_loudness(detector, of_chips, lateness, of_nodes)
         return loudness
+
+    def learn(self, noise: float, found: float) -> float:
+        """Return the noise, V², after a frame of so much."""
+        assert self.kernel is not None
+        return float(kernel.compiled.sparse_learn(self.kernel.at, noise, found))
+
+
+def _compiled(spec: FrameSpec, rules: kernel.Held) -> kernel.Held:
+    """Make the kernel's struct sparse."""
+    assert spec.flips is not None
+    bits, order, pointer = spec.line_bits, spec.order, kernel.pointer
+    walsh = CompiledTransform(spec.book.plan, spreading=True)
+    book = kernel.struct(
+        "sparse_book",
+        bits=bits,
+        order=order,
+        rows=spec.row_count,
+        nodes=spec.nodes,
+        walsh=walsh.at,
+        places=pointer(code_places(spec.nodes, bits, order).astype(np.int32), bits, order),
+        codes=pointer(spec.code_numbers.astype(np.int32), spec.row_count),
+        flips=pointer(np.ascontiguousarray(spec.flips, np.float32), bits, order),
+    )
+    made = kernel.compiled.sparse_new(book.at, rules.at)
+    return kernel.Held(made, kernel.compiled.sparse_free, walsh, book)
 
 
 def numpy_loudness(chips: Floats32, lateness: int, spec: FrameSpec) -> Floats32:

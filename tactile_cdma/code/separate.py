@@ -5,9 +5,9 @@
 import math
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Floats32, Int32s
@@ -76,7 +76,8 @@ def noise_of(rows: Floats32, spec: FrameSpec) -> float:
     if kernel.compiled is None:
         return numpy_noise_of(rows[:, spare], rows[:, spec.node_slice])
     frame, count = frame_settings(spec), spare.stop - spare.start
-    return float(kernel.compiled.word_noise(frame, spare.start, count, np.ascontiguousarray(rows)))
+    values = kernel.pointer(np.ascontiguousarray(rows), spec.line_bits, spec.row_count)
+    return float(kernel.compiled.words_noise(frame, values, spare.start, count))
 
 
 def numpy_noise_of(spare: Floats32, values: Floats32) -> float:
@@ -111,6 +112,6 @@ def frame_fields(spec: FrameSpec) -> dict[str, float]:
 
 
 @lru_cache(maxsize=8)
-def frame_settings(spec: FrameSpec) -> NDArray[np.void]:
+def frame_settings(spec: FrameSpec) -> Any:
     """The same for its functions."""
-    return kernel.settings("words_frame", **frame_fields(spec))
+    return kernel.struct("words_frame", **frame_fields(spec)).at

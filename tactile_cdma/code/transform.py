@@ -144,24 +144,35 @@ class _Blocks:
 def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
     """The product with a code book of this plan, scaled by 1/N unless spreading."""
     if kernel.compiled is not None:
-        return compiled_transform(plan, spreading)
+        return CompiledTransform(plan, spreading)
     return numpy_transform(plan, spreading)
 
 
-def compiled_transform(plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> Transform:
-    """That of the kernel. lanes: 1, 4 or 8; 0 for what the processor has."""
-    assert kernel.compiled is not None
-    orders = [order for order in plan if order > 2]
-    factors = [CodeBook((order,)).matrix for order in orders]
-    signs = [(matrix.T if spreading else matrix).astype(np.int8).ravel() for matrix in factors]
-    transform: Transform = kernel.compiled.Transform(
-        plan.count(2),
-        np.array(orders, np.uintc),
-        np.concatenate([np.zeros(0, np.int8), *signs]),
-        1.0 if spreading else 1.0 / math.prod(plan),
-        lanes,
-    )
-    return transform
+class CompiledTransform(kernel.Held):
+    """Multiplies in the kernel (kernel/transform.h); scaled by 1/N unless spreading."""
+
+    def __init__(self, plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> None:
+        """lanes: 1, 4 or 8; 0 for what the processor has. Raises ValueError for others."""
+        orders = [order for order in plan if order > 2]
+        factors = [CodeBook((order,)).matrix for order in orders]
+        signs = [np.array(m.T if spreading else m, np.int8, order="C") for m in factors]
+        matrices = [kernel.pointer(m, order, order) for m, order in zip(signs, orders, strict=True)]
+        self.order = math.prod(plan)
+        scale = 1.0 if spreading else 1.0 / self.order
+        library = kernel.compiled
+        made = library.transform_new(plan.count(2), len(orders), orders, matrices, scale, lanes)
+        super().__init__(made, library.transform_free)
+
+    def multiply(self, source: Floats32, out: Floats32, /) -> None:
+        """As Transform. Raises ValueError where out is not of source's shape, or a part of it."""
+        count, left = divmod(source.size, self.order)
+        if left:
+            raise ValueError(f"{source.size} values are no vectors of order {self.order}")
+        if source is not out and np.may_share_memory(source, out):
+            raise ValueError("source and out overlap")
+        values = kernel.pointer(source, *source.shape)
+        result = kernel.pointer(out, *source.shape, written=True)
+        kernel.compiled.transform_multiply(self.at, values, result, count)
 
 
 def numpy_transform(plan: tuple[int, ...], spreading: bool) -> Transform:

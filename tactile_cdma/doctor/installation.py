@@ -97,7 +97,7 @@ def compiled_kernel() -> Check:
     except ParameterError as error:
         return problem("kernel", str(error))
     if kernel.compiled is not None:
-        return ok("kernel", f"compiled, {kernel.compiled.LANES} values at once")
+        return ok("kernel", f"compiled, {kernel.compiled.transform_lanes()} values at once")
     if os.environ.get(kernel.VARIABLE):
         return ok("kernel", f"numpy: {kernel.why_numpy}")
     return warning(

@@ -9,13 +9,14 @@ and goes on with the verdict that is reached here, by the same recognisers as wi
 import logging
 import math
 from collections import deque
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import kernel
+from ..base.arrays import Floats32
 from ..code.separate import NodeLevels, frame_fields, may_be_offset
-from ..code.transform import compiled_transform
+from ..code.transform import CompiledTransform
 from ..framing.fit import Fit, least_power
 from ..framing.frame_end import tail_of
 from ..framing.gaps.gap_timing import GapTiming
@@ -32,8 +33,8 @@ from ..framing.timing import (
 )
 from ..wire._protocol import TAIL_CHIPS
 from ..wire.messages import Quiet, Received, Samples
-from ..wire.packets import PacketParser
-from ..wire.reader import NO_FILE
+from ..wire.packets import CompiledScanner, PacketParser, content_of
+from ..wire.reader import NO_FILE, failure_of
 from .description import Description
 from .stream import Decisions, Event
 from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer, Placement, Step
@@ -41,9 +42,6 @@ from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Answer
 _log = logging.getLogger(__name__)
 
 
-_NEEDS_BYTES, _FULL, _HEARD, _SILENT, _PACKET, _FOREIGN, _DOUBT, _BLOCK = range(8)
-"""Kinds of the kernel's events: enum stream_event in kernel/frame_stream.h."""
-_DECIDED = _HEARD, _SILENT
 DOUBTS = (
     "",
     "",
@@ -58,7 +56,6 @@ DOUBTS = (
     "line not at rest",
 )
 """Why a frame is decided in Python: enum frame_look in kernel/marked_frame.h."""
-_NO_TIMING = DOUBTS.index("no timing yet")
 REFINED = "timing refined"
 """Instead, where an earlier frame's timing was used as often as it may be."""
 GAP_TIMING = "gap timing"
@@ -69,16 +66,27 @@ _SHARED_LIMITS = (
     "tail_noise", "tail_scatter", "tail_level", "least_tail", "rise",
 )  # fmt: skip
 """Of `Limits`, and members of the kernel's rules by the same names."""
-_NO_EDGES = (np.empty(0, np.int32), np.empty(0), np.empty(0), np.empty(0, np.int32))
+_ANOTHER_THREAD = "another thread follows this stream"
 
 
 class CompiledStream:
     """A Stream in the kernel."""
 
     def __init__(self, parser: PacketParser, decisions: Decisions) -> None:
-        assert kernel.compiled is not None
+        assert isinstance(parser.scanner, CompiledScanner)
         self.parser, self.decisions = parser, decisions
-        self._kernel = kernel.compiled.Stream(parser.scanner)
+        library, scanner = kernel.compiled, parser.scanner
+        self._held = kernel.Held(library.stream_new(scanner.at), library.stream_free)
+        self._stream, ffi = self._held.at, kernel.ffi
+        self._about = library.stream_subject(self._stream)
+        self._packet = ffi.addressof(self._about[0], "packet")
+        self._found, self._rest = ffi.addressof(self._about[0], "found"), self._about.rest
+        self._reader = ffi.new("struct reader *", {"stream": self._stream, "scanner": scanner.at})
+        self._cut_short = ffi.new("bool *")
+        self._passed = ffi.new("const struct stream_passed **")
+        library.stream_passed(self._stream, self._passed)
+        self._packets = [self._passed[0][i] for i in range(library.STREAM_MOST_PASSED)]
+        self._used: dict[str, object] = {}  # what the kernel's stream points to
         self._description: Description | None = None
         self._frames: deque[FrameLevels] = deque()  # decided, but not told yet
         self._asked: Samples | Quiet | None = None
@@ -91,105 +99,132 @@ class CompiledStream:
         self._spoke = np.empty(0, np.int32)  # who did in the last frame, of these
         self._chip_noise = 1.0  # noise of a chip, in that of a correlation
         self._fit: Fit | None = None
-        self._timing = kernel.settings(
-            "stream_timing", due=1, over=0, uses=0, has_frame=False,
-            chip=0, until=0, heard=0, tail=0, tail_end=0,
-        )  # fmt: skip
+        self._timing = kernel.ffi.new("struct stream_timing *", {"due": 1})
+        self._edges = kernel.ffi.new("struct frame_edges *")
 
     def describe(self, description: Description, frames: bool) -> None:
-        spec, timing = description.spec, description.timing
+        spec, timing, pointer = description.spec, description.timing, kernel.pointer
         self._description, self._fit = description, None
-        self._rows = np.zeros((spec.line_bits, spec.row_count), np.float32)
+        shape = spec.line_bits, spec.row_count
+        self._rows = np.zeros(shape, np.float32)
         self._values = self._rows[:, spec.node_slice]
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
         self._chip_noise = math.sqrt(spec.order)
         self._sparse = timing if isinstance(timing, SparseTiming) else None
-        transform = compiled_transform(spec.book.plan, spreading=False)
-        flips = None if spec.sparse else spec.flips
-        flips = np.empty(0, np.float32) if flips is None else np.ascontiguousarray(flips)
-        self._kernel.describe(_rules(description, frames), transform, flips, self._rows)
+        transform, flips = CompiledTransform(spec.book.plan, spreading=False), kernel.ffi.NULL
+        if spec.flips is not None and not spec.sparse:
+            flips = pointer(np.ascontiguousarray(spec.flips, np.float32), *shape)
+        code = {"transform": transform.at, "flips": flips}
+        rules, rows = _rules(description, frames), pointer(self._rows, *shape)
+        self._answer("stream_describe", rules.at, kernel.ffi.new("struct frame_code *", code), rows)
+        self._used = {"transform": transform, "flips": flips, "rows": rows}
         if self._sparse is not None:
             self._spoke = np.empty(spec.nodes, np.int32)
-            self._kernel.detect_by(self._sparse.detector.kernel, self._spoke)
+            sparse, spoke = self._sparse.detector.kernel, pointer(self._spoke, spec.nodes)
+            assert sparse is not None
+            self._answer("stream_detect_by", sparse.at, spoke)
+            self._used |= {"sparse": sparse, "spoke": spoke}
         if isinstance(timing, MarkedTiming):
             self._carry(timing)
 
     def forget(self) -> None:
-        self._description = None
-        self._kernel.forget()
+        self._description, null = None, kernel.ffi.NULL
+        self._answer("stream_describe", null, null, null)
 
     def give(self, data: bytes, t_host: float, backlog: bool) -> None:
         """Raises RuntimeError while other bytes are not used up."""
-        self._kernel.give(data, t_host, backlog)
+        self._expect_idle()
+        given = kernel.ffi.from_buffer("uint8_t[]", data)
+        if not kernel.compiled.reader_give(self._reader, given, len(data), t_host, backlog):
+            raise RuntimeError("other bytes are not used up")
+        self._used["bytes"] = given
 
     def next(self, file: int = NO_FILE, timeout_ms: int = 0) -> Event:
         """Raises RuntimeError while another thread is here."""
         if self._frames:
             return Event([], self._frames.popleft(), None, False, *self._read)
-        kind, about, passed, t_host, backlog = self._kernel.next(file, timeout_ms)
-        if kind in _DECIDED:
-            return Event(passed, self._found(kind, *about), None, False, t_host, backlog)
-        self._read = t_host, backlog
+        library, reader = kernel.compiled, self._reader
+        kind = library.reader_follow(reader, file, timeout_ms)
+        if kind < 0:
+            raise RuntimeError(_ANOTHER_THREAD)
+        if reader.failure:
+            raise failure_of(reader)
+        passed = [
+            (one.index, one.device_time_us, one.count, one.sequence, one.t_host, one.backlog)
+            for one in self._packets[: library.stream_passed(self._stream, self._passed)]
+        ]
         frame: FrameLevels | None = None
         packet: Received | None = None
-        if kind == _PACKET:
-            packet = self.parser.interpret(*about)
-        elif kind == _FOREIGN:
-            packet = self._ask(self.parser.interpret(*about))
-        elif kind == _DOUBT:
-            frame = self._decide(*about)
-        elif kind == _BLOCK:
-            self._feed(*about)
-            frame = self._frames.popleft() if self._frames else None
-        elif kind == _NEEDS_BYTES and self._ending:
+        t_host, backlog = reader.t_host, reader.backlog
+        if kind in (library.STREAM_HEARD, library.STREAM_SILENT):
+            frame = self._decided(kind == library.STREAM_HEARD)
+            return Event(passed, frame, None, False, t_host, backlog)
+        self._read = t_host, backlog
+        needs_bytes = kind == library.STREAM_NEEDS_BYTES
+        if needs_bytes and self._ending:
             self._conclude()
-        needs_bytes = kind == _NEEDS_BYTES and not self._frames
-        return Event(passed, frame, packet, needs_bytes, *self._read)
+            needs_bytes = not self._frames
+        elif kind == library.STREAM_PACKET:
+            packet = self.parser.interpret(*content_of(self._packet))
+        elif kind == library.STREAM_FOREIGN:
+            packet = self._ask(self.parser.interpret(*content_of(self._packet)))
+        elif kind == library.STREAM_DOUBT:
+            frame = self._decide()
+        elif kind == library.STREAM_BLOCK:
+            self._feed()
+            frame = self._frames.popleft() if self._frames else None
+        return Event(passed, frame, packet, needs_bytes, t_host, backlog)
 
     def place(self, placement: Placement) -> None:
         asked, description = self._asked, self._description
         sums = (asked.mean, asked.variance) if isinstance(asked, Quiet) else (0.0, 0.0)
         anew = placement.step is not Step.CONTINUES
-        cut_short = self._kernel.place(placement.answer, placement.origin, anew, *sums)
+        self._answer(
+            "stream_place", placement.answer, placement.origin, anew, *sums, self._cut_short
+        )
         if description is None:
             return
-        if cut_short:
+        if self._cut_short[0]:
             description.timing.rejections += INCOMPLETE
         if anew and isinstance(description.timing, GapTiming):
             description.timing.reset()
 
     def end(self) -> None:
-        self._kernel.end()
+        self._expect_idle()
+        kernel.compiled.stream_conclude(self._stream)
         self._ending = True
 
-    def _found(
-        self,
-        kind: int,
-        start: int,
-        noise_v: float,
-        level_v: float,
-        clipped: float,
-        known: bool,
-        speakers: int,
-        turn: int,
-    ) -> FrameLevels:
-        """A frame that the kernel has decided."""
-        line = self._line
+    def _expect_idle(self) -> None:
+        """Raises RuntimeError while a thread is in `next`."""
+        if self._reader.busy:
+            raise RuntimeError(_ANOTHER_THREAD)
+
+    def _answer(self, function: str, *arguments: Any) -> None:
+        """Call one of the kernel's functions that tell whether the stream could take it."""
+        self._expect_idle()
+        if not getattr(kernel.compiled, function)(self._stream, *arguments):
+            raise ValueError(f"{function}: not asked for, does not fit the frames, or no memory")
+
+    def _decided(self, is_heard: bool) -> FrameLevels:
+        """Return a frame that the kernel has decided."""
+        line, found, about = self._line, self._found, self._about
         assert line is not None, "only marked frames are found in the kernel"
+        known, start = self._rest.known, about.start
         line.level_known = known
         self.decisions.compiled += 1
         if self._reason:
             _log.debug("frames are decided in the kernel from sample %d on", start)
             self._reason = ""
         if self._sparse is not None:
-            self._sparse.load = self._sparse.load.after(speakers)
-        fit, levels = line.nominal, None
-        if kind == _HEARD:
-            levels = self._levels(noise_v, known, speakers)
+            self._sparse.load = self._sparse.load.after(found.speakers)
+        fit, levels, noise_v = line.nominal, None, found.noise
+        if is_heard:
+            levels = self._levels(noise_v, known, found.speakers)
             fit = self._fit or fit
             noise_v *= self._chip_noise
         begin = float(start) if line.integrated else start + fit.start
-        return FrameLevels(begin, fit.chip, levels, noise_v, level_v, clipped, turn=turn)
+        of_line = found.level, found.clipped
+        return FrameLevels(begin, fit.chip, levels, noise_v, *of_line, turn=about.turn)
 
     def _levels(self, noise_v: float, known: bool, speakers: int) -> NodeLevels:
         rows, line = self._rows, self._line
@@ -207,33 +242,22 @@ class CompiledStream:
             self.place(Placement(Answer.IGNORE))
         return self._asked
 
-    def _decide(
-        self,
-        look: int,
-        start: int,
-        volts: bytes,
-        final: bool,
-        opened: int,
-        carried: int,
-        ended: int,
-        summed_up: bool,
-        sums: tuple[float, float],
-        rest: tuple[float, float, bool],
-        turn: int,
-    ) -> FrameLevels | None:
+    def _decide(self) -> FrameLevels | None:
         """Answer whether samples are a frame, which it returns."""
-        timing = self._marked
-        line = timing.line
-        line.level_v, line.noise, line.level_known = rest
-        if summed_up:
-            verdict = timing.summed_up(start, *sums)
+        timing, about = self._marked, self._about
+        line, rest, start, turn = timing.line, self._rest, about.start, about.turn
+        line.level_v, line.noise, line.level_known = rest.level, rest.noise, rest.known
+        is_summed_up, look = about.summed_up, about.look
+        if is_summed_up:
+            verdict = timing.summed_up(start, about.mean, about.variance)
         else:
-            samples = np.frombuffer(volts, np.float32).astype(np.float64)
-            frame = MarkedFrame(start, samples, final, opened, carried, ended)
-            verdict = timing.recognise(frame)
-        reason = REFINED if look == _NO_TIMING and self._fit is not None else DOUBTS[look]
+            samples = self._volts().astype(np.float64)
+            seen = about.final, about.marks, about.uses, about.ended
+            verdict = timing.recognise(MarkedFrame(start, samples, *seen))
+        is_refined = look == kernel.compiled.FRAME_NO_TIMING and self._fit is not None
+        reason = REFINED if is_refined else DOUBTS[look]
         due, over = (-1 if at is None else at for at in (verdict.due, verdict.over))
-        self._kernel.decide(due, over, line.level_v, line.noise)
+        self._answer("stream_decide", due, over, line.level_v, line.noise)
         self._carry(timing)
         if verdict.due is None:
             self.decisions.in_python[reason] += 1
@@ -242,13 +266,17 @@ class CompiledStream:
                 self._reason = reason
         return verdict.frame.in_turn(turn) if verdict.frame else None
 
-    def _feed(self, start: int, volts: memoryview) -> None:
-        """Find frames in samples that are not marked. volts: valid until the kernel is answered."""
+    def _feed(self) -> None:
+        """Find frames in samples that are not marked."""
         assert self._description is not None and isinstance(self._description.timing, GapTiming)
         timing = self._description.timing
-        samples = np.frombuffer(volts, np.float32)
-        self._add(timing.feed(SampleBlock(start, samples, checked=True)))
-        self._kernel.look(timing.due)
+        self._add(timing.feed(SampleBlock(self._about.start, self._volts(), checked=True)))
+        self._answer("stream_look", timing.due)
+
+    def _volts(self) -> Floats32:
+        """Return the samples that the kernel hands on: they are lent until it is answered."""
+        about = self._about
+        return np.frombuffer(kernel.ffi.buffer(about.volts, 4 * about.count), np.float32)
 
     def _conclude(self) -> None:
         """All samples are used up, and no more will follow."""
@@ -267,23 +295,33 @@ class CompiledStream:
 
     def _carry(self, timing: MarkedTiming) -> None:
         """Hand on how the next frames are read."""
-        carried, setting, edges = timing.recogniser.carried, self._timing, _NO_EDGES
+        carried, setting, edges = timing.recogniser.carried, self._timing, self._edges
         fit = carried.edges.fit if carried.edges else None
-        setting["has_frame"] = fit is not None
-        setting["due"], setting["uses"] = carried.due, carried.uses
-        if carried.edges:
-            edges, fit = carried.edges.within(carried.due), carried.edges.fit
+        setting.has_frame = fit is not None
+        setting.due, setting.uses = carried.due, carried.uses
+        used = self._used.get("edges")
+        if carried.edges and fit is not None:
+            whole, share, number, places = carried.edges.within(carried.due)
+            pointer, all_edges = kernel.pointer, edges.all
+            all_edges.count = count = len(whole)
+            used = all_edges.whole, all_edges.share, all_edges.number, edges.places = (
+                pointer(whole, count),
+                pointer(share, count),
+                pointer(number, count - 1),
+                pointer(places, timing.line.spec.chips),
+            )
             if fit is not self._fit:
-                spec = timing.line.spec
+                spec, frame = timing.line.spec, setting.frame
                 end = fit.end(spec)
-                setting["over"], setting["chip"] = timing.line.over(fit), fit.chip
-                setting["until"], setting["heard"] = end + TAIL_CHIPS * fit.chip, round(end + 0.5)
-                setting["tail"], setting["tail_end"] = tail_of(fit, spec)
+                setting.over, frame.chip = timing.line.over(fit), fit.chip
+                frame.until, frame.heard = end + TAIL_CHIPS * fit.chip, round(end + 0.5)
+                frame.tail, frame.tail_end = tail_of(fit, spec)
         self._fit = fit
-        self._kernel.carry(setting, *edges)
+        self._answer("stream_carry", setting, edges)
+        self._used["edges"] = used
 
 
-def _rules(description: Description, frames: bool) -> NDArray[np.void]:
+def _rules(description: Description, frames: bool) -> kernel.Held:
     """The kernel's struct stream_rules for a digitizer."""
     info, pace, timing = description.info, description.pace, description.timing
     spec = description.spec
@@ -292,7 +330,7 @@ def _rules(description: Description, frames: bool) -> NDArray[np.void]:
     line = timing.line if isinstance(timing, MarkedTiming) else MarkedLine(spec, 2 / spec.chip_s)
     swing_v, spare = spec.node_swing_v, spec.spare_rows
     rail_low, rail_high = within_rails(line.rails_v)
-    return kernel.settings(
+    return kernel.struct(
         "stream_rules",
         **frame_fields(spec),
         **{name: getattr(LIMITS, name) for name in _SHARED_LIMITS},

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -26,8 +25,8 @@ from ..code.amplitude import (
     usual_amplitude,
 )
 from ..code.frame import UNIPOLAR, FrameSpec
-from ..code.separate import frame_settings
-from ..code.transform import chips_of, rows_of, transform_of
+from ..code.separate import frame_fields, frame_settings
+from ..code.transform import CompiledTransform, chips_of, rows_of
 from .limits import LIMITS
 
 UNEVEN = 0.02
@@ -297,10 +296,16 @@ def numpy_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
 def compiled_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
     """As numpy_fit_words."""
     assert kernel.compiled is not None
-    amplitude, uneven = np.empty((2, len(rows), spec.nodes), np.float32)
-    pedestal, power, spread, misfit = np.empty((4, len(rows)), np.float32)
-    kernel.compiled.fit_words(
-        frame_settings(spec), rows, amplitude, uneven, pedestal, power, spread, misfit
+    count, pointer = len(rows), kernel.pointer
+    amplitude, uneven = np.empty((2, count, spec.nodes), np.float32)
+    pedestal, power, spread, misfit = of_frames = np.empty((4, count), np.float32)
+    kernel.compiled.words_fit_all(
+        frame_settings(spec),
+        count,
+        pointer(rows, count, spec.line_bits, spec.row_count),
+        pointer(amplitude, count, spec.nodes),
+        pointer(uneven, count, spec.nodes),
+        *(pointer(values, count) for values in of_frames),
     )
     return WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
 
@@ -355,20 +360,41 @@ def even_words(line: Line, fit: Fit, spec: FrameSpec, words: WordFit) -> WordFit
     return words
 
 
+class Code(kernel.Held):
+    """Tells the kernel how frames of a specification are spread and read: its struct fit_code.
+
+    refining: how it refines their fit, its struct fit_refining.
+    """
+
+    def __init__(self, spec: FrameSpec) -> None:
+        transforms = [CompiledTransform(spec.book.plan, spreading) for spreading in (False, True)]
+        flips = kernel.ffi.NULL
+        if spec.flips is not None:
+            shape = spec.line_bits, spec.order
+            flips = kernel.pointer(np.ascontiguousarray(spec.flips, np.float32), *shape)
+        code = kernel.struct(
+            "fit_code",
+            **frame_fields(spec),
+            span=spec.span_chips,
+            correlate=transforms[0].at,
+            spread=transforms[1].at,
+            flips=flips,
+            places=kernel.pointer(spec.places.astype(np.int32), spec.chips),
+        )
+        super().__init__(code.at, None, code, transforms)
+        self.refining = kernel.struct(
+            "fit_refining",
+            blur=BLUR,
+            settled_chips=SETTLED_CHIPS,
+            turns=REACHES.size,
+            reaches=REACHES,
+        )
+
+
 @lru_cache(maxsize=8)
-def compiled_code(spec: FrameSpec) -> Any:
-    """How the kernel spreads and correlates such frames; None where it does not."""
-    if kernel.compiled is None:
-        return None
-    flips = np.zeros(0) if spec.flips is None else spec.flips.ravel()
-    return kernel.compiled.Code(
-        frame_settings(spec),
-        transform_of(spec.book.plan),
-        transform_of(spec.book.plan, spreading=True),
-        flips.astype(np.float32),
-        spec.places.astype(np.int32),
-        spec.span_chips,
-    )
+def compiled_code(spec: FrameSpec) -> Code | None:
+    """How the kernel reads such frames; None where it does not."""
+    return None if kernel.compiled is None else Code(spec)
 
 
 def refine(
@@ -384,13 +410,21 @@ def refine(
     code = compiled_code(spec)
     if code is None:
         return numpy_refine(line, fit, spec, earliest, latest)
-    scratch = np.empty(2 * spec.chips + spec.span_chips + 2 * spec.nodes + 2, np.float32)
-    start, chip, bounds = fit.start, fit.chip, (earliest, latest)
-    return Fit(
-        *code.refine(
-            line.volts, line.sums, BLUR, SETTLED_CHIPS, REACHES, start, chip, *bounds, scratch
-        )
+    size, library = line.volts.size, kernel.compiled
+    samples = kernel.struct(
+        "fit_line",
+        size=size,
+        volts=kernel.pointer(line.volts, size),
+        sums=kernel.pointer(line.sums, size + 1),
+        level=0.0,
     )
+    room = library.fit_scratch(code.at)
+    scratch = kernel.pointer(np.empty(room, np.float32), room)
+    begun = {"start": fit.start, "chip": fit.chip}
+    found = library.fit_refine(
+        code.at, samples.at, code.refining.at, begun, earliest, latest, scratch
+    )
+    return Fit(found.start, found.chip)
 
 
 def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest: float) -> Fit:

@@ -230,7 +230,7 @@ class SparseRecogniser(Recogniser):
         """
         noise, rise = self._line.noise, 1 + self._rules["chance"]
         if self.detector.kernel is not None:
-            self._line.noise = self.detector.kernel.learn(noise, newest)
+            self._line.noise = self.detector.learn(noise, newest)
         elif not noise:
             self._line.noise = newest
         else:

@@ -145,28 +145,62 @@ class CompiledGatherer:
     """As NumpyGatherer, in the kernel (kernel/contacts.h)."""
 
     def __init__(self, layout: Layout) -> None:
-        taxels, moments = len(layout), moments_of(layout)
-        self._skin = np.ascontiguousarray(layout.neighbours, dtype=np.int32), moments
-        self._place, self._notes = np.empty(taxels, np.int32), np.empty(taxels, np.uint8)
-        self._scratch = np.empty((3, taxels), np.int32), np.empty(taxels)
-        self._taxels = np.empty((2, taxels), np.int32)
-        self._starts = np.empty(taxels + 1, np.int32)
-        self._tally = np.empty(4, np.int32)
-        self._sums = np.empty((taxels, moments.shape[1] + 1))
-        self._peak_pa = np.empty(taxels, np.float32)
-        self._flags = np.empty((3, taxels), np.bool_)
+        count, library = len(layout), kernel.compiled
+        self._place, self._notes = np.empty(count, np.int32), np.empty(count, np.uint8)
+        self._taxels, self._flags = np.empty((2, count), np.int32), np.empty((3, count), np.bool_)
+        self._starts = np.empty(count + 1, np.int32)
+        self._tally = np.empty(library.CONTACTS_TALLY, np.int32)
+        self._sums = np.empty((count, library.CONTACTS_SUMS))
+        self._peak_pa = np.empty(count, np.float32)
+        moments = moments_of(layout)
+        self._skin = kernel.struct(
+            "contacts_skin",
+            taxels=count,
+            near=layout.neighbours.shape[1],
+            neighbours=np.ascontiguousarray(layout.neighbours, dtype=np.int32),
+            moments=kernel.pointer(moments, count, library.CONTACTS_MOMENTS),
+            contact_pa=0.0,
+            release_pa=0.0,
+            rim_pa=0.0,
+            saturated=Status.SATURATED,
+            uncertain=Status.LOW_SNR,
+            masked=Status.MASKED,
+        )
+        self._kept = kernel.struct(
+            "contacts_kept",
+            place=self._place,
+            notes=self._notes,
+            scratch=np.empty((library.CONTACTS_SCRATCH, count), np.int32),
+            loads=np.empty(count),
+        )
+        saturated, lower_bound, torn = self._flags
+        self._found = kernel.struct(
+            "contacts_found",
+            taxels=self._taxels[0],
+            before=self._taxels[1],
+            starts=self._starts,
+            tally=self._tally,
+            sums=self._sums,
+            peak_pa=self._peak_pa,
+            saturated=saturated,
+            lower_bound=lower_bound,
+            torn=torn,
+        )
         self.forget()
 
     def forget(self) -> None:
         self._place[:], self._notes[:] = -1, 1
 
     def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        assert kernel.compiled is not None
-        count = kernel.compiled.gather_contacts(
-            contact_pa, release_pa, RIM * release_pa, *_FLAGS, *self._skin,
-            readings.pressure_pa, readings.status, self._place, self._notes, *self._scratch,
-            self._taxels, self._starts, self._tally, self._sums, self._peak_pa, self._flags,
-        )  # fmt: skip
+        skin, size = self._skin.at, self._place.size
+        skin.contact_pa, skin.release_pa, skin.rim_pa = contact_pa, release_pa, RIM * release_pa
+        pressure_pa = kernel.pointer(readings.pressure_pa, size)
+        status = kernel.pointer(readings.status, size)
+        count = kernel.compiled.contacts_gather(
+            skin, pressure_pa, status, self._kept.at, self._found.at
+        )
+        if count > size:
+            raise ValueError("neighbours: one is no taxel")
         *tally, moved = self._tally.tolist()
         if not count:
             return _NOTHING._replace(coverage=Coverage(*tally))
@@ -199,7 +233,6 @@ def _any(flags: Bools, starts: Indices) -> Bools:
 
 
 _SATURATED = np.uint8(Status.SATURATED)
-_FLAGS = Status.SATURATED, Status.LOW_SNR, Status.MASKED
 _NO_TAXELS, _NO_FLAGS = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool)
 _NOTHING = Gathered(
     *(Coverage(), True, _NO_TAXELS, _NO_TAXELS, [0], np.zeros((0, 11))),

@@ -2,7 +2,7 @@
 
 """What the kernel needs to read a frame in which nothing is odd: words and readings in one call."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
 from ..code.amplitude import (
     FAINT_SHARE,
+    LEAST_NOISE,
     LEAST_SHARE,
     LOW_MARGIN,
     MOVED_SHARE,
@@ -18,10 +19,11 @@ from ..code.amplitude import (
     most_noise_power,
 )
 from ..code.frame import FrameSpec
-from ..code.separate import frame_fields
+from ..code.separate import NodeLevels, frame_fields
 from ..words import lateness, limits, tones
 from ..words.decode import nobody
 from ..words.health import NodeHealth
+from .baseline import Baseline
 from .pressure import PressureChain
 from .status import Status
 
@@ -29,8 +31,6 @@ ODD, LEFT, FEW, DOUBTFUL = 0, 1, 2, 3
 """As enum readout_look of the kernel."""
 _BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
 """Of Status, that the kernel sets."""
-NOBODY = np.empty(0, np.int32)
-"""The kernel's list of those who spoke, where nothing is known of that."""
 
 
 class Kept(NamedTuple):
@@ -45,14 +45,29 @@ class Kept(NamedTuple):
     heard_s: Floats
 
 
-class Readout:
-    """The kernel's Readout for a skin, and the arrays that it shares with the stages.
+class Frame(NamedTuple):
+    """Holds what the kernel reads of a frame: of n nodes, and of t taxels.
+
+    words: (3, n) float32, amplitude, V, ρ and margin. flags: (4, n) bool, active nodes, and
+    doubtful, doubled and odd words. readings: (2, t) float32, pressure, Pa, and voltage, V. codes:
+    (n,) int32. status: (t,) uint8.
+    """
+
+    words: Floats32
+    flags: Bools
+    readings: Floats32
+    codes: NDArray[np.int32]
+    status: NDArray[np.uint8]
+
+
+class Readout(kernel.Held):
+    """Keeps the kernel's struct readout for a skin, and the arrays that it shares with the stages.
 
     So any frame may be read either way: by it, or by `decode`, NodeHealth and Taxels.update.
 
-    kernel: reads frames; see Taxels.read. nobody: (n,) bool, no node. expected_v: (n,) float32,
-    amplitude of each node's words, V; rest: (2, n) float32, V and Pa, and valid: (n,) bool, of the
-    last frame, for tare and drift (see Baseline.look); the next one ends them.
+    nobody: (n,) bool, no node. expected_v: (n,) float32, amplitude of each node's words, V; rest:
+    (2, n) float32, V and Pa, and valid: (n,) bool, of the last frame, for tare and drift (see
+    Baseline.look); the next one ends them.
     """
 
     def __init__(
@@ -71,7 +86,6 @@ class Readout:
 
         active_share: see decode. source: (t,) node of every taxel, or empty.
         """
-        assert kernel.compiled is not None
         curves, nodes = chain.calibration.curves, spec.nodes
         self.taxels, self.nobody = len(source) or nodes, nobody(nodes)
         swing_v = health.swing_v
@@ -79,31 +93,99 @@ class Readout:
         self.expected_v = np.empty(nodes, np.float32) if swing_v is None else swing_v
         self.rest = np.empty((2, nodes), np.float32)
         self.valid = np.empty(nodes, np.bool_)
-        self.kernel = kernel.compiled.Readout(
-            kernel.settings(
-                "readout_settings",
-                **frame_fields(spec),
-                **_word_limits(spec, active_share),
-                **{bit: Status[bit.upper()] for bit in _BITS},
-                codes=len(table_v),
-                pieces=len(curves.pieces),
-                taxels=self.taxels,
-            ),
-            spec.sign_mask,
-            lateness.offset_rows(spec),
-            self.expected_v,
-            lateness.edge_rows(spec.book),
-            table_v,
-            flags,
-            health.invalid,
-            chain.calibration.uncalibrated,
-            masked,
-            *chain.bounds,
-            curves.pieces,
-            source,
-            *kept,
-            health.sums,
+        pointer, bits, order = kernel.pointer, spec.line_bits, spec.row_count
+        settings = kernel.struct(
+            "readout_settings",
+            **frame_fields(spec),
+            **_word_limits(spec, active_share),
+            **{bit: Status[bit.upper()] for bit in _BITS},
+            codes=len(table_v),
+            pieces=len(curves.pieces),
+            taxels=self.taxels,
         )
+        offset = lateness.offset_rows(spec)
+        by_node: dict[str, NDArray[Any]] = {
+            "expected": self.expected_v,
+            "state": flags,
+            "invalid": health.invalid,
+            "uncalibrated": chain.calibration.uncalibrated,
+            "masked": masked,
+            **dict(zip(("sign", "rest_v", "margin_v", "end_v"), chain.bounds, strict=True)),
+            "kept_codes": kept.codes,
+            "kept_flags": kept.flags,
+            "heard_s": kept.heard_s,
+        }
+        skin = kernel.struct(
+            "readout_skin",
+            **{name: pointer(values, nodes) for name, values in by_node.items()},
+            sign_mask=pointer(spec.sign_mask, nodes),
+            offset=pointer(offset, bits * order) if offset.size else kernel.ffi.NULL,
+            edges=pointer(lateness.edge_rows(spec.book), 4, order),
+            table_v=pointer(table_v, len(table_v)),
+            pieces=pointer(curves.pieces, len(curves.pieces), 3, nodes),
+            source=pointer(source, len(source)) if len(source) else kernel.ffi.NULL,
+            sums=pointer(health.sums, 5, nodes),
+        )
+        made = kernel.compiled.readout_new(settings.at, skin.at)
+        super().__init__(made, kernel.compiled.readout_free, settings, skin)
+        self._bits, self._order, self._nodes = bits, order, nodes
+        words, about = np.empty((3, nodes), np.float32), np.empty((4, nodes), np.bool_)
+        readings, codes = np.empty((2, self.taxels), np.float32), np.empty(nodes, np.int32)
+        self._found = Frame(words, about, readings, codes, np.empty(self.taxels, np.uint8))
+        members = (
+            *("amplitude", "rho", "margin"),
+            *("active", "doubtful", "doubled", "odd"),
+            *("pressure_pa", "voltage_v"),
+            *("node_v", "node_pa"),
+        )
+        self._frame = kernel.struct(
+            "readout_frame",
+            **dict(zip(members, (*words, *about, *readings, *self.rest), strict=True)),
+            codes=codes,
+            status=self._found.status,
+            valid=self.valid,
+        )
+        self._read_from: tuple[Any, ...] = (None,) * 3  # arrays, and what points to them
+        self._pointers: tuple[Any, ...] = ()
+
+    def read(
+        self,
+        levels: NodeLevels,
+        floor_v: float,
+        in_place: bool,
+        now_s: float,
+        stale_after_s: float,
+        baseline: Baseline,
+    ) -> int:
+        """Read a frame, which `found` gives then: ODD … or more, see enum readout_look.
+
+        floor_v: least usual amplitude; NaN where that is known. in_place: whether what words leave
+        over is not to be looked at. now_s: device time of the frame.
+        """
+        rows, drift_v, tare_pa = levels.rows, baseline.drift_v, baseline.tare_pa
+        spoke, speakers, pointer = kernel.ffi.NULL, 0, kernel.pointer
+        if rows is None:
+            assert levels.spoke is not None
+            rows, speakers = levels.values, len(levels.spoke)
+            spoke = pointer(levels.spoke, speakers)
+        before = self._read_from
+        if rows is not before[0] or drift_v is not before[1] or tare_pa is not before[2]:
+            self._read_from = rows, drift_v, tare_pa
+            shape = self._bits, self._order if levels.rows is not None else speakers
+            of_nodes = pointer(drift_v, self._nodes), pointer(tare_pa, self._nodes)
+            self._pointers = pointer(rows, *shape), *of_nodes
+        of_rows, drift, tare = self._pointers
+        per_noise = 1 / max(levels.noise_v, LEAST_NOISE)
+        look: int = kernel.compiled.readout_read(
+            self.at, of_rows, spoke, speakers, per_noise, floor_v, in_place, now_s,
+            stale_after_s, drift, tare, self._frame.at,
+        )  # fmt: skip
+        return look
+
+    def found(self) -> Frame:
+        """Return the frame that was read last."""
+        words, flags, readings, codes, status = self._found
+        return Frame(words.copy(), flags.copy(), readings.copy(), codes.copy(), status.copy())
 
 
 def _word_limits(spec: FrameSpec, active_share: float) -> dict[str, float]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Bools, Floats32
 from ..base.stage import stage
-from ..code.amplitude import LEAST_NOISE
 from ..code.frame import FrameSpec
 from ..code.separate import NodeLevels
 from ..places.layout import Layout
@@ -25,7 +24,7 @@ from ..words.tones import toned
 from .baseline import LOOK_S, Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
-from .readout import DOUBTFUL, FEW, LEFT, NOBODY, ODD, Kept, Readout
+from .readout import DOUBTFUL, FEW, LEFT, ODD, Kept, Readout
 from .status import Status, is_certain, is_in_service
 from .tare import take_tare
 
@@ -287,31 +286,24 @@ class Taxels:
                 spec, active_share, chain, health, self._kept, self._trusted(health)[0],
                 self._voltage_of, self._masked, self._source,
             )  # fmt: skip
-        nodes, taxels, noise_v = spec.nodes, readout.taxels, levels.noise_v
-        active, codes = np.empty(nodes, np.bool_), np.empty(nodes, np.int32)
-        floats, doubts = np.empty((3, nodes), np.float32), np.empty((3, nodes), np.bool_)
-        readings, status = np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8)
+        noise_v, baseline, late_s = levels.noise_v, chain.baseline, self.stale_after_s
         floor_v = AUTO_FLOOR * noise_v / active_share if health.swing_v is None else math.nan
-        some = levels.values, levels.spoke, True
-        heard: tuple[object, ...] = some if levels.rows is None else (levels.rows, NOBODY, False)
-        heard += 1 / max(noise_v, LEAST_NOISE), floor_v
-        kept = t_device, self.stale_after_s, chain.baseline.drift_v, chain.baseline.tare_pa
-        found = active, codes, floats, doubts, readings, status, readout.rest, readout.valid
-        look = readout.kernel.read(*heard, False, *kept, *found)
+        look = readout.read(levels, floor_v, False, t_device, late_s, baseline)
         if look in (LEFT, FEW):
-            left = levels, floats[0], active, float(readout.expected_v.min()), spec
+            (amplitude_v, *_), (active, *_), *_ = readout.found()
+            left = levels, amplitude_v, active, float(readout.expected_v.min()), spec
             if look == FEW and few_differ(*left):
                 return None
             if look == LEFT and out_of_place(*left) is not None:
                 return None
-            if look == LEFT and toned(levels, floats[0], active, spec) is not None:
+            if look == LEFT and toned(levels, amplitude_v, active, spec) is not None:
                 return None
-            look = readout.kernel.read(*heard, True, *kept, *found)
+            look = readout.read(levels, floor_v, True, t_device, late_s, baseline)
         if look == ODD:
             return None
-        no = readout.nobody
+        of_words, flags, readings, codes, status = readout.found()
+        (amplitude_v, rho, margin), (active, *doubts), no = of_words, flags, readout.nobody
         doubtful, doubled, odd = doubts if look == DOUBTFUL else (no, no, no)
-        amplitude_v, rho, margin = floats
         sigma = noise_v * math.sqrt(spec.order)
         words = Words(
             active, codes, amplitude_v, rho, margin, doubtful, doubled, odd, no, no, sigma

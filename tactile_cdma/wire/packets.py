@@ -15,7 +15,7 @@ import struct
 import zlib
 from array import array
 from dataclasses import dataclass, fields, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from ..base import kernel
 from ._protocol import MAX_GAP, MAX_SAMPLES, VERSION, PacketType, Result
@@ -39,7 +39,7 @@ class Counters:
 
     bytes: int = 0
     packets: int = 0
-    """With a correct CRC, including unknown and malformed ones."""
+    """Packets with a correct CRC, including unknown and malformed ones."""
     crc_errors: int = 0
     framing_errors: int = 0
     """Runs of bytes between two delimiters that are not COBS."""
@@ -63,6 +63,7 @@ class Counters:
 
 
 _COUNTERS = tuple(field.name for field in fields(Counters))
+_SCANNED = tuple(name for name in _COUNTERS if name != "unknown")
 
 
 class PacketParser:
@@ -83,34 +84,34 @@ class PacketParser:
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
         """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
-        scanner = Scanner if kernel.compiled is None else kernel.compiled.Scanner
-        self.scanner: Scanner = scanner(most_repeated)
+        kind = Scanner if kernel.compiled is None else CompiledScanner
+        self.scanner: Scanner | CompiledScanner = kind(most_repeated)
         self._refused = Counters()  # what was intact, but cannot be used
 
     @property
     def counters(self) -> Counters:
-        """A snapshot."""
+        """Return a snapshot of all counters."""
         return Counters(**self.scanner.counts()) + self._refused
 
     @property
     def received(self) -> tuple[int, int]:
-        """Bytes and intact packets so far; cheaper than all counters."""
+        """Return the bytes and intact packets so far; cheaper than all counters."""
         counts = self.scanner.counts()
         return counts["bytes"], counts["packets"]
 
     def feed(self, data: bytes) -> list[Received]:
-        """The packets that these bytes complete."""
+        """Return the packets that these bytes complete."""
         received = [self.interpret(*found) for found in self.scanner.feed(data)]
         return [packet for packet in received if packet is not None]
 
     def skip(self) -> None:
-        """Bytes were left out here: the packet that they belonged to is lost, not broken."""
+        """Note that bytes were left out here: the packet that they are of is lost, not broken."""
         self.scanner.skip()
 
     def interpret(
         self, type_byte: int, sequence: int, payload: bytes | SampleBytes
     ) -> Received | None:
-        """The packet of an intact body; Rejected for a command that cannot be used."""
+        """Make the packet of an intact body; Rejected for a command that cannot be used."""
         if isinstance(payload, tuple):
             return Samples.received(payload, sequence)
         kind = PACKETS.get(type_byte)
@@ -130,11 +131,55 @@ class PacketParser:
         return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
-class Scanner:
-    """What PacketParser does with bytes, without knowing what packets mean.
+class CompiledScanner(kernel.Held):
+    """Does what PacketParser does with bytes, without knowing what they mean: kernel/scanner.h."""
 
-    The compiled kernel has the same.
-    """
+    def __init__(self, most_repeated: int) -> None:
+        made = kernel.compiled.scanner_new(most_repeated)
+        super().__init__(made, kernel.compiled.scanner_free)
+        self._told = kernel.compiled.scanner_told(made)
+
+    def counts(self) -> dict[str, int]:
+        """Return the fields of Counters that a scanner knows."""
+        return {name: getattr(self._told, name) for name in _SCANNED}
+
+    def held(self) -> int:
+        """Count the bytes of an incomplete packet that are held back."""
+        return int(kernel.compiled.scanner_held(self.at))
+
+    def feed(self, data: bytes) -> list[Found]:
+        """Return type, sequence and payload of the packets that these bytes complete."""
+        library, packets, taken = kernel.compiled, [], 0
+        packet, given = kernel.ffi.new("struct scanner_packet *"), kernel.ffi.from_buffer(data)
+        at = kernel.ffi.cast("uint8_t *", given)
+        while taken < len(data):
+            taken += library.scanner_take(self.at, at + taken, len(data) - taken, packet)
+            if packet.payload:
+                packets.append(content_of(packet))
+        library.scanner_tell(self.at)
+        return packets
+
+    def skip(self) -> None:
+        kernel.compiled.scanner_skip(self.at)
+        kernel.compiled.scanner_tell(self.at)
+
+
+def content_of(packet: Any) -> Found:
+    """Return what the kernel's struct scanner_packet holds."""
+    library, ffi = kernel.compiled, kernel.ffi
+    samples = library.scanner_samples(packet)
+    payload: bytes | SampleBytes
+    if samples:
+        head, counts = ffi.new("struct tp_samples *"), ffi.new("int16_t[]", samples)
+        library.scanner_copy_samples(packet, head, counts)
+        payload = head.device_time_us, head.first_index, head.flags, bytes(ffi.buffer(counts))
+    else:
+        payload = bytes(ffi.buffer(packet.payload, packet.size))
+    return packet.type, packet.sequence, payload
+
+
+class Scanner:
+    """As CompiledScanner."""
 
     def __init__(self, most_repeated: int) -> None:
         self._most_repeated = most_repeated
@@ -153,11 +198,11 @@ class Scanner:
         return {name: getattr(seen, name) for name in _COUNTERS}
 
     def held(self) -> int:
-        """Bytes of an incomplete packet that are held back."""
+        """Return the bytes of an incomplete packet that are held back."""
         return len(self._partial)
 
     def feed(self, data: bytes) -> list[Found]:
-        """Type, sequence and payload of the packets that these bytes complete."""
+        """Return type, sequence and payload of the packets that these bytes complete."""
         self._seen.bytes += len(data)
         *runs, rest = data.split(b"\0")
         if runs and self._partial:
@@ -247,14 +292,14 @@ class PacketWriter:
         self.sequence = sequence
 
     def encode(self, packet: Packet) -> bytes:
-        """The bytes of the next packet, delimiter included."""
+        """Return the bytes of the next packet, delimiter included."""
         header = _HEADER.pack(packet.TYPE, self.sequence % SEQUENCES)
         self.sequence = (self.sequence + 1) % SEQUENCES
         return wrap(header + packet.pack())
 
 
 def diagnose(counters: Counters) -> str:
-    """The likely cause, for the person at the bench, when no INFO has come."""
+    """Tell the likely cause, for the person at the bench, when no INFO has come."""
     if counters.packets:
         return "packets arrive, but no description of the digitizer (INFO)"
     if not counters.bytes:
@@ -265,7 +310,7 @@ def diagnose(counters: Counters) -> str:
 
 
 def wrap(body: bytes) -> bytes:
-    """A body as it travels: with its CRC, COBS-encoded, delimited."""
+    """Make a body ready to travel: with its CRC, COBS-encoded, delimited."""
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 
@@ -279,7 +324,7 @@ _RESIDUE = 0x2144DF1C
 """The CRC-32 of any bytes that are followed by their own CRC-32."""
 _COMMAND_BIT = 0x80
 _NEVER, _MISSING = -1, -2
-"""In place of a CRC: never received; counted as lost."""
+"""Stand for the CRC of a packet that was never received, and of one that is counted as lost."""
 _MAX_RAW = (
     _HEADER.size
     + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))

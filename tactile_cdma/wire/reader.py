@@ -4,17 +4,18 @@
 
 import os
 import select
+from typing import Any
 
 from ..base import kernel
 
 NO_FILE = -1
-"""In place of a descriptor: of a port that has none."""
+"""Stands for the descriptor of a port that has none."""
 READ_SIZE = 65_536
 """Bytes that one read takes at most; chosen well above the 4 kB that a Linux tty gives at once."""
 
 
 def numpy_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
-    """What has arrived, after waiting for a byte; none after the time-out.
+    """Return what has arrived, after a wait for a byte; nothing after the time-out.
 
     Also whether it had been there already, so may have come long before. Raises OSError where
     nothing can be read any more.
@@ -30,5 +31,19 @@ def numpy_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
     return data, had_waited
 
 
-# The kernel's waits for the end of a packet: a tty gives large ones in parts.
-read_file = kernel.either("read_packets", numpy_read)
+def compiled_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
+    """As numpy_read, and waits for the end of a packet: a tty gives large ones in parts."""
+    reader = kernel.ffi.new("struct reader *")
+    size = kernel.compiled.reader_read(reader, file, timeout_ms)
+    if size < 0:
+        raise failure_of(reader)
+    return bytes(kernel.ffi.buffer(reader.bytes, size)), reader.backlog
+
+
+def failure_of(reader: Any) -> OSError:
+    """Return why the kernel's struct reader could not read."""
+    failure = reader.failure
+    return OSError("end of file") if failure < 0 else OSError(failure, os.strerror(failure))
+
+
+read_file = numpy_read if kernel.compiled is None else compiled_read

@@ -45,11 +45,12 @@ def passed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
         pytest.skip("gcc and gcov count what the kernel executes")
     folder = tmp_path_factory.mktemp("coverage")
     (folder / "count.c").write_text(COVERAGE)
+    subprocess.run([sys.executable, KERNEL / "build_kernel.py", folder / "_kernel.c"], check=True)
     subprocess.run(
         [
             compiler, "--coverage", *(KERNEL / "options.txt").read_text().split(), "-O0", "-fPIC",
-            "-shared", f"-I{sysconfig.get_paths()['include']}", *map(str, KERNEL.glob("*.c")),
-            "count.c", "-lm", "-o", "_kernel.so",
+            "-shared", f"-I{KERNEL}", f"-I{sysconfig.get_paths()['include']}",
+            *map(str, KERNEL.glob("*.c")), "_kernel.c", "count.c", "-lm", "-o", "_kernel.so",
         ],
         cwd=folder, check=True,
     )  # fmt: skip

@@ -21,7 +21,7 @@ RP2040_FAMILY = 0xE48BFF56
 
 
 def boot_crc(data: bytes) -> int:
-    """The boot ROM's CRC-32: that of IEEE 802.3, but not reflected and not inverted at the end."""
+    """Compute the boot ROM's CRC-32: that of IEEE 802.3, but neither reflected nor inverted."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte << 24
@@ -31,7 +31,7 @@ def boot_crc(data: bytes) -> int:
 
 
 def with_boot_crc(image: bytes) -> bytes:
-    """The image with its boot stage's CRC. ValueError if the boot stage leaves no room."""
+    """Give the image its boot stage's CRC. ValueError if the boot stage leaves no room."""
     body = image[: BOOT2_SIZE - 4]
     if any(image[BOOT2_SIZE - 4 : BOOT2_SIZE]):
         raise ValueError(f"the boot stage is longer than {BOOT2_SIZE - 4} bytes")
@@ -39,7 +39,7 @@ def with_boot_crc(image: bytes) -> bytes:
 
 
 def uf2(image: bytes, address: int = FLASH) -> bytes:
-    """The image as a UF2 file, which can be copied to the board's USB drive."""
+    """Make a UF2 file of the image, which can be copied to the board's USB drive."""
     pieces = [image[i : i + UF2_PAYLOAD] for i in range(0, len(image), UF2_PAYLOAD)]
     first, second, last = UF2_MAGIC
     return b"".join(

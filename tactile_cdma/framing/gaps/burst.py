@@ -11,7 +11,6 @@ import math
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...base import kernel
 from ...base.arrays import Floats
@@ -122,9 +121,9 @@ class BurstSearch:
         return 0.1 + 6.0 * math.sqrt(self.half / self.shortest)
 
     @cached_property
-    def settings(self) -> NDArray[np.void]:
+    def settings(self) -> kernel.Held:
         """What the kernel's functions take."""
-        return kernel.settings(
+        return kernel.struct(
             "burst_search",
             half=self.half,
             window=self.window_halves,

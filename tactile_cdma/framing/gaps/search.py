@@ -23,12 +23,11 @@ does not accumulate).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...base import kernel
 from ...base.arrays import Floats, Floats32
@@ -38,7 +37,6 @@ from ...code.separate import NodeLevels
 from ..fit import (
     BLUR,
     CHIPS_AT_ONCE,
-    REACHES,
     SETTLED_CHIPS,
     UNEVEN,
     Fit,
@@ -103,6 +101,24 @@ class Look(NamedTuple):
     noise_v: float
     words: WordFit
 
+    @classmethod
+    def of(cls, kind: int, seen: Any, words: WordFit) -> Look:
+        """Return what the kernel's struct gap_seen says."""
+        gap, burst, beside = seen.gap, seen.burst, seen.beside
+        return cls(
+            kind,
+            (gap.level, gap.variance, gap.begin),
+            (burst.first, burst.last, burst.slack, burst.power, burst.variance, burst.pause),
+            seen.proven,
+            (seen.fit.start, seen.fit.chip),
+            seen.unaided,
+            (beside.level, beside.variance, beside.quiet, beside.noise),
+            seen.sound,
+            seen.clipped,
+            seen.noise,
+            words,
+        )
+
     @property
     def gap(self) -> Gap:
         """Its level, as `gaps` finds it."""
@@ -145,7 +161,7 @@ class GapSearch(BurstSearch):
         super().__init__(spec, rate_hz)
         self._rails_v = rails_v
         self._code = compiled_code(spec)
-        self._values = np.empty(0)
+        self._values: Any = ()  # memory for the kernel
         self._make_room()
 
     def look(
@@ -160,34 +176,47 @@ class GapSearch(BurstSearch):
         code = self._code
         if code is None:
             return None
-        size = max(volts.size, 3 * (volts.size // self.half)) + 2
-        if self._values.size < size:
-            self._values = np.empty(2 * size)
-        place = (0.0, 0.0, 0.0, 0.0)
+        library, samples, pointer = kernel.compiled, volts.size, kernel.pointer
+        room = library.gap_values(self.settings.at, samples)
+        if len(self._values) < room:
+            self._values = pointer(np.empty(2 * room), 2 * room)
+        quiet = kernel.ffi.new("struct burst_gap *")
+        quiet.level, quiet.variance = known.level, known.variance
+        place = kernel.ffi.new("struct gap_expected *")
         if expected is not None:
-            place = expected.start - begin, expected.scatter, expected.chip, expected.slips
-        seen = code.look(
-            self.settings, self._rules, REACHES, volts, raw, self.least_power,
-            known.level, known.variance, *place, *self._arrays, self._values, self._scratch,
-        )  # fmt: skip
-        return None if seen is None else Look._make((*seen, self._words))
+            place.start, place.scatter = expected.start - begin, expected.scatter
+            place.chip, place.slips = expected.chip, expected.slips
+        if not library.gap_look(
+            code.at, self.settings.at, self._rules.at, code.refining.at,
+            pointer(volts, samples), pointer(raw, samples), samples, self.least_power,
+            quiet, place, self._seen, self._kind, self._values, self._scratch,
+        ):  # fmt: skip
+            return None
+        return Look.of(self._kind[0], self._seen, self._words)
 
     def _make_room(self) -> None:
         """Arrays for the kernel's looks."""
-        spec, one = self.spec, np.empty((4, 1), np.float32)
+        spec, one, code = self.spec, np.empty((4, 1), np.float32), self._code
+        if code is None:
+            return
         rows = np.empty((1, spec.line_bits, spec.order), np.float32)
         amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
         self._words = WordFit(rows, amplitude, one[0], uneven, *one[1:])
-        self._arrays = rows, amplitude, uneven, *one
-        each = 2 * (spec.chips + spec.nodes + 2) + spec.span_chips + _MOST_CARRIED
-        beside = 4 * (self.gap_size // self.half + 1)
-        self._scratch = np.empty((_MOST_CARRIED + 2) * each + beside, np.float32)
+        named = {item.name: getattr(self._words, item.name) for item in fields(self._words)}
+        self._pointed = kernel.struct("judge_words", **named)  # keeps the arrays
+        self._seen, self._kind = (
+            kernel.ffi.new("struct gap_seen *"),
+            kernel.ffi.new("enum gap_look *"),
+        )
+        self._seen.words = self._pointed.at[0]
+        room = kernel.compiled.gap_scratch(code.at, self.settings.at)
+        self._scratch = kernel.pointer(np.empty(room, np.float32), room)
 
     @cached_property
-    def _rules(self) -> NDArray[np.void]:
+    def _rules(self) -> kernel.Held:
         spec, spare = self.spec, self.spec.spare_rows
         rail_low, rail_high = within_rails(self._rails_v)
-        return kernel.settings(
+        return kernel.struct(
             "gap_rules",
             **{name: getattr(LIMITS, name) for name in _SHARED_LIMITS},
             blur=BLUR,

@@ -212,7 +212,8 @@ def test_what_does_the_arithmetic_is_told(
 ) -> None:
     monkeypatch.setenv(kernel.VARIABLE, environment)
     reason = f"{kernel.VARIABLE} is numpy" if environment else "it was not built"
-    monkeypatch.setattr(kernel, "compiled", SimpleNamespace(LANES=8) if compiled else None)
+    library = SimpleNamespace(transform_lanes=lambda: 8) if compiled else None
+    monkeypatch.setattr(kernel, "compiled", library)
     monkeypatch.setattr(kernel, "why_numpy", reason)
     check = installation.compiled_kernel()
     assert check.verdict == verdict

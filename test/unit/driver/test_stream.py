@@ -2,7 +2,7 @@
 
 """The stream in the kernel gives what the one in numpy gives, to the bit, whatever happens."""
 
-import gc
+import math
 import os
 import threading
 from contextlib import suppress
@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
-from tactile_cdma.code.transform import compiled_transform
+from tactile_cdma.code.transform import CompiledTransform
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.compiled_stream import CompiledStream, _rules
 from tactile_cdma.driver.description import Description
@@ -495,58 +495,47 @@ def test_bytes_that_were_read_are_decoded_before_others_are_left_out() -> None:
         np.testing.assert_array_equal(one.readings.pressure_pa, other_one.readings.pressure_pa)
 
 
-def test_arguments_that_do_not_fit_are_refused() -> None:
-    assert kernel.compiled is not None
-    config = SkinConfig.of(SMALL)
-    rules = _rules(Description(INFO, config), frames=True)
-    flips, rows = np.empty(0, np.float32), np.empty((10, 20), np.float32)
-    transform = compiled_transform(config.spec.book.plan, spreading=False)
-    with pytest.raises(TypeError, match="scanner: a Scanner of the kernel"):
-        kernel.compiled.Stream(3)
-    made = kernel.compiled.Stream(PacketParser().scanner)
-    with pytest.raises(TypeError, match="transform: a Transform of the kernel"):
-        made.describe(rules, made, flips, rows)
-    with pytest.raises(ValueError, match=r"stream_rules: .* bytes of settings"):
-        made.describe(rules["size"], transform, flips, rows)
-    with pytest.raises(ValueError, match="rows: "):
-        made.describe(rules, transform, flips, rows[:, :4].copy())
-    with pytest.raises(ValueError, match="rows: "):
-        made.describe(rules, compiled_transform((2, 2), spreading=False), flips, rows)
-    with pytest.raises(ValueError, match="flips: "):
-        made.describe(rules, transform, rows[0].copy(), rows)
-    for name, wrong in {
-        "nodes": 0,
-        "first": 5,
-        "chip": np.nan,
-        "rate_hz": -1,
-        "gap_size": 0,
-    }.items():
-        with pytest.raises(ValueError, match="rows: "):
-            spoilt = rules.copy()
-            spoilt[name] = wrong
-            made.describe(spoilt, transform, flips, rows)
-    made.describe(rules, transform, flips, rows)
+def test_settings_that_do_not_fit_are_refused() -> None:
+    made = CompiledStream(PacketParser(), Decisions())
+    rules = _rules(Description(INFO, SkinConfig.of(SMALL)), frames=True).at
+    transform = CompiledTransform(SkinConfig.of(SMALL).spec.book.plan, spreading=False)
+    code = kernel.ffi.new("struct frame_code *", {"transform": transform.at})
+    rows = kernel.pointer(np.empty((10, 20), np.float32), 10, 20)
+    nodes = rules.frame.frame.nodes
+    for struct, name, wrong in (
+        (rules.frame.frame, "nodes", 0),
+        (rules.frame.frame, "first", 5),
+        (rules.frame.frame, "order", 16),
+        (rules.frame, "chip", math.nan),
+        (rules, "rate_hz", -1),
+        (rules, "gap_size", 0),
+    ):
+        right = getattr(struct, name)
+        setattr(struct, name, wrong)
+        with pytest.raises(ValueError, match=r"stream_describe: .* does not fit the frames"):
+            made._answer("stream_describe", rules, code, rows)
+        setattr(struct, name, right)
+    assert rules.frame.frame.nodes == nodes
+    made._answer("stream_describe", rules, code, rows)
     timing = {"due": 1000, "over": 900, "uses": 1, "has_frame": True, "chip": 4.0}
     timing |= {"until": 950.0, "heard": 800, "tail": 900, "tail_end": 910}
-    edges = np.arange(3, dtype=np.int32), np.zeros(3), np.ones(2), np.zeros(200, np.int32)
-    made.carry(kernel.settings("stream_timing", **timing), *edges)
+    edges = kernel.ffi.new("struct frame_edges *")
+    made._answer("stream_carry", kernel.struct("stream_timing", **timing).at, edges)
     for change in ({"due": 0}, {"over": 1 << 40}, {"tail": 700}, {"until": np.nan}, {"heard": 0}):
-        with pytest.raises(ValueError, match=r"due, over: |edges: "):
-            made.carry(kernel.settings("stream_timing", **timing | change), *edges)
-    with pytest.raises(ValueError, match="edges: "):
-        made.carry(kernel.settings("stream_timing", **timing), *edges[:3], edges[0])
+        spoilt = kernel.struct("stream_timing", **timing | change).at
+        with pytest.raises(ValueError, match=r"stream_carry: .* does not fit the frames"):
+            made._answer("stream_carry", spoilt, edges)
+
+
+def test_answers_that_nobody_asked_for_are_refused() -> None:
+    made = CompiledStream(PacketParser(), Decisions())
     made.give(b"\1\2", 0.0, False)
     with pytest.raises(RuntimeError, match="not used up"):
         made.give(b"\3", 0.0, False)
     for answer, arguments in (
-        (made.decide, (1, 2, 0.0, 0.0)),
-        (made.look, (1,)),
+        ("stream_decide", (1, 2, 0.0, 0.0)),
+        ("stream_look", (1,)),
+        ("stream_place", (Answer.TAKE, 0, False, 0.0, 0.0, made._cut_short)),
     ):
-        with pytest.raises(ValueError, match="nothing of the kind was asked"):
-            answer(*arguments)
-    with pytest.raises(ValueError, match="nothing of the kind was asked"):
-        made.place(Answer.TAKE, 0, False, 0.0, 0.0)
-    with pytest.raises(ValueError, match="answer: "):
-        made.place(17, 0, False, 0.0, 0.0)
-    del made, answer
-    gc.collect()
+        with pytest.raises(ValueError, match=f"{answer}: not asked for"):
+            made._answer(answer, *arguments)

@@ -40,6 +40,7 @@ COME_WITH_OTHER_WHEELS = {
     *("rosidl-default-runtime", "std-msgs"),
 }
 PACKAGES_OF_KEYS = {
+    "python3-cffi": "cffi",
     "python3-matplotlib": "matplotlib",
     "python3-numpy": "numpy",
     "python3-packaging": "packaging",

@@ -147,7 +147,7 @@ def test_a_whole_skin_is_one_contact_and_what_was_given_stays() -> None:
 @pytest.mark.parametrize("neighbour", [-1, 60, 2**31 - 1])
 def test_a_neighbour_that_is_no_taxel_is_refused(neighbour: int) -> None:
     gatherer, pressure_pa = CompiledGatherer(LAYOUTS[1]), np.full(60, 2e3, dtype=np.float32)
-    gatherer._skin[0][7, 0] = neighbour
+    gatherer._skin.at.neighbours[7 * gatherer._skin.at.near] = neighbour
     with pytest.raises(ValueError, match="neighbours: one is no taxel"):
         readings = Readings(pressure_pa, pressure_pa, np.zeros(60, dtype=np.uint8))
         gatherer.gather(readings, CONTACT_PA, RELEASE_PA)

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "reader.h"
+
+#include <errno.h>
+#include <poll.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#define AT_END (-1) /* in place of errno */
+#define HOUR_MS 3.6e6
+
+static double now_s(void)
+{
+    struct timespec now;
+
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+static long now_ms(void)
+{
+    return (long)(now_s() * 1e3);
+}
+
+ptrdiff_t reader_read(struct reader *reader, int file, int timeout_ms)
+{
+    struct pollfd port = {.fd = file, .events = POLLIN};
+    long end_ms = now_ms() + timeout_ms;
+    size_t filled = 0;
+
+    reader->backlog = false;
+    reader->failure = 0;
+    while (filled < READER_SIZE) {
+        int ready = poll(&port, 1, 0);
+        bool waited = ready > 0;
+        long left_ms = end_ms - now_ms();
+        if (left_ms < 0)
+            break;
+        if (!ready)
+            ready = poll(&port, 1, (int)left_ms);
+        if (!ready)
+            break;
+        ssize_t got = ready < 0 ? -1 : read(file, reader->bytes + filled, READER_SIZE - filled);
+        if (got < 0 && errno == EAGAIN)
+            continue;
+        if (got < 0 && errno == EINTR)
+            break;
+        if (got <= 0) {
+            if (filled) /* the next call will tell */
+                break;
+            reader->failure = got ? errno : AT_END;
+            return -1;
+        }
+        reader->backlog = waited;
+        filled += (size_t)got;
+        if (memchr(reader->bytes + filled - got, 0, (size_t)got))
+            break;
+    }
+    return (ptrdiff_t)filled;
+}
+
+bool reader_give(struct reader *reader, const uint8_t *bytes, size_t size, double t_host, bool backlog)
+{
+    if (stream_left(reader->stream))
+        return false;
+    reader->t_host = t_host;
+    reader->backlog = backlog;
+    stream_give(reader->stream, bytes, size, t_host, backlog);
+    return true;
+}
+
+enum stream_event reader_next(struct reader *reader, int file, double timeout_ms)
+{
+    double left_ms = timeout_ms < HOUR_MS ? timeout_ms : HOUR_MS, end_s = now_s() + left_ms * 1e-3;
+    enum stream_event event = stream_next(reader->stream);
+    ptrdiff_t size = 1;
+
+    reader->failure = 0;
+    /* Once at least, and not for ever if bytes come that are no packets. */
+    while (event == STREAM_NEEDS_BYTES && file >= 0 && size > 0 && left_ms >= 0) {
+        size = reader_read(reader, file, (int)left_ms);
+        if (size > 0) {
+            reader->t_host = now_s();
+            stream_give(reader->stream, reader->bytes, (size_t)size, reader->t_host, reader->backlog);
+            event = stream_next(reader->stream);
+            left_ms = (end_s - reader->t_host) * 1e3;
+        }
+    }
+    return event;
+}
