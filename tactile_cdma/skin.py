@@ -266,7 +266,7 @@ class Skin:
                 yield self.read()
 
     async def __aiter__(self) -> AsyncIterator[Frame]:
-        """As `for`, without holding up other tasks meanwhile."""
+        """Iterate as `for` does, without holding up other tasks meanwhile."""
         self._running()
         loop, news = asyncio.get_running_loop(), asyncio.Event()
 
@@ -625,7 +625,7 @@ def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """The same array, which the decoder goes on using, for a program that only reads it."""
+    """Return a view that programs can only read, of an array that the decoder goes on using."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -65,7 +65,7 @@ def on_grid(
 
 
 def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indices, Indices]:
-    """As on_grid, of an irregular skin. pitch_m: typical distance of a taxel to its nearest."""
+    """Pair neighbours on an irregular skin, as on_grid. pitch_m: usual distance to the nearest."""
     first, second, distance_m = beside(positions_m, normals, REACH_PITCHES * pitch_m)
     empty = _between_is_empty(positions_m.astype(np.float64), first, second, distance_m)
     empty = _both_ways(empty, first, second)  # the third one may face away from one of them

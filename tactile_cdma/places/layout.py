@@ -95,7 +95,7 @@ class Layout(Surface):
         return self.pitch_m * math.sqrt(self.aspect), self.pitch_m / math.sqrt(self.aspect)
 
     def said(self) -> dict[str, Pitch]:
-        """What the parameters of these names would be: rows, columns, pitch_mm."""
+        """Values that the parameters rows, columns and pitch_mm would have."""
         across_mm, down_mm = (1e3 * pitch_m for pitch_m in self.pitches_m)
         pitch_mm = across_mm if self.aspect == 1 else (across_mm, down_mm)
         return {"rows": self.rows, "columns": self.columns, "pitch_mm": pitch_mm}
@@ -162,7 +162,7 @@ class Layout(Surface):
 
     @cached_property
     def outlines_m(self) -> list[Floats]:
-        """What each taxel covers: corners (c, 2), m from its centre, right and up, turning left.
+        """Outline each taxel's cell: corners (c, 2), m right and up of its centre, turning left.
 
         A rectangle on a grid, a Voronoi cell on an irregular skin; of the taxel's area.
         """

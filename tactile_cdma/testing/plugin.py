@@ -155,7 +155,7 @@ class SimulatedDriver:
 
 
 def _parameters(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Of the skin that a test's marker asks for, its port among them."""
+    """Read the parameters that a test's marker asks for; adds the port."""
     from ..base.errors import ParameterError
     from ..config.python_arguments import argument, parameters_of
 
