@@ -99,12 +99,12 @@ class Frame:
 
     @property
     def grid(self) -> Floats32:
-        """(rows, columns) the pressure, Pa."""
+        """Return the pressure by (rows, columns), Pa."""
         return self.pressure_pa.reshape(self.shape)
 
     @property
     def touched(self) -> bool:
-        """Whether there is a contact, by certain readings; False does not say that there is none.
+        """Tell whether a contact is certain; False does not say that there is none.
 
         Raises ParameterError, as the following, unless contacts were asked for.
         """
@@ -112,12 +112,12 @@ class Frame:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing touches the skin, and all taxels surely say so."""
+        """Tell whether nothing touches the skin, and all taxels surely say so."""
         return self._found.untouched
 
     @property
     def wrench(self) -> Floats:
-        """(6,) force on the skin, N, and torque about its frame's origin, N·m; NaN: unknown."""
+        """Return force, N, and torque about the frame's origin, N·m, (6,); NaN: unknown."""
         return self._found.wrench
 
     @property
@@ -178,12 +178,12 @@ class Skin:
 
     @property
     def layout(self) -> Layout:
-        """Where the taxels are."""
+        """Tell where the taxels are."""
         return self.config.layout
 
     @property
     def source(self) -> Source:
-        """Who measures: a board or a simulator, now or when a recording was made.
+        """Tell who measures: a board or a simulator, now or when a recording was made.
 
         Its origin is Origin.UNKNOWN until the digitizer has introduced itself, which it does before
         the first frame, and again after a connection was lost.
@@ -193,33 +193,33 @@ class Skin:
 
     @property
     def dropped(self) -> int:
-        """Frames dropped since the port was opened, because the program was too slow."""
+        """Count the frames dropped since the port was opened, because the program was too slow."""
         return self._inbox.dropped
 
     @property
     def tared(self) -> bool:
-        """Whether tare() has taken a zero, which is in force."""
+        """Tell whether tare() has taken a zero, which is in force."""
         driver = self._driver
         return driver is not None and driver.pipeline.taxels.baseline.tared
 
     @property
     def problem(self) -> str | None:
-        """Why no frames arrive at the moment, in one sentence; None while they do."""
+        """Tell why no frames arrive at the moment, in one sentence; None while they do."""
         driver = self._running()
         return None if self._inbox.frames else driver.problem
 
     @property
     def silence(self) -> str:
-        """Why no frame comes, if none does, in one sentence."""
+        """Tell why no frame comes, if none does, in one sentence."""
         return self._running().silence.removeprefix(f"{self.port}: ")
 
     @property
     def ended(self) -> bool:
-        """Whether a recording was replayed to its end, and every frame of it was taken."""
+        """Tell whether a recording was replayed to its end, and every frame of it was taken."""
         return self._running().ended and not self._inbox.frames
 
     def telling(self, listener: Callable[[], None]) -> AbstractContextManager[object]:
-        """While the context lasts, listener is called whenever a frame, or silence, has come.
+        """Call listener in the context whenever a frame, or silence, has come.
 
         From another thread, which must not be held up: a listener sets an event, say.
         """
@@ -260,13 +260,13 @@ class Skin:
         self.close()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Every frame in order, until a recording ends; raises PortError as read() does."""
+        """Yield every frame in order, until a recording ends; raises PortError as read() does."""
         with suppress(RecordingEndError):
             while True:
                 yield self.read()
 
     async def __aiter__(self) -> AsyncIterator[Frame]:
-        """Iterate as `for` does, without holding up other tasks meanwhile."""
+        """Yield every frame without holding up other tasks meanwhile."""
         self._running()
         loop, news = asyncio.get_running_loop(), asyncio.Event()
 
@@ -289,7 +289,7 @@ class Skin:
                         await news.wait()
 
     def read(self) -> Frame:
-        """The next frame in order, waited for.
+        """Wait for the next frame in order.
 
         Raises PortError after timeout_s without one, RecordingEndError at the end of a recording.
         """
@@ -297,12 +297,12 @@ class Skin:
             return inbox.first()
 
     def newest(self) -> Frame:
-        """The newest frame not returned yet, waited for; skips older ones. Raises as read()."""
+        """Wait for the newest frame not returned yet; skips older ones. Raises as read()."""
         with self._awaited() as inbox:
             return inbox.all()[-1]
 
     def latest(self, max_age_s: float | None = LATEST_S) -> Frame | None:
-        """The newest frame, at once, also if it was returned before; older ones are skipped.
+        """Return the newest frame, at once, also if it was returned before; older ones are skipped.
 
         None if none arrived within max_age_s and two frame periods (None: at any time), so that a
         skin that fell silent is not taken for one that feels what it felt last.
@@ -319,7 +319,7 @@ class Skin:
             return inbox.latest
 
     def waiting(self) -> list[Frame]:
-        """The frames that wait, in order, at once; perhaps none."""
+        """Return the frames that wait, in order, at once; perhaps none."""
         self._running()
         with self._inbox.changed:
             return self._inbox.all()
@@ -388,7 +388,7 @@ class Skin:
 
     @contextmanager
     def _awaited(self) -> Iterator[_Inbox]:
-        """The inbox, with a frame at least, while none is added."""
+        """Return the inbox, with a frame at least, while none is added."""
         self._running()
         inbox, begun_s = self._inbox, time.monotonic()
         with inbox.changed:
@@ -397,7 +397,7 @@ class Skin:
             yield inbox
 
     def _look(self, inbox: _Inbox, begun_s: float) -> bool:
-        """Whether a frame waits; raises as read(), which waits since begun_s (monotonic)."""
+        """Tell whether a frame waits; raises as read(), which waits since begun_s (monotonic)."""
         if inbox.frames:
             return True
         driver, limit_s = self._running(), math.inf
@@ -426,7 +426,7 @@ class _Framing:
         self._tracker = ContactTracker(config.layout, config.contact) if contacts else None
 
     def find(self, frame: TactileFrame) -> _Found:
-        """The contacts of every frame, in order: their ages and speeds rest on those before."""
+        """Find the contacts of every frame, in order: ages and speeds rest on those before."""
         if self._tracker is None:
             return frame, None
         return frame, self._tracker.update(frame.readings, frame.t_middle)
@@ -475,7 +475,7 @@ class _Inbox:
         self._unbounded = False
 
     def take(self, frame: TactileFrame) -> None:
-        """Called by the driver's thread for every frame."""
+        """Take in a frame: the driver's thread calls this for every one."""
         found = self._framing.find(frame)
         with self.changed:
             while self.lossless and len(self.frames) >= self._most:
@@ -490,14 +490,14 @@ class _Inbox:
             self.wake()
 
     def first(self) -> Frame:
-        """The frame that waits longest, taken out, while self.changed is held."""
+        """Return the frame that waits longest, taken out, while self.changed is held."""
         frame = self._framing.shown(self.frames.popleft())
         self.latest = frame if not self.frames else self.latest
         self.changed.notify_all()
         return frame
 
     def all(self) -> list[Frame]:
-        """All frames that wait, taken out, while self.changed is held."""
+        """Return all frames that wait, taken out, while self.changed is held."""
         frames = [self._framing.shown(found) for found in self.frames]
         self.frames.clear()
         self.latest = frames[-1] if frames else self.latest
@@ -513,7 +513,7 @@ class _Inbox:
 
     @contextmanager
     def telling(self, listener: Callable[[], None]) -> Iterator[None]:
-        """Meanwhile listener is called, in any thread, whenever there is something to look at."""
+        """Call listener in the context whenever a frame, or silence, has come."""
         with self.changed:
             self._listeners.add(listener)
         try:
@@ -530,7 +530,7 @@ class _Inbox:
 
     @contextmanager
     def unbounded(self) -> Iterator[None]:
-        """Meanwhile any number of frames is taken, so that the driver's lock becomes free."""
+        """Take any number of frames in the context, so that the driver's lock becomes free."""
         self._unbounded = True
         self.wake()
         try:
@@ -569,12 +569,12 @@ class Decoder:
 
     @property
     def layout(self) -> Layout:
-        """Where the taxels are."""
+        """Tell where the taxels are."""
         return self._pipeline.config.layout
 
     @property
     def problem(self) -> str | None:
-        """Why nothing can be decoded at the moment, in one sentence; None while all is well."""
+        """Tell why nothing can be decoded now, in one sentence; None while all is well."""
         pipeline = self._pipeline
         if pipeline.problem is None and pipeline.digitizer.info is None:
             counts = pipeline.packet_counts
@@ -585,7 +585,7 @@ class Decoder:
         return pipeline.problem
 
     def feed(self, data: bytes | bytearray | memoryview, t_host: float) -> list[Frame]:
-        """Frames that these bytes complete; t_host: when they were read, monotonic, s."""
+        """Return the frames that bytes complete; t_host: when they were read, monotonic, s."""
         if not math.isfinite(t_host := argument("t_host", t_host, 0.0, unit="s")):
             raise ParameterError(f"t_host is {t_host}; it must be a time in s, as time.monotonic()")
         try:
@@ -599,7 +599,7 @@ class Decoder:
         return self._shown(self._pipeline.feed(view.tobytes(), t_host))
 
     def flush(self) -> list[Frame]:
-        """Frames that still waited for what follows them: call it where the bytes end."""
+        """Return the frames that still waited for what follows: call it where the bytes end."""
         return self._shown(self._pipeline.flush())
 
     def _shown(self, frames: Iterable[TactileFrame]) -> list[Frame]:
@@ -607,7 +607,7 @@ class Decoder:
 
 
 def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
-    """Parameters of a ROS 2 parameter file, for `Skin(**read_parameters("skin.yaml"))`.
+    """Read parameters of a ROS 2 parameter file, for `Skin(**read_parameters("skin.yaml"))`.
 
     Raises ParameterError, naming file and line, for anything else and for wrong values.
     """
@@ -615,7 +615,7 @@ def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
 
 
 def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
-    """Bytes of a recording, and when they were read (monotonic, s), for a Decoder.
+    """Read bytes of a recording, and when they were read (monotonic, s), for a Decoder.
 
     Damaged records of a recording are skipped; `tactile-cdma info` counts them. Any other file is
     taken as the bytes of a port, at time 0. Raises CaptureError, when the first bytes are asked
@@ -625,7 +625,7 @@ def read_recording(path: str | PathLike[str]) -> Iterator[tuple[bytes, float]]:
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a view that programs can only read, of an array that the decoder goes on using."""
+    """Return the array, which the decoder goes on using, for a program that only reads it."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -49,7 +49,7 @@ def main() -> int:
 
 
 def requirements() -> dict[str, list[str]]:
-    """All requirements of this repository, by the file that they are in."""
+    """Read all requirements of this repository, by the file that they are in."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     found = {"pyproject.toml": list(project["build-system"]["requires"])}
     for path in sorted(ROOT.glob("requirements*.txt")):
@@ -59,7 +59,7 @@ def requirements() -> dict[str, list[str]]:
 
 
 def unbounded(files: dict[str, list[str]]) -> Iterator[str]:
-    """Requirements that any later version would fulfil, untested as it is."""
+    """List requirements that any later version would fulfil, untested as it is."""
     for name, lines in files.items():
         for line in lines:
             if not BOUNDS & {each.operator for each in Requirement(line).specifier}:
@@ -67,21 +67,21 @@ def unbounded(files: dict[str, list[str]]) -> Iterator[str]:
 
 
 def unlocked(lock: dict[str, Any]) -> Iterator[str]:
-    """Packages of npm that could change their content."""
+    """List packages of npm that could change their content."""
     for name, package in lock["packages"].items():
         if name and not str(package.get("integrity", "")).startswith("sha512-"):
             yield f"{LOCK.name}: {name}: no sha512 of its content"
 
 
 def misfits() -> list[str]:
-    """What `pip check` says of the installed packages."""
+    """Tell what `pip check` says of the installed packages."""
     check = [sys.executable, "-m", "pip", "--disable-pip-version-check", "check"]
     done = subprocess.run(check, capture_output=True, text=True)
     return done.stdout.splitlines() if done.returncode else []
 
 
 def advisories() -> list[str]:
-    """Known vulnerabilities of the installed packages; raises AdvisoriesError."""
+    """Return known vulnerabilities of the installed packages; raises AdvisoriesError."""
     done = subprocess.run(TOOL, capture_output=True, text=True)
     try:
         return list(told(json.loads(done.stdout)["dependencies"]))
@@ -90,7 +90,7 @@ def advisories() -> list[str]:
 
 
 def told(dependencies: Iterable[dict[str, Any]]) -> Iterator[str]:
-    """A line for each vulnerability in what pip-audit found."""
+    """Write a line for each vulnerability in what pip-audit found."""
     for package in dependencies:
         for found in package.get("vulns", []):
             mended = ", ".join(found["fix_versions"]) or "no version"
@@ -98,7 +98,7 @@ def told(dependencies: Iterable[dict[str, Any]]) -> Iterator[str]:
 
 
 def why(complaint: str) -> str:
-    """The reason in what pip-audit wrote before it gave up."""
+    """Find the reason in what pip-audit wrote before it gave up."""
     if re.search(OFFLINE, complaint):
         return "osv.dev cannot be reached; check the network (behind a proxy: set https_proxy)"
     return (complaint.strip().splitlines() or ["pip-audit said nothing"])[-1]

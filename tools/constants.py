@@ -49,12 +49,12 @@ class Constant:
 
     @property
     def folder(self) -> str:
-        """The heart's folder that it is in."""
+        """Return the heart's folder that the constant is in."""
         return self.module.split(".")[1]
 
     @property
     def title(self) -> str:
-        """The name with its module's: judge.RULED_OUT."""
+        """Return the name with its module's: judge.RULED_OUT."""
         return f"{self.module.rsplit('.', 1)[-1]}.{self.name}"
 
 
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def heart(root: Path = ROOT) -> list[Constant]:
-    """All constants of the heart, in the order of its folders and files."""
+    """Return all constants of the heart, in the order of its folders and files."""
     return [
         constant
         for folder in HEART
@@ -87,13 +87,13 @@ def heart(root: Path = ROOT) -> list[Constant]:
 
 
 def constants(module: str, source: str) -> Iterator[Constant]:
-    """The constants of a module's text."""
+    """Return the constants of a module's text."""
     for name, node, is_chosen in _found(ast.parse(source)):
         yield Constant(module, name, _value(node), node.lineno, is_chosen)
 
 
 def replaced(source: str, values: Mapping[str, float]) -> ast.Module:
-    """A module with other values of some constants. Raises KeyError for one that it has not."""
+    """Make a module with other values of some constants. Raises KeyError for one it has not."""
     tree = ast.parse(source)
     places = {name: node for name, node, _ in _found(tree)}
     news = {id(places[name]): ast.Constant(value) for name, value in values.items()}
@@ -119,7 +119,7 @@ def _found(tree: ast.Module) -> Iterator[tuple[str, ast.expr, bool]]:
 
 
 def _fields(limits: ast.ClassDef) -> Iterator[tuple[str, ast.expr, bool]]:
-    """The same of a class's fields, of which its docstring tells, or one behind each of them."""
+    """Yield a class's fields that are constants; its docstring, or one behind each, has reasons."""
     _, *parts = FIELDS.split(ast.get_docstring(limits) or "")
     texts = {
         name: text
@@ -135,7 +135,7 @@ def _fields(limits: ast.ClassDef) -> Iterator[tuple[str, ast.expr, bool]]:
 
 
 def _assigned(statement: ast.stmt) -> list[tuple[ast.expr, ast.expr]]:
-    """Targets and their values: A = 1, A: float = 1, and A, B = 1, 2."""
+    """Yield targets and their values: A = 1, A: float = 1, and A, B = 1, 2."""
     if isinstance(statement, ast.AnnAssign) and statement.value is not None:
         return [(statement.target, statement.value)]
     if not isinstance(statement, ast.Assign):
@@ -158,7 +158,7 @@ def _numbers(name: str, node: ast.expr) -> Iterator[tuple[str, ast.expr]]:
 
 
 def _is_number(node: ast.expr) -> bool:
-    """Whether it is a number or follows from nothing but numbers: -1, 1 / 16, 1 << 18."""
+    """Tell whether it is a number or follows from nothing but numbers: -1, 1 / 16, 1 << 18."""
     if isinstance(node, ast.UnaryOp):
         return _is_number(node.operand)
     if isinstance(node, ast.BinOp):
@@ -173,7 +173,7 @@ def _value(node: ast.expr) -> float:
 
 
 def _text(statements: list[ast.stmt]) -> str:
-    """The docstring behind an assignment, where there is one."""
+    """Return the docstring behind an assignment, where there is one."""
     match statements:
         case [ast.Expr(ast.Constant(str(text)))]:
             return text

@@ -20,10 +20,10 @@ from tactile_cdma.wire.port_failures import why_not_open
 LABEL = "RPI-RP2"
 """Name of the drive, from the RP2040's boot ROM; INFO_UF2.TXT is a file on it."""
 DEMONSTRATOR = "Tactile skin demonstrator"
-"""Its name on USB. A digitizer may belong to a skin: it is not replaced unasked."""
+"""Name of a demonstrator on USB. A digitizer may be a skin's: it is not replaced unasked."""
 BAUD_OF_BOOTSEL = 1200
 PATIENCE_S = 12.0
-"""Chosen: a desktop mounts a new drive within some seconds."""
+"""Time until a drive is mounted, s. Chosen: a desktop takes some seconds."""
 BY_HAND = """\
 to do by hand:
   1. unplug the Pico, hold its BOOTSEL button while plugging it in, let go
@@ -55,7 +55,7 @@ def main() -> int:
 
 
 def mounted() -> Path | None:
-    """Where a board's drive is mounted."""
+    """Find where a board's drive is mounted."""
     for line in Path("/proc/mounts").read_text().splitlines():
         folder = Path(line.split()[1].encode().decode("unicode_escape"))
         if folder.name == LABEL and (folder / "INFO_UF2.TXT").exists():

@@ -44,7 +44,7 @@ def main():
 
 
 def strip(figure, name, times_s, states):
-    """Pictures of a run, from before it grips to its end."""
+    """Draw a run in pictures, from before it grips to its end."""
     cell = mujoco_grip.Cell()
     camera = mujoco.MjvCamera()
     camera.lookat, camera.distance, camera.azimuth, camera.elevation = (0, 0, 0.05), 0.24, 100, -8
@@ -61,7 +61,7 @@ def strip(figure, name, times_s, states):
 
 
 def curves(figure, runs):
-    """What the skin felt, and what came of it."""
+    """Draw what the skin felt, and what came of it."""
     panels = figure.subplots(2, 2, sharex=True)
     for name, (_, course, _) in runs.items():
         times_s, felt_pa, closed_mm, _, up_m, slid_m, mass_kg, _ = course.T

@@ -80,14 +80,14 @@ def main() -> int:
 
 
 def changed(since: str) -> list[Path]:
-    """Modules of the package that differ from a revision."""
+    """List modules of the package that differ from a revision."""
     command = ["git", "diff", "--name-only", "--diff-filter=d", since, "--", "tactile_cdma/*.py"]
     names = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     return [ROOT / name for name in names.split()]
 
 
 def operators(path: Path) -> list[tuple[ast.AST, str, int]]:
-    """Every operator of a module: the node that holds it, the field, the place in a list field."""
+    """List a module's operators: the node that holds it, the field, the place in a list field."""
     return list(_operators(ast.parse(path.read_text(encoding="utf-8"))))
 
 
@@ -104,7 +104,7 @@ def _operators(tree: ast.AST) -> Iterator[tuple[ast.AST, str, int]]:
 
 
 def _of_hints(node: ast.AST) -> Iterator[ast.AST]:
-    """All that stands in a type hint, where | is no operator."""
+    """Return all that stands in a type hint, where | is no operator."""
     for field in ("annotation", "returns"):
         if (hint := getattr(node, field, None)) is not None:
             yield from ast.walk(hint)
@@ -136,7 +136,7 @@ def copy_of_checkout(folder: Path) -> Path:
 
 
 def suites(path: Path, core: list[str]) -> Iterator[list[str]]:
-    """Folders of tests, in the order in which they are tried."""
+    """List folders of tests, in the order in which they are tried."""
     own = path.relative_to(PACKAGE).parts[0]
     if (ROOT / "test" / "unit" / own).is_dir():
         yield [f"test/unit/{own}"]
@@ -145,7 +145,7 @@ def suites(path: Path, core: list[str]) -> Iterator[list[str]]:
 
 
 def survives(copied: Path, tests: list[str]) -> bool:
-    """Whether these tests pass on the copy."""
+    """Tell whether these tests pass on the copy."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "2", "--dist", "loadgroup"]
     try:
         run = subprocess.run(

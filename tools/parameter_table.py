@@ -34,7 +34,7 @@ def row(parameter: Parameter) -> str:
 
 
 def with_table(text: str) -> str:
-    """The page's text with the list replaced by the current one."""
+    """Return the page's text with the list replaced by the current one."""
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
     return "\n".join([before + BEGIN, *map(row, PARAMETERS), END + after])

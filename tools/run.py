@@ -119,7 +119,7 @@ def emulated_skin(params: Path) -> Iterator[str]:
 
 
 def _seconds(text: str) -> float:
-    """A time span; nothing means none."""
+    """Read a time span; nothing means none."""
     try:
         seconds = float(text or 0)
     except ValueError:

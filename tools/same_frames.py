@@ -43,11 +43,11 @@ STREAMS: tuple[tuple[dict[str, object], str], ...] = (
 FRAMES = 60
 """Per stream; chosen."""
 ORDERS = (8, 16, 20, 72, 912, 4096, 16_384)
-"""Of the transforms: powers of 2, with a factor of Paley's, with two."""
+"""Orders of the transforms: powers of 2, with a factor of Paley's, with two."""
 
 
 def transforms(values: dict[int, NDArray[np.float32]]) -> dict[int, bytes]:
-    """The transform of the values of each order. Raises SystemExit if it depends on the lanes."""
+    """Return the transform of each order's values. Raises SystemExit if it depends on the lanes."""
     assert kernel.compiled is not None
     found = {}
     for order, chips in values.items():

@@ -40,7 +40,7 @@ CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-kilted.txt"}
 DEFAULT_DISTRO = "jazzy"
 NO_ROS = "none"
-"""In place of a distribution where PyPI has no wheels of ROS 2."""
+"""Stands for a distribution where PyPI has no wheels of ROS 2."""
 # What only some targets need, by the stamp of its step.
 EXTRA_REQUIREMENTS = {
     name: f"requirements-{name}.txt" for name in ("audit", "bench", "fuzz", "mujoco", "view")
@@ -432,7 +432,7 @@ class State:
 
 
 def digest(*groups: list[str] | list[Path]) -> str:
-    """Hash of strings and of the contents of files."""
+    """Hash strings and the contents of files."""
     total = hashlib.sha256()
     for item in (item for group in groups for item in group):
         content = item.read_bytes() if isinstance(item, Path) else item.encode()
@@ -473,7 +473,7 @@ def run(command: list[str], log: Path, env: dict[str, str] | None = None, explai
 
 
 def last_line(log: Path, begin: int) -> str:
-    """What pip or colcon began last, such as ": [ 45%] Building C object …"; may be empty."""
+    """Return what pip or colcon began last, as ": [ 45%] Building C object …"; may be empty."""
     text = log.read_bytes()[begin:].decode(errors="replace")
     begun = re.findall(r"^ *((?:Collecting|Downloading|Installing|\[ *\d+%\]) .*)$", text, re.M)
     return f": {begun[-1][:70]}" if begun else ""

@@ -75,7 +75,7 @@ def watch(skin: Skin, seconds: float) -> int:
 
 
 def line(frame: Frame, at_s: float, received: int, lost: int) -> str:
-    """A frame in a line of text."""
+    """Show a frame in a line of text."""
     known = frame.pressure_pa[~np.isnan(frame.pressure_pa)]
     peak_kpa = known.max() / 1e3 if known.size else math.nan
     return (
@@ -85,7 +85,7 @@ def line(frame: Frame, at_s: float, received: int, lost: int) -> str:
 
 
 def drawn(skin: Skin, frame: Frame) -> str:
-    """A frame as a screen of text."""
+    """Draw a frame as a screen of text."""
     columns, lines = shutil.get_terminal_size()
     reading = Reading(frame.pressure_pa, frame.status, skin.layout.raster, skin.layout.nodes)
     notes = [

@@ -15,6 +15,7 @@ import json
 import os
 import pickle
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -42,7 +43,7 @@ class Task:
     """What is tried.
 
     conditions: names; all where there is none. store: a folder for recordings, which are rendered
-    only once.
+    only once. most_s: of the processor, after which it has failed.
     """
 
     store: str
@@ -50,6 +51,7 @@ class Task:
     frames: int = 24
     seed: int = 0
     overrides: Overrides = field(default_factory=dict)
+    most_s: int = 3600
 
 
 @dataclass(frozen=True)
@@ -65,23 +67,17 @@ class TrialError(Exception):
     """The package did not survive other values of its constants, or became too slow."""
 
 
-def try_out(task: Task, timeout_s: float) -> dict[str, Run]:
+def try_out(task: Task) -> dict[str, Run]:
     """What comes of each condition of a task, in a process of its own. Raises TrialError."""
     from .tally import Tally
 
     command = [sys.executable, "-m", "benchmarks.doubt.trial"]
     quiet = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "QUICK": ""}
-    try:
-        done = subprocess.run(
-            command,
-            input=json.dumps(asdict(task)),
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            env=quiet,
-        )
-    except subprocess.TimeoutExpired:
-        raise TrialError(f"takes more than {timeout_s:.0f} s") from None
+    done = subprocess.run(
+        command, input=json.dumps(asdict(task)), capture_output=True, text=True, env=quiet
+    )
+    if done.returncode == -signal.SIGXCPU:
+        raise TrialError(f"takes more than {task.most_s} s")
     if done.returncode:
         reason = done.stderr.strip().rsplit("\n", 1)[-1]
         raise TrialError(reason or f"exit code {done.returncode}")
@@ -167,6 +163,7 @@ def remember_renderings(folder: Path) -> list[float]:
 def main() -> None:
     task = Task(**json.load(sys.stdin))
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (task.most_s, task.most_s + 1))
     put(task.overrides)
     spent_s = remember_renderings(Path(task.store))
     found = []

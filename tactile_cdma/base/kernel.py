@@ -27,11 +27,11 @@ Function = TypeVar("Function", bound="Callable[..., Any]")
 VARIABLE = "TACTILE_CDMA_KERNEL"
 """Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
 VERSION = 34
-"""Of the functions that this package expects in the kernel."""
+"""Version of the functions that this package expects in the kernel."""
 
 
 def _choose(wanted: str) -> tuple[ModuleType | None, str]:
-    """The kernel, None for numpy; and why numpy. Raises ParameterError."""
+    """Return the kernel, None for numpy; and why numpy. Raises ParameterError."""
     if wanted not in ("", "numpy", "compiled"):
         raise ParameterError(
             f"{VARIABLE} is {wanted!r}; it must be numpy, compiled or empty (compiled where the "
@@ -59,13 +59,13 @@ compiled, why_numpy = _choose(os.environ.get(VARIABLE, ""))
 
 
 def either(name: str, reference: Function) -> Function:
-    """The kernel's function of this name; where there is no kernel, the same in numpy."""
+    """Return the kernel's function of this name; where there is no kernel, the same in numpy."""
     chosen: Function = reference if compiled is None else getattr(compiled, name)
     return chosen
 
 
 def settings(struct: str, **fields: float) -> NDArray[np.void]:
-    """One of the kernel's C structs, filled by the names of its members; () of its dtype.
+    """Fill one of the kernel's C structs by the names of its members; () of its dtype.
 
     For functions of the kernel that take SETTINGS(struct). Raises TypeError unless exactly its
     members are given.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is done to every sample; and sums over those of a frame, compiled or in numpy."""
+"""Converts and sums the samples of a frame, compiled or in numpy."""
 
 from collections.abc import Iterable
 from functools import reduce
@@ -32,7 +32,7 @@ def numpy_sums(volts: Floats) -> tuple[float, float]:
 
 
 def outside(low_v: float, high_v: float, volts: Floats) -> int:
-    """How many of the samples (m,) are not between two levels: at either, or beyond."""
+    """Count the samples (m,) that are not between two levels: at either, or beyond."""
     return int(np.count_nonzero((volts <= low_v) | (volts >= high_v)))
 
 
@@ -43,7 +43,7 @@ def copy_samples(most_v: float, volts: Floats32, copy: Floats) -> None:
 
 
 def to_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> None:
-    """The line in V of a converter's counts (m,). zero: count at 0 V. per_count_v: V per count."""
+    """Convert a converter's counts (m,) to V. zero: count at 0 V. per_count_v: V per count."""
     volts[:] = counts
     volts -= np.float32(zero)
     volts *= np.float32(per_count_v)

@@ -51,7 +51,7 @@ def add_skin_options(
 
 
 def given(arguments: argparse.Namespace) -> dict[str, Value]:
-    """Parameters from the file, overridden by those from options."""
+    """Read parameters from the file, overridden by those from options."""
     values = read_file(arguments.params) if arguments.params else {}
     options = {name: getattr(arguments, name) for name in _NAMES}
     return values | {name: value for name, value in options.items() if value is not None}
@@ -72,7 +72,7 @@ def refuse_given(
 def launch_values(
     given: Mapping[str, str], own: Mapping[str, str]
 ) -> tuple[dict[str, str], dict[str, Value]]:
-    """The arguments of a launch file, and the driver's parameters that are given beside them.
+    """Return the arguments of a launch file, and the driver's parameters beside them.
 
     given: texts by name, which `ros2 launch` itself takes whatever the name. own: arguments that
     the file has, with their defaults. Raises ParameterError for a name that is neither such an
@@ -93,7 +93,7 @@ def launch_values(
 
 
 def true_or_false(name: str, text: str) -> bool:
-    """What an argument says; True, yes and ON will do. Raises ParameterError."""
+    """Tell what an argument says; True, yes and ON will do. Raises ParameterError."""
     try:
         return TRUTH[text.lower()]
     except KeyError:
@@ -101,7 +101,7 @@ def true_or_false(name: str, text: str) -> bool:
 
 
 def params_of(words: Iterable[str]) -> list[Path]:
-    """The parameter files that a command line of ROS 2 names."""
+    """List the parameter files that a command line of ROS 2 names."""
     return [Path(value) for option, value in pairwise(words) if option == "--params-file"]
 
 

@@ -21,7 +21,7 @@ from .parameters import DEFAULTS, REPLAY, SIMULATION, Value, Values, check_marke
 NODE_NAME = "skin"
 """Name of a driver node unless it is renamed; a body's drivers are in namespaces by patch."""
 MOST_PATCHES = 1000
-"""Chosen, far above any robot's number of patches."""
+"""Most patches of a body. Chosen, far above any robot's."""
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 """The environment variable that says how far processes look for each other, and a value of it."""
 MOST_PROCESSES, MOST_LOCAL = 90, 28
@@ -63,7 +63,7 @@ class Patch:
 
     @property
     def node(self) -> str:
-        """Fully qualified name of the driver's node."""
+        """Return the fully qualified name of the driver's node."""
         return f"/{self.name}/{NODE_NAME}"
 
 
@@ -79,7 +79,7 @@ class Body:
     shared: tuple[tuple[str, ...], ...] = ()
 
     def processes(self, names: str = "") -> list[tuple[Patch, ...]]:
-        """The patches that only(names) selects, process by process.
+        """Divide the patches that only(names) selects among processes.
 
         Raises BodyError, too, for more than DDS lets find each other on a computer.
         """
@@ -97,7 +97,7 @@ class Body:
         return found
 
     def only(self, names: str) -> tuple[Patch, ...]:
-        """The patches with these comma-separated names; all for an empty text.
+        """Select the patches with these comma-separated names; all for an empty text.
 
         Raises BodyError for a name that no patch has.
         """
@@ -163,7 +163,7 @@ def _shared(content: Keys, names: list[str]) -> tuple[tuple[str, ...], ...]:
 
 
 def _repeated(content: Keys, defaults: dict[str, Marked]) -> dict[str, Marked]:
-    """The patches by name, where those with `repeat` are written out, over the defaults."""
+    """Write out the patches with `repeat`, over the defaults; returns all by name."""
     found: dict[str, Marked] = {}
     for name, value in content.entries.items():
         keys = value.content if isinstance(value.content, dict) else {}
@@ -190,7 +190,7 @@ def _repeated(content: Keys, defaults: dict[str, Marked]) -> dict[str, Marked]:
 
 
 def _filled(value: Marked, item: str) -> Marked:
-    """A value with an item of `repeat` in its texts."""
+    """Return a value with an item of `repeat` in its texts."""
     if isinstance(value.content, str):
         return replace(value, content=value.content.replace(ITEM, item))
     if isinstance(value.content, dict):
@@ -199,7 +199,7 @@ def _filled(value: Marked, item: str) -> Marked:
 
 
 def _over(value: Marked, defaults: object) -> Marked:
-    """A patch's keys over the defaults': parameter by parameter, else as a whole."""
+    """Lay a patch's keys over the defaults': parameter by parameter, else as a whole."""
     own: object = {} if value.is_null else value.content
     if not (isinstance(defaults, dict) and defaults and isinstance(own, dict)):
         return value
@@ -211,7 +211,7 @@ def _over(value: Marked, defaults: object) -> Marked:
 
 
 def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str], str]) -> Patch:
-    """One patch. taken: the (parameter, value) pairs that earlier patches claim, by patch name."""
+    """Read one patch. taken: the (parameter, value) pairs that earlier patches claim, by name."""
     if not _NAME.fullmatch(name):
         raise value.refuse(
             f"patch {name!r}: its name becomes a namespace, so it must be a letter and then "
@@ -244,7 +244,7 @@ def _patch(name: str, value: Marked, body_frame: str, taken: dict[tuple[str, str
 
 
 def _parameters(content: Keys) -> dict[str, Value]:
-    """Values in their parameters' types, paths made absolute."""
+    """Return values in their parameters' types, paths made absolute."""
     values = {}
     for name, value in content.entries.items():
         if isinstance(DEFAULTS.get(name), str) and not value.is_null:
@@ -257,7 +257,7 @@ def _parameters(content: Keys) -> dict[str, Value]:
 
 
 def _rooted(value: Marked, port: str) -> str:
-    """A port whose path, of a recording or a simulated skin's layout, is absolute."""
+    """Make the path in a port, of a recording or a simulated skin's layout, absolute."""
 
     def absolute(path: re.Match[str]) -> str:
         return quote(str(_path(value, unquote(path[0]))))
@@ -267,7 +267,7 @@ def _rooted(value: Marked, port: str) -> str:
 
 
 def _path(value: Marked, text: str) -> Path:
-    """A path relative to the file's folder or, with ~, the home folder."""
+    """Make a path absolute: relative to the file's folder or, with ~, the home folder."""
     try:
         return (value.file.path.parent / expanded(text)).absolute()
     except ValueError as error:
@@ -275,7 +275,7 @@ def _path(value: Marked, text: str) -> Path:
 
 
 def _claims(values: Values) -> list[tuple[str, str]]:
-    """Parameters whose value no other patch may have; raises ParameterError for a wrong id."""
+    """Return parameters whose values are this patch's only; raises ParameterError for bad ids."""
     port, digitizer_id = values["port"], values["digitizer_id"]
     claims = {
         "port": "" if port.lower().startswith(SHARED_PORTS) else port,

@@ -236,7 +236,7 @@ DEFAULTS: Values = {parameter.name: parameter.default for parameter in PARAMETER
 
 
 def _shown(value: object) -> str:
-    """A value for a message, cut to a short length: a client may send a megabyte."""
+    """Show a value in a message, cut to a short length: a client may send a megabyte."""
     return reprlib.repr(list(value) if isinstance(value, array | tuple) else value)
 
 
@@ -258,7 +258,7 @@ def check_values(values: Mapping[str, object]) -> dict[str, Value]:
 
 
 def unknown(name: str, known: Iterable[str], kind: str = "parameter") -> str:
-    """The message for an unknown name: its present name, what replaced it, or the closest one."""
+    """Tell of an unknown name: its present name, what replaced it, or the closest one."""
     if name in RENAMED and RENAMED[name] in known:
         return f"the {kind} {name} is called {RENAMED[name]} now"
     if name in REMOVED:
@@ -283,7 +283,7 @@ def read_file(path: Path, node: str | None = None) -> dict[str, Value]:
 
 
 def read_sections(path: Path, node: str | None) -> list[Mapping[str, Marked]]:
-    """The parameters of a file for a node, in file order; see read_file."""
+    """Read the parameters of a file for a node, in file order; see read_file."""
     file = read_marked(path, ParameterError)
     sections = list(_sections(file))
     if not sections:
@@ -302,14 +302,14 @@ def read_sections(path: Path, node: str | None) -> list[Mapping[str, Marked]]:
 
 
 def _fits(name: str, node: str) -> bool:
-    """Whether a section is for a node: * stands for a name between slashes, ** for any number."""
+    """Tell whether a section is for a node: * is a name between slashes, ** any number of them."""
     parts = {"*": r"/\w+", "**": r"(/\w+)*"}
     pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in name.split("/")[1:])
     return re.fullmatch(pattern, node) is not None
 
 
 def _sections(file: Marked, node: str = "") -> Iterator[tuple[str, Mapping[str, Marked]]]:
-    """What a parameter file has for each node: its name, from the root on, and the parameters."""
+    """Yield what a file has for each node: its name, from the root on, and the parameters."""
     if isinstance(file.content, dict):
         for name, below in file.content.items():
             if name == "ros__parameters" and isinstance(below.content, dict):
@@ -319,13 +319,13 @@ def _sections(file: Marked, node: str = "") -> Iterator[tuple[str, Mapping[str, 
 
 
 def check_marked(name: str, value: Marked) -> Value:
-    """A parameter's value from a file; a wrong name or value raises the file's error."""
+    """Check a parameter's value from a file; a wrong name or value raises the file's error."""
     with value.refusing(ParameterError):
         return check_values({name: _typed(value)})[name]
 
 
 def _typed(value: Marked) -> object:
-    """A value in the type that ROS 2's own reader of parameter files gives it."""
+    """Return a value in the type that ROS 2's own reader of parameter files gives it."""
     if isinstance(value.content, list):
         return [_typed(item) for item in value.content]
     if isinstance(value.content, dict):
@@ -336,7 +336,7 @@ def _typed(value: Marked) -> object:
 
 
 def of_text(name: str, text: str) -> Value:
-    """A parameter's value as it is typed in a command; a list in brackets or without.
+    """Read a parameter's value as it is typed in a command; a list in brackets or without.
 
     Raises ParameterError.
     """
@@ -349,7 +349,7 @@ def of_text(name: str, text: str) -> Value:
 
 
 def _scalar(text: str) -> object:
-    """A text without quotes in the type that YAML gives it."""
+    """Return a text without quotes in the type that YAML gives it."""
     if _INTEGER.fullmatch(text):
         return int(text, 16 if "x" in text else 10)
     if _NUMBER.fullmatch(text):

@@ -26,7 +26,7 @@ _NOT_NEGATIVE = (0.0, math.inf)
 
 
 def parameters_of(given: Mapping[str, object]) -> dict[str, Value]:
-    """Parameters by name, in their own types."""
+    """Check parameters by name, and return them in their own types."""
     return check_values({name: _plain(value) for name, value in given.items()})
 
 
@@ -37,17 +37,17 @@ def argument(
     limits: tuple[float, float] | None = None,
     unit: str = "",
 ) -> Any:
-    """A value in the type of `like`, of a tuple also in its length; limits are inclusive."""
+    """Check a value for the type of `like`, a tuple also for its length; limits are inclusive."""
     return Parameter(name, like, "", unit, limits).check(_plain(value))
 
 
 def seconds(name: str, value: object) -> float:
-    """A time span, s: 0 or more, also infinite."""
+    """Check a time span, s: 0 or more, also infinite."""
     return float(argument(name, value, 0.0, _NOT_NEGATIVE, "s"))
 
 
 def timeout(name: str, value: object) -> float | None:
-    """A time span, s, above 0; None for none."""
+    """Check a time span, s, above 0; None for none."""
     span_s = None if value is None else seconds(name, value)
     if span_s == 0:
         raise ParameterError(f"{name} is 0 s; it must be above 0 s, or None")
@@ -55,12 +55,12 @@ def timeout(name: str, value: object) -> float | None:
 
 
 def path_of(name: str, value: object) -> Path:
-    """A path, as one or as a text."""
+    """Make a path of one, or of a text."""
     return Path(argument(name, value, ""))
 
 
 def instance(name: str, value: T, kind: type[Any]) -> T:
-    """The value, if it is one of a class."""
+    """Return the value, if it is one of a class."""
     if not isinstance(value, kind):
         raise ParameterError(
             f"{name} is {reprlib.repr(value)} ({type(value).__name__}); it must be of "
@@ -70,14 +70,14 @@ def instance(name: str, value: T, kind: type[Any]) -> T:
 
 
 def unmasked(name: str, value: T) -> T:
-    """The value, unless it is one of numpy's masked arrays, whose mask nothing here looks at."""
+    """Refuse numpy's masked arrays, whose mask nothing here looks at; returns the value."""
     if isinstance(value, np.ma.MaskedArray):
         raise ParameterError(f"{name} is a masked array; fill what is masked, or leave it out")
     return value
 
 
 def array_of(name: str, value: object, shape: tuple[int | str, ...]) -> NDArray[Any]:
-    """An array of float32 or float64; a text in its shape stands for any length."""
+    """Check an array of float32 or float64; a text in its shape stands for any length."""
     array: NDArray[Any] = np.asarray(unmasked(name, instance(name, value, np.ndarray)))
     fits = len(array.shape) == len(shape) and all(
         isinstance(wanted, str) or length == wanted

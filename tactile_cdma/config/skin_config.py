@@ -65,7 +65,7 @@ class SkinConfig:
 
     @classmethod
     def of(cls, values: Values) -> SkinConfig:
-        """From parameter values; missing ones take their defaults.
+        """Make a configuration of parameter values; missing ones take their defaults.
 
         Raises ParameterError for a single wrong value, SpecError for an impossible combination,
         LayoutError and CalibrationError for files that cannot be used.
@@ -106,7 +106,7 @@ class SkinConfig:
         )
 
     def refusal(self, digitizer_id: bytes) -> str | None:
-        """Why a digitizer with this id is refused; None if it is accepted."""
+        """Tell why a digitizer with this id is refused; None if it is accepted."""
         if self.digitizer_id is None or digitizer_id == self.digitizer_id:
             return None
         return (
@@ -115,7 +115,7 @@ class SkinConfig:
         )
 
     def recalibrated(self, values: Values) -> SkinConfig:
-        """With CURVE_PARAMETERS among the values of all parameters; the file is read again.
+        """Adopt CURVE_PARAMETERS among the values of all parameters; the file is read again.
 
         Raises SpecError for an impossible curve, CalibrationError for a file that cannot be used.
         """
@@ -124,12 +124,12 @@ class SkinConfig:
         return replace(self, curve=curve, calibration=calibration)
 
     def adjusted(self, values: Values) -> SkinConfig:
-        """With the live parameters among the values of all parameters; no file is read again."""
+        """Adopt the live parameters among the values of all parameters; no file is read again."""
         return replace(self, **_live(values))
 
 
 def _spec(get: Values) -> FrameSpec:
-    """The frame; its period, where that is 0, or the default and too short, is the shortest."""
+    """Make the frame; a period of 0, or the default one if too short, becomes the shortest."""
     spec = FrameSpec(
         chip_s=get["chip_us"] * 1e-6,
         frame_period_s=math.inf,
@@ -147,18 +147,18 @@ def _spec(get: Values) -> FrameSpec:
 
 
 def fills_period(spec: FrameSpec, samples_per_chip: int) -> bool:
-    """Whether a period ends before the samples that show that its frame is over."""
+    """Tell whether a period ends before the samples that show that its frame is over."""
     tail_s = TAIL_CHIPS * spec.chip_s if samples_per_chip > 1 else 0.0
     return spec.frame_period_s < spec.frame_s + tail_s
 
 
 def contact_thresholds(values: Values) -> ContactThresholds:
-    """From the values of all parameters; raises SpecError where they contradict each other."""
+    """Make the thresholds of all parameters; raises SpecError where they contradict each other."""
     return ContactThresholds(values["contact_kpa"] * 1e3, values["release_kpa"] * 1e3)
 
 
 def _live(values: Values) -> dict[str, Any]:
-    """The fields that depend on live parameters only; raises SpecError as contact_thresholds."""
+    """Return the fields of live parameters only; raises SpecError as contact_thresholds."""
     contact = contact_thresholds(values)
     return {
         "rest": RestRules(values["drift_pa_per_min"], contact.contact_pa, contact.release_pa),
@@ -169,7 +169,7 @@ def _live(values: Values) -> dict[str, Any]:
 
 
 def _curve(get: Values) -> PressureCurve:
-    """The two-stage curve; raises SpecError where it is none."""
+    """Make the two-stage curve; raises SpecError where it is none."""
     return PressureCurve.two_stage(
         v0_v=get["v0_v"],
         knee_pa=get["knee_kpa"] * 1e3,
@@ -181,7 +181,7 @@ def _curve(get: Values) -> PressureCurve:
 
 
 def _layout(get: Values) -> Layout:
-    """The layout in layout_file; without one a flat grid."""
+    """Read the layout in layout_file; without one return a flat grid."""
     if not get["layout_file"]:
         size = get["rows"], get["columns"], pitch_of(get["pitch_mm"])
         return Layout.grid(get["nodes"], *size, get["taxel_mm"] * 1e-3)
@@ -198,7 +198,7 @@ def _layout(get: Values) -> Layout:
 
 
 def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCurve) -> Calibration:
-    """The calibration in calibration_file; without one the default curve for all nodes."""
+    """Read the calibration in calibration_file; without one all have the default curve."""
     if not get["calibration_file"]:
         return Calibration.default(curve, spec.nodes)
     path = user_path("calibration_file", get["calibration_file"])
@@ -206,7 +206,7 @@ def _calibration(get: Values, spec: FrameSpec, adc: AdcScale, curve: PressureCur
 
 
 def user_path(name: str, text: str) -> Path:
-    """A parameter's path, relative to the working folder or, with ~, the home folder."""
+    """Make a path of a parameter: relative to the working folder or, with ~, the home folder."""
     try:
         return expanded(text)
     except ValueError as error:
@@ -214,7 +214,7 @@ def user_path(name: str, text: str) -> Path:
 
 
 def _contradictions(spec: FrameSpec, get: Values) -> Iterator[tuple[bool, str]]:
-    """Combinations that cannot work: whether it is this one, and what to say of it."""
+    """Yield combinations that cannot work: whether it is this one, and what to say of it."""
     gap = get["timing"] == GAP
     samples_per_chip = get["samples_per_chip"]
     samples = f"samples_per_chip is {samples_per_chip}, it must be"

@@ -15,7 +15,7 @@ _TRUTH = TRUTH | {"1": True, "0": False}
 
 
 def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict[str, Any]:
-    """The options that a query gives, each in its parameter's type.
+    """Read the options that a query gives, each in its parameter's type.
 
     Raises SpecError for an option that is unknown, given twice or of a wrong value.
     """
@@ -31,7 +31,7 @@ def parse_options(query: str, options: Iterable[Parameter], scheme: str) -> dict
 
 
 def check_option(option: Parameter, value: Value) -> Value:
-    """The value in the option's type. Raises SpecError, naming value, limits and near choices."""
+    """Check an option's value. Raises SpecError, naming value, limits and near choices."""
     try:
         return option.check(value)
     except ParameterError as error:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is wrong with a running skin, judged from its pipeline and one Window of vitals.
+"""Judges what is wrong with a running skin, from its pipeline and one Window of vitals.
 
 One function per entry of /diagnostics; docs/diagnostics.md lists every finding with its limit.
 """
@@ -66,7 +66,7 @@ UNSOUND = {
 
 
 def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> Iterator[Finding]:
-    """Frames: their rate, losses and latency, and the line that they come from."""
+    """Judge the frames: their rate, losses and latency, and the line that they come from."""
     period_s = pipeline.config.spec.frame_period_s
     share = window.frames / window.seconds * period_s
     frames = max(window.frames, 1)
@@ -124,7 +124,7 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
 
 
 def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
-    """The nodes, one by one. stuck: numbers of those that do not move."""
+    """Judge the nodes, one by one. stuck: numbers of those that do not move."""
     taxels, health = pipeline.taxels, pipeline.health
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):
@@ -172,7 +172,7 @@ def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Find
 
 
 def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
-    """The way from the digitizer to here: bytes, packets, and its clock."""
+    """Judge the way from the digitizer to here: bytes, packets, and its clock."""
     rises = window.rises
     stream, packets, digitizer = rises.stream, rises.packets, rises.digitizer or Status(uptime_us=0)
     happened = {
@@ -217,13 +217,13 @@ def link(pipeline: Pipeline, window: Window) -> Iterator[Finding]:
 
 
 def source(watch: SourceWatch) -> Iterator[Finding]:
-    """Who measures: that it is a board, and still the same one."""
+    """Judge who measures: that it is a board, and still the same one."""
     texts = watch.unasked, watch.take_exchange()
     yield from (Finding(text, event=True) for text in texts if text)
 
 
 def host(window: Window, drivers: int) -> Iterator[Finding]:
-    """This computer. drivers: how many publish under this one's name."""
+    """Judge this computer. drivers: how many publish under this one's name."""
     if drivers > 1:
         yield Finding(rivals(drivers), key="rivals")
     if window.thread_share > BUSY_SHARE:
@@ -241,7 +241,7 @@ def host(window: Window, drivers: int) -> Iterator[Finding]:
 
 
 def rivals(drivers: int) -> str:
-    """What is wrong where several drivers publish under one name."""
+    """Tell what is wrong where several drivers publish under one name."""
     return (
         f"{drivers} drivers have this name, and their frames are mixed: end one, or give it "
         "another name or ROS_DOMAIN_ID"
@@ -249,7 +249,7 @@ def rivals(drivers: int) -> str:
 
 
 def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
-    """The heard node that stands out least of the noise, and its ρ = √N·a/σ; 0, NaN if unknown."""
+    """Find the heard node nearest to the noise, and its ρ = √N·a/σ; 0, NaN if unknown."""
     amplitude_v = pipeline.health.amplitude_v
     amplitude_v[np.array(pipeline.taxels.missing, np.intp) - 1] = np.nan
     if np.isnan(amplitude_v).all() or not window.noise_rms_v > 0:
@@ -260,12 +260,12 @@ def weakest(pipeline: Pipeline, window: Window) -> tuple[int, float]:
 
 
 def decibels(ratio: float) -> float:
-    """A ratio of voltages in dB."""
+    """Convert a ratio of voltages to dB."""
     return 20 * math.log10(ratio)
 
 
 def off_rest(pipeline: Pipeline, readings: Readings) -> Iterator[Finding]:
-    """Taxels whose zero is none, as of a torn sensor, or after a tare under load."""
+    """Judge the taxels' zeros: some are none, as of a torn sensor, or after a tare under load."""
     pressure_pa, flags = readings.pressure_pa, readings.status
     node, contact_pa = pipeline.config.layout.nodes, pipeline.config.rest.contact_pa
     sound = ~np.append(True, pipeline.health.invalid)[node]

@@ -122,7 +122,7 @@ class FrameTimes:
         self._anchors.clear()
 
     def count_from(self, first_index: int) -> None:
-        """Where the count begins anew, it does so at this index of the digitizer's."""
+        """Begin the count anew at this index of the digitizer's."""
         if not self._anchors:
             self.origin = first_index
 
@@ -221,31 +221,31 @@ class DeviceClock:
         self._fitted = self._fitted and not is_first and t_host >= self.to_host(t_device)
 
     def error_s(self, t_device: float) -> float:
-        """What the map may be off by though packets are in time, s; infinite for a guess."""
+        """Tell how far the map may be off though packets are in time, s; infinite for a guess."""
         if self._count < SURE:
             return math.inf
         return STEP_S if self._is_slow or self._count < RECENT else self._scatter_s
 
     @property
     def drift_ppm(self) -> float:
-        """Rate of the device's clock less that of the host's, ppm; NaN until it is known."""
+        """Return the rate of the device's clock less the host's, ppm; NaN until it is known."""
         known = self._is_slow or self._count >= SURE_INTERVALS
         return (1 / self._rate - 1) * 1e6 if known else np.nan
 
     def take_steps(self) -> int:
-        """How often the clock was found to have stepped since the last call."""
+        """Count the steps of the clock that were found since the last call."""
         steps, self.steps = self.steps, 0
         return steps
 
     def to_host(self, t_device: float) -> float:
-        """Host time of a device time by the packets observed so far, s."""
+        """Map a device time to host time by the packets observed so far, s."""
         if not self._fitted:
             self._fit()
         t_s, host_s = self._origin
         return host_s + (t_device - t_s) * self._rate
 
     def lateness_s(self, t_device: float, t_host: float) -> float:
-        """How much later than expected by earlier packets one came that left at t_device, s."""
+        """Tell how much later than expected a packet came that left at t_device, s."""
         return t_host - self.to_host(t_device)
 
     def _fit(self) -> None:
@@ -274,7 +274,7 @@ class DeviceClock:
         self._origin = device, host + offset_s
 
     def _is_behind(self) -> bool:
-        """Whether the newest arrivals are late as no bus or host makes them."""
+        """Tell whether the newest arrivals are late as no bus or host makes them."""
         sure = self._newest(SURE)
         sure_s = sorted(self._late_s(sure).tolist())
         self._scatter_s = sure_s[:3][-1]
@@ -291,12 +291,12 @@ class DeviceClock:
         return not had_waited.any() and _falls_behind(late_s[-RECENT:])
 
     def _late_s(self, places: NDArray[np.intp]) -> NDArray[np.float64]:
-        """How much later than by the last fit the observations at these places were, s."""
+        """Tell how much later than by the last fit the observations at these places were, s."""
         device, host = self._origin
         return self._host[places] - host - (self._device[places] - device) * self._rate
 
     def _newest(self, count: int) -> NDArray[np.intp]:
-        """Places of so many observations, or all, the newest last."""
+        """Return the places of so many observations, or all, the newest last."""
         kept = min(self._count, self._device.size, count)
         return np.arange(self._count - kept, self._count) % self._device.size
 
@@ -309,7 +309,7 @@ class DeviceClock:
 
 
 def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> tuple[float, float]:
-    """Rate and offset, s, of the line that no arrival lies below: y ≥ rate·x + offset.
+    """Find rate and offset, s, of the line that no arrival lies below: y ≥ rate·x + offset.
 
     x, y: (m,), s, device and host times of arrivals. fewest: timely ones from which a rate is
     fitted; with fewer it is 1.
@@ -325,13 +325,13 @@ def line_below(x: NDArray[np.float64], y: NDArray[np.float64], fewest: int) -> t
 
 
 def _own_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
-    """As line_below, of a device that may be slow; its clock is not fast, or what waited comes."""
+    """Find the line below the arrivals of a device that may be slow, but not fast."""
     rate = max(_rate_below(x, y), 1 - MAX_RATE_ERROR)
     return rate, float((y - rate * x).min())
 
 
 def _falls_behind(late_s: NDArray[np.float64]) -> bool:
-    """Whether a device is slow, by how late the RECENT newest observations were."""
+    """Tell whether a device is slow, by how late the RECENT newest observations were."""
     if len(late_s) < RECENT or late_s.min() <= SLOW_S:
         return False
     earliest_s = late_s.reshape(-1, 2).min(axis=1)
@@ -339,7 +339,7 @@ def _falls_behind(late_s: NDArray[np.float64]) -> bool:
 
 
 def _rate_below(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Slope of the line below all points with the least sum of distances to them.
+    """Find the slope of the line below all points with the least sum of distances to them.
 
     It is the edge of their lower convex hull that spans the mean x: starting with one point on
     either side, replace one by the lowest point until no point lies below the line through both.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a digitizer's INFO says about decoding its packets of samples."""
+"""Makes of a digitizer's INFO what its packets of samples are decoded by."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from .timeline import Pace
 
 
 class Description:
-    """How samples are to be understood, for a digitizer that is set as its INFO says.
+    """Decodes the samples of a digitizer that is set as its INFO says.
 
     timing: finds the frames. pace: what the digitizer's packets may claim.
     """
@@ -36,7 +36,7 @@ class Description:
             self.timing = LineTiming(spec, rate_hz, rails_v)
 
     def block(self, index: int, packet: Samples | Quiet) -> SampleBlock | QuietBlock:
-        """A packet in volts. index: of its first sample in the stream."""
+        """Convert a packet to volts. index: of its first sample in the stream."""
         info, marks = self.info, (packet.sync, packet.turn)
         if isinstance(packet, Samples):
             return SampleBlock(index, info.volts(packet.counts), *marks)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the digitizer says about itself: which one it is, and whether that fits the parameters."""
+"""Compares what a digitizer says about itself with the parameters, and with what it was before."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ..wire.identity import is_demonstrator, is_simulated, shown_id
 from ..wire.messages import Ack, FrameLayout, Info, Status
 
 MAX_SAMPLES_PER_CHIP = 1000
-"""Chosen: 8 suffice for any timing, and buffers of a frame stay small at this many."""
+"""Most samples per chip. Chosen: 8 suffice for any timing, and buffers stay small at this many."""
 MAX_FRAME_SAMPLES = 1 << 26
-"""Chosen: half a gigabyte of a frame's samples as float64; the kernel takes twice as many."""
+"""Most samples of a frame. Chosen: half a gigabyte as float64; the kernel takes twice as many."""
 HEARD_SHARE = 0.135
 """Share of a node's amplitude from which on a faint word is no silence. Chosen: words at 0.15 A are
 to be heard, and a tenth is for rounding of counts."""
@@ -49,13 +49,13 @@ class Source:
 
     @classmethod
     def of_port(cls, url: str, info: Info | None = None) -> Source:
-        """A port and what its digitizer has said of itself, if anything."""
+        """Make the source of a port and of what its digitizer has said of itself, if anything."""
         digitizer_id = info.digitizer_id if info else None
         return cls(url, url.lower().startswith(REPLAY), digitizer_id)
 
     @property
     def measured_by(self) -> Origin:
-        """BOARD, SIMULATED or DEMONSTRATOR, now or when it was recorded; else UNKNOWN, at first."""
+        """Return BOARD, SIMULATED or DEMONSTRATOR, as it was when recorded; at first UNKNOWN."""
         if self.digitizer_id is None:
             return Origin.UNKNOWN
         if is_demonstrator(self.digitizer_id):
@@ -64,7 +64,7 @@ class Source:
 
     @property
     def origin(self) -> Origin:
-        """REPLAYED for a recording, else as measured_by."""
+        """Return REPLAYED for a recording, else measured_by."""
         return Origin.REPLAYED if self.recorded else self.measured_by
 
     @property
@@ -93,7 +93,7 @@ class SourceWatch:
 
     @property
     def unasked(self) -> str | None:
-        """A warning while readings are made up and nobody asked for that; else None."""
+        """Warn while readings are made up and nobody asked for that; else None."""
         if self.source.origin == Origin.DEMONSTRATOR:
             return (
                 f"the readings are made up: the board at {self.source.port} is a demonstrator, "
@@ -130,7 +130,7 @@ class SourceWatch:
         return warnings
 
     def take_exchange(self) -> str | None:
-        """A warning of another digitizer, once for each; else None."""
+        """Warn of another digitizer, once for each; else None."""
         exchange, self._exchange = self._exchange, None
         return exchange
 
@@ -164,7 +164,7 @@ class DigitizerState:
 
 
 def contradiction(info: Info, config: SkinConfig) -> str | None:
-    """Why this digitizer's stream cannot be decoded with these parameters, or None."""
+    """Tell why this digitizer's stream cannot be decoded with these parameters, or None."""
     if wrong := config.refusal(info.digitizer_id):
         return wrong
     wrongs = (text for is_wrong, text in _contradictions(info, config) if is_wrong)
@@ -172,7 +172,7 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
 
 
 def _contradictions(info: Info, config: SkinConfig) -> Iterator[tuple[bool, str]]:
-    """What cannot be decoded: whether it is so, and what to say of it."""
+    """Yield what may prevent decoding: whether it does, and what to say of it."""
     spec, by_gaps = config.spec, config.timing == GAP
     yield (
         not (info.volts_per_count > 0 and info.min_count < info.max_count),
@@ -214,7 +214,7 @@ def _contradictions(info: Info, config: SkinConfig) -> Iterator[tuple[bool, str]
 
 
 def _difference(info: Info, config: SkinConfig) -> str | None:
-    """Where the digitizer's layout of a frame is not that of the parameters, or None."""
+    """Tell where the digitizer's layout of a frame is not that of the parameters, or None."""
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
     aside = {"samples_per_chip"} | ({"sign_seed"} if ours.signs == Signs.NATURAL else set())
@@ -232,7 +232,7 @@ def _difference(info: Info, config: SkinConfig) -> str | None:
 
 
 def quiet_uv(spec: FrameSpec) -> int:
-    """Largest difference of two samples of a frame that is certainly silent, µV.
+    """Return the largest difference of two samples of a frame that is certainly silent, µV.
 
     0 where no frame is: with the amplitude unknown, or with row 0 assigned, whose node may
     hold one level for a whole frame.
@@ -258,7 +258,7 @@ _SIGNS = {
 
 
 def _shown(name: str, value: object) -> str:
-    """A field of a layout and its value, in the words of the parameters."""
+    """Show a field of a layout and its value in the words of the parameters."""
     if isinstance(value, Signs):
         return _SIGNS[value]
     return f"{name} {value.name.lower() if isinstance(value, IntEnum) else value}"

@@ -119,7 +119,7 @@ class Driver:
 
     @property
     def silence(self) -> str:
-        """Why no frame comes, if none does: the problem, or what else may be the cause."""
+        """Tell why no frame comes, if none does: the problem, or what else may be the cause."""
         port = self.port
         if port is not None and port.stepped and self.problem in (None, WAITING):
             rejections = self.pipeline.rejections
@@ -130,7 +130,7 @@ class Driver:
 
     @contextmanager
     def between_frames(self) -> Iterator[Pipeline]:
-        """The pipeline, while no frame is decoded or handed on; for calls from other threads.
+        """Yield the pipeline while no frame is decoded or handed on, to another thread.
 
         Bytes wait in the port meanwhile, so keep it short.
         """
@@ -183,7 +183,7 @@ class Driver:
         return False
 
     def _open(self) -> Port:
-        """The port given at the start, once, then a newly opened one; raises PortError."""
+        """Return the port given at the start, once, then a newly opened one; raises PortError."""
         first, self._first_port = self._first_port, None
         if first is not None:
             return first
@@ -310,7 +310,7 @@ class Backlog:
 
 
 def _tell_of_sensors(port: Port, config: SkinConfig) -> None:
-    """Warns where a simulated skin's readings are others than what presses on it.
+    """Warn where a simulated skin's readings are others than what presses on it.
 
     Not of calibrated ones, whose calibration is that of these sensors, or should be.
     """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is wrong, how bad it is, and for how long that is reported, so that levels do not flap."""
+"""Tells what is wrong, how bad it is, and for how long that is reported, lest levels flap."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -70,7 +70,7 @@ class _Held:
 
 
 def worst(findings: Iterable[Finding]) -> tuple[Level, str]:
-    """The highest level and the texts of that level's findings; OK and "" without findings."""
+    """Return the highest level, and the texts of its findings; OK and "" without findings."""
     findings = list(findings)
     level = max((finding.level for finding in findings), default=Level.OK)
     return level, "; ".join(finding.text for finding in findings if finding.level == level)

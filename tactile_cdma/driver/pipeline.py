@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""One skin's decoding chain: bytes in, TactileFrames out. No I/O, no ROS."""
+"""Decodes one skin: bytes in, TactileFrames out. No I/O, no ROS."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Pipeline:
         return self.drain()
 
     def drain(self) -> list[TactileFrame]:
-        """The frames in the bytes that were read so far."""
+        """Return the frames in the bytes that were read so far."""
         frames: list[TactileFrame] = []
         needs_bytes = False
         while not needs_bytes:
@@ -129,7 +129,7 @@ class Pipeline:
         return None
 
     def flush(self) -> list[TactileFrame]:
-        """At the end of a recording: a last frame that nothing followed."""
+        """Return a last frame that nothing followed, at the end of a recording."""
         self.stream.end()
         return self.drain()
 
@@ -158,22 +158,22 @@ class Pipeline:
 
     @property
     def parser(self) -> PacketParser:
-        """Of the present connection."""
+        """Return the parser of the present connection."""
         return self.stream.parser
 
     @property
     def packet_counts(self) -> Counters:
-        """The parser's counters, over all connections."""
+        """Return the parser's counters, over all connections."""
         return self._earlier_packets + self.parser.counters
 
     @property
     def rejections(self) -> Rejections:
-        """Bursts on the line that were no frame, since the digitizer described itself."""
+        """Count the bursts that were no frame since the digitizer described itself."""
         return self._description.timing.rejections if self._description else Rejections()
 
     @property
     def load(self) -> Load | None:
-        """How many nodes speak at once; None where all may."""
+        """Tell how many nodes speak at once; None where all may."""
         timing = self._description.timing if self._description else None
         return timing.load if isinstance(timing, SparseTiming) else None
 
@@ -215,7 +215,7 @@ class Pipeline:
         return TactileFrame(*stamp, heard.clipped, words, readings)
 
     def _read(self, heard: FrameLevels, t_device: float) -> tuple[Words, Readings]:
-        """The words and readings of a frame: in one call of the kernel, if nothing is odd."""
+        """Read a frame's words and readings: in one call of the kernel, if nothing is odd."""
         levels, config, taxels = heard.levels, self.config, self.taxels
         if levels is None:
             words = silent(config.spec.nodes, heard.noise_rms_v)
@@ -235,7 +235,7 @@ class Pipeline:
         return words, taxels.update(words, t_device, self.health)
 
     def _words(self, heard: FrameLevels, levels: NodeLevels) -> Words:
-        """What the nodes said; updates their health by words that are not a guess."""
+        """Decode the words; updates the nodes' health by those that are not a guess."""
         words = decode(levels, self.config.spec, self.config.active_share, self.health.swing_v)
         if heard.doubtful is None or levels.understood:
             self.health.update(words)
@@ -286,11 +286,11 @@ class Pipeline:
             self.on_info(info)
 
     def _exchanged(self) -> None:
-        """What was heard is of another digitizer, or of another time."""
+        """Forget what was heard of another digitizer, or at another time."""
         self.timeline.reconnected()
         self.taxels.forget()
 
     def _forget(self) -> None:
-        """Nothing can be decoded until the digitizer describes itself again."""
+        """Decode nothing until the digitizer describes itself again."""
         self._description = None
         self.stream.forget()

@@ -73,12 +73,12 @@ class Session:
         self._answered = DigitizerState().status  # the last STATUS when it was asked
 
     def open(self) -> bytes:
-        """Requests that configure (where asked to) and start the digitizer, or ask who it is."""
+        """Make requests that configure (if asked to) and start the digitizer, or ask who it is."""
         start = (*self._setting, GetInfo(), Start()) if self._ours else (GetInfo(),)
         return self.encoded(*start)
 
     def close(self) -> bytes:
-        """The request that stops the digitizer, if it was started."""
+        """Make the request that stops the digitizer, if it was started."""
         return self.encoded(Stop()) if self._ours else b""
 
     def introduced(self, info: Info) -> bytes:
@@ -88,7 +88,7 @@ class Session:
         return self.open() if self._ours and awaited else b""
 
     def watch(self, pipeline: Pipeline, now_s: float, heard_s: float = math.inf) -> bytes:
-        """Requests that are due, after a read: the last ones failed, or the digitizer is known.
+        """Make the requests that are due: the last ones failed, or the digitizer is known.
 
         heard_s: when the last frame was read, or the port opened, if that was before this read.
         """
@@ -119,7 +119,7 @@ class Session:
         return self.open()
 
     def _is_idle(self, pipeline: Pipeline, now_s: float) -> bool:
-        """Whether the digitizer denies streaming, though it had the time to obey START.
+        """Tell whether the digitizer denies streaming, though it had the time to obey START.
 
         Every STATUS counts once, so that one that cannot stream is not asked without end.
         """
@@ -129,12 +129,12 @@ class Session:
         return self._ours and unanswered and digitizer.streaming is False and now_s >= due_s
 
     def _note_request(self, pipeline: Pipeline, now_s: float) -> None:
-        """The digitizer is asked to stream now."""
+        """Note that the digitizer is asked to stream now."""
         self._answered, self._asked_s, self._obeyed = pipeline.digitizer.status, now_s, False
         self._note_progress(pipeline, now_s)
 
     def _note_progress(self, pipeline: Pipeline, now_s: float) -> None:
-        """From now on the next frame is waited for."""
+        """Wait for the next frame from now on."""
         counters = pipeline.counters
         self._before = _Progress(
             counters.frames, counters.implausible_packets, *pipeline.parser.received
@@ -142,7 +142,7 @@ class Session:
         self.deadline_s = now_s + max(PATIENCE_S, 3 * pipeline.config.spec.frame_period_s)
 
     def _groups(self, pipeline: Pipeline, now_s: float) -> bytes:
-        """The request to divide the nodes into groups, or to end that, where the load asks for it.
+        """Make the request to divide the nodes into groups, or to end that, if the load wants it.
 
         A digitizer that refused it once is not asked again.
         """
@@ -158,7 +158,7 @@ class Session:
         return self.encoded(Groups(groups.wanted_log2))
 
     def _why(self, pipeline: Pipeline) -> str:
-        """The likely cause of having received no frame for a while."""
+        """Tell the likely cause of having received no frame for a while."""
         if pipeline.problem:
             return pipeline.problem
         packets, refusal = pipeline.parser.counters, pipeline.digitizer.refusal
@@ -178,12 +178,12 @@ class Session:
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
     def encoded(self, *packets: Packet) -> bytes:
-        """Packets as this conversation numbers them."""
+        """Encode packets as this conversation numbers them."""
         return b"".join(map(self._writer.encode, packets))
 
 
 def _setting(config: SkinConfig) -> tuple[Command, ...]:
-    """The requests that set the digitizer by the parameters."""
+    """Make the requests that set the digitizer by the parameters."""
     layout = FrameLayout.of(config.spec, config.samples_per_chip)
     integrated = config.samples_per_chip == 1
     if config.timing == GAP:

@@ -50,7 +50,7 @@ class Step(Enum):
     RESTART = auto()
     """The digitizer counts samples anew, as after another START; its clock goes on."""
     RESET = auto()
-    """Its clock began anew, too, or stepped."""
+    """The digitizer's clock began anew, too, or stepped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class Pace:
         self.longest_quiet = 2 * self.rate_hz * spec.frame_period_s
 
     def is_plausible(self, packet: Samples | Quiet) -> bool:
-        """Whether a clock can show this time, and silence last so long and vary so much."""
+        """Tell whether a clock can show this time, and silence last so long and vary so much."""
         if packet.device_time_us > MAX_DEVICE_TIME_US:
             return False
         return isinstance(packet, Samples) or (
@@ -116,7 +116,7 @@ class Pace:
         )
 
     def fits(self, before: AnySamples, packet: Samples | Quiet) -> bool:
-        """Whether device time has advanced between two packets as the count of samples says."""
+        """Tell whether device time advanced between two packets as the count of samples says."""
         counted_s = (packet.first_index - before.first_index) / self.rate_hz
         ahead_s = (packet.device_time_us - before.device_time_us) * 1e-6 - counted_s
         slack_s, least_s, gap_s = CLOCK_SLACK_S + CLOCK_TOLERANCE * counted_s, 0.0, 0.0
@@ -127,7 +127,7 @@ class Pace:
         return least_s - slack_s <= ahead_s <= slack_s + gap_s
 
     def follows(self, before: AnySamples, packet: Samples | Quiet) -> bool:
-        """Whether a packet continues the stream after another one, with at most a short loss."""
+        """Tell whether a packet continues the stream after another, with a short loss at most."""
         missing = packet.first_index - end_index(before)
         return 0 <= missing <= MAX_LEAP_S * self.rate_hz and self.fits(before, packet)
 
@@ -166,11 +166,11 @@ class Timeline:
 
     @property
     def _told_reset(self) -> bool:
-        """Whether the device's clock is younger than the last samples, by a STATUS since."""
+        """Tell whether a STATUS since showed the device's clock younger than the last samples."""
         return self._told_reset_after is not None and self._told_reset_after is self.times.last
 
     def place(self, arrival: Arrival, pace: Pace) -> Placement:
-        """Where a packet belongs that does not simply continue the stream; see Answer."""
+        """Tell where a packet belongs that does not simply continue the stream; see Answer."""
         packet, held, last = arrival.packet, self._held, self.times.last
         if not pace.is_plausible(packet):
             self._counters.implausible_packets += 1
@@ -207,7 +207,7 @@ class Timeline:
         return Placement(answer, self.times.origin, step)
 
     def _step(self, arrival: Arrival, pace: Pace) -> Step:
-        """How an accepted packet relates to the one before; counts what was lost."""
+        """Tell how an accepted packet relates to the one before; counts what was lost."""
         packet, last = arrival.packet, self.times.last
         if last is None:
             return Step.CONTINUES
@@ -235,5 +235,5 @@ def sample_count(packet: AnySamples) -> int:
 
 
 def end_index(packet: AnySamples) -> int:
-    """Index of the sample that follows a packet."""
+    """Return the index of the sample that follows a packet."""
     return packet.first_index + sample_count(packet)

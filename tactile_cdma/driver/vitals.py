@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a running driver measures of itself: noted frame by frame, evaluated for every report."""
+"""Measures a running driver: notes frame by frame, evaluates for every report."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Counts:
 
     @classmethod
     def of(cls, pipeline: Pipeline) -> Counts:
-        """A snapshot of a pipeline's counts."""
+        """Take a snapshot of a pipeline's counts."""
         return cls(
             replace(pipeline.counters),
             pipeline.packet_counts,
@@ -54,12 +54,12 @@ class Counts:
         )
 
     def since(self, before: Counts) -> Counts:
-        """By how much the counts rose; one that fell began anew, from 0."""
+        """Tell by how much the counts rose; one that fell began anew, from 0."""
         rises: Counts = _rise(before, self)
         return rises
 
     def named(self) -> dict[str, int]:
-        """By name, for people; those of the digitizer begin with "digitizer"."""
+        """Name the counts for people; those of the digitizer begin with "digitizer"."""
         counts = _named(self.stream) | _named(self.packets)
         if self.digitizer:
             counts |= {f"digitizer {name}": n for name, n in _named(self.digitizer).items()}
@@ -98,7 +98,7 @@ class Window:
 
     @property
     def latency_s(self) -> float:
-        """From the middle of a code frame until it was handed on, mean, s."""
+        """Return the mean time from the middle of a code frame until it was handed on, s."""
         return self.line_s + self.decode_s + self.publish_s
 
 
@@ -116,12 +116,12 @@ class Vitals:
         self._totals: Counts | None = None  # at the end of the last window
 
     def note_read(self, waiting_bytes: int) -> None:
-        """What was read has been handed on; this much more waits in the port."""
+        """Note that what was read has been handed on; this much more waits in the port."""
         self._backlog_bytes = max(self._backlog_bytes, waiting_bytes)
         self._thread_s = time.thread_time()
 
     def take(self, pipeline: Pipeline) -> Window:
-        """What happened since the last call."""
+        """Tell what happened since the last call."""
         backlog_bytes, self._backlog_bytes = self._backlog_bytes, 0
         frames = [self.handed_on.popleft() for _ in range(len(self.handed_on))]
         before, self._clocks = self._clocks, self._read_clocks()
@@ -154,7 +154,7 @@ class Vitals:
         )
 
     def _read_clocks(self) -> tuple[float, float, float]:
-        """Host's time, CPU time of the process and of the driver's thread, s."""
+        """Read the host's time, and CPU time of the process and of the driver's thread, s."""
         return time.monotonic(), time.process_time(), self._thread_s
 
 
@@ -164,7 +164,7 @@ def _named(part: StreamCounters | Counters | Status | Rejections) -> dict[str, i
 
 
 def _rise(before: Any, now: Any) -> Any:
-    """The rise of a count, or of every count in a dataclass; None where one of both is unknown."""
+    """Subtract counts, or those of two dataclasses; None where one of both is unknown."""
     if before is None or now is None:
         return None
     if isinstance(now, int):

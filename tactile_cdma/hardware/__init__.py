@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node is programmed with: its memory, and the programmer."""
+"""Makes what a node is programmed with, and programs it."""

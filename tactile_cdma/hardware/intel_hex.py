@@ -13,7 +13,7 @@ BLANK = 0xFF
 
 
 def to_hex(data: bytes, address: int = 0, text: str = ":00000001FF") -> str:
-    """The text of up to 64 kB from an address on, after those of a text that ends before it."""
+    """Return up to 64 kB from an address on as text, after a text that ends before it."""
     *before, end = [line.strip() for line in text.splitlines() if line.strip()]
     records = [
         _record(address + at, data[at : at + PER_RECORD]) for at in range(0, len(data), PER_RECORD)
@@ -22,7 +22,7 @@ def to_hex(data: bytes, address: int = 0, text: str = ":00000001FF") -> str:
 
 
 def from_hex(text: str) -> bytes:
-    """The memory from address 0 to the last byte that the text gives; gaps are blank.
+    """Read the memory from address 0 to the last byte that the text gives; gaps are blank.
 
     Raises NodeMemoryError, naming the line, for anything that is not such a text.
     """

@@ -70,7 +70,7 @@ _OF_LAYOUT = (
 """Fields of NodeRecord that are those of FrameLayout."""
 CRC_BYTES = 4
 CRYSTALS_MHZ = (8, 16)
-"""Of a node that has its memory in flash."""
+"""Crystals of a node that has its memory in flash, MHz."""
 MOST_IN_FLASH = (1 << TURN_NUMBER_BITS) - 1
 """Memories there: numbers that the digitizer can announce."""
 SHOWN_CHIPS = 64
@@ -136,7 +136,7 @@ def node_memory(
     discipline: bool = True,
     mcu: str = "atmega328p",
 ) -> bytes:
-    """The EEPROM of one node, counted from 1.
+    """Make the EEPROM of one node, counted from 1.
 
     threshold: LSB; the node talks while its code is farther than this from rest or from what it
         sent last; 0: always.
@@ -182,14 +182,14 @@ def node_memory(
 
 
 def _row_octets(row: int, spec: FrameSpec) -> bytes:
-    """The chips of a row, of which the last one ends an octet."""
+    """Pack the chips of a row, of which the last one ends an octet."""
     (chips,) = spec.book.rows([row])
     filled = np.take(chips > 0, np.arange(-(-spec.order % 8), spec.order), mode="wrap")
     return np.packbits(filled, bitorder="little").tobytes()
 
 
 def _first_octets(number: int, digits: int) -> bytes:
-    """The octets with which a sparse code begins, as many as its register has."""
+    """Return the octets with which a sparse code begins, as many as its register has."""
     for t in range(7 * digits):
         digit = number >> t ^ sum(number >> t + tap for tap in TAPS[digits])
         number |= (digit & 1) << t + digits
@@ -280,12 +280,12 @@ def _check_chip(chip_ns: int, mcu: str, spec: FrameSpec) -> None:
 
 
 def usual_heartbeat(frame_period_s: float) -> int:
-    """Frames in about HEARTBEAT_S, one at least: 78 of 12.8 ms."""
+    """Count the frames in about HEARTBEAT_S, one at least: 78 of 12.8 ms."""
     return max(1, round(HEARTBEAT_S / frame_period_s))
 
 
 def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
-    """The record in an EEPROM and the chips of its row, (order,) int8 of ±1.
+    """Read the record in an EEPROM and the chips of its row, (order,) int8 of ±1.
 
     Of a sparse code those that it begins with, (8 · digits,), before they are flipped.
     What follows in the EEPROM is ignored. Raises NodeMemoryError, naming what is wrong.
@@ -334,7 +334,7 @@ def read_node_memory(data: bytes) -> tuple[NodeRecord, NDArray[np.int8]]:
 def describe_memory(
     record: NodeRecord, chips: NDArray[np.int8], table: NodeTable | None = None
 ) -> str:
-    """A node's memory as a few lines of text. table: that it is the first of, in an image."""
+    """Describe a node's memory in a few lines. table: that it is the first of, in an image."""
     code = "".join("+" if chip > 0 else "-" for chip in chips[:SHOWN_CHIPS])
     if chips.size > SHOWN_CHIPS:
         code += f" and {chips.size - SHOWN_CHIPS} more"
@@ -369,7 +369,7 @@ def describe_memory(
 
 
 def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTable]:
-    """As read_node_memory, of the first memory in a table, which is its last result.
+    """Read the first memory in a table as read_node_memory does; the table is the last result.
 
     All of them are checked.
     """
@@ -397,17 +397,17 @@ def read_node_table(data: bytes) -> tuple[NodeRecord, NDArray[np.int8], NodeTabl
 
 
 def _size(digits: int, order: int) -> int:
-    """Bytes of a memory."""
+    """Return the bytes of a memory."""
     return WIRE["NodeRecord"].size + (digits or _octets(order)) + CRC_BYTES
 
 
 def _octets(order: int) -> int:
-    """Bytes of a row."""
+    """Return the bytes of a row."""
     return -(-order // 8)
 
 
 def _limits(name: str) -> tuple[int, int]:
-    """Smallest and largest value of a record's field."""
+    """Return the smallest and largest value of a record's field."""
     allowed = next(field.allowed for field in FIELDS["NodeRecord"] if field.name == name)
     assert isinstance(allowed, range), "only integers are asked for"
     return allowed[0], allowed[-1]

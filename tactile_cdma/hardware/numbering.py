@@ -20,7 +20,7 @@ EARLY_FRAMES = 50
 """Frames that a pressed node takes to get a number, at least: 8 alike, then one per octet of its
 memory (54 or more). One that is clear before had it already, and nobody has pressed anything."""
 FORGET_FRAMES = 40
-"""For which nodes are told to forget; they want 9 alike, and a node that talks may miss some."""
+"""Frames that tell nodes to forget; they want 9 alike, and a node that talks may miss some."""
 
 
 class Numbering:
@@ -40,14 +40,14 @@ class Numbering:
 
     @property
     def request(self) -> Number:
-        """What the digitizer has to announce now."""
+        """Tell what the digitizer has to announce now."""
         if self._left:
             return Number(self._forgets, forget=True)
         return Number(self.asked or 0)
 
     @property
     def waits(self) -> bool:
-        """Whether somebody has to press a taxel, once the digitizer announces that."""
+        """Tell whether somebody has to press a taxel, once the digitizer announces that."""
         return not self._left and self.asked is not None
 
     def take(self, words: Words) -> str | None:
@@ -77,12 +77,12 @@ class Numbering:
         return f"node {node + 1} has its number"
 
     def unclear(self) -> str:
-        """More than one took the number: they lose it. Returns what to tell."""
+        """Take the number from the nodes of which more than one took it. Returns what to tell."""
         self._begin(self.asked, forgets=self.asked or 0)
         return f"node {self.asked} is not clear: several taxels at once? Let go, press only one"
 
     def back(self) -> str:
-        """The last number went to a wrong taxel: that node loses it. Returns what to tell."""
+        """Take the number from the last node, a wrong taxel's. Returns what to tell."""
         last = self._nodes if self.asked is None else self.asked - 1
         if not last:
             return "there is no number before 1"
@@ -92,7 +92,7 @@ class Numbering:
         return f"node {last} has lost its number"
 
     def skip(self) -> str:
-        """Nobody has the number that is asked for. Returns what to tell."""
+        """Leave out the number that is asked for: nobody has it. Returns what to tell."""
         if self.asked is None:
             return "there is no number left"
         skipped = self.asked
@@ -101,7 +101,7 @@ class Numbering:
         return f"node {skipped} is left out"
 
     def _had_before(self, number: int) -> str | None:
-        """It forgets the number, unless that is one of its own: then nobody else can have it."""
+        """Have a node forget the number that it had before, unless it got it here."""
         if self._early == number:
             self._clear = self._frames = 0
             return None

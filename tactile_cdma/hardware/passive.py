@@ -26,7 +26,8 @@ from ..base.errors import SpecError, check_limits
 from ..code.frame import BIPOLAR, FrameSpec
 
 BIAS_OHM = 2200.0
-"""Chosen: 0.75 mA, and far below a converter's input with its wire."""
+"""Each of the two resistors that hold the line at half the supply, Ω. Chosen: they draw 0.75 mA,
+and are far below a converter's input with its wire."""
 LOAD = 0.2
 """Largest m·g/G of a network that is chosen here: A falls by a sixth at most. Chosen."""
 E6 = (10, 15, 22, 33, 47, 68, 100)
@@ -34,7 +35,7 @@ E6 = (10, 15, 22, 33, 47, 68, 100)
 LEAST_COUNTS = 10.0
 """A in counts of the converter, below which an amplifier is asked for. Chosen: as noisy as one."""
 PIN_F, WIRE_F = 10e-12, 200e-12
-"""Of a pin and its breadboard row, and of 2 m of wire; as firmware/analog has it."""
+"""Capacitance of a pin and its breadboard row, and of 2 m of wire, F, as in firmware/analog."""
 SETTLED = 0.01
 """Share of a step that may be left at a chip's first sample; as firmware/analog has it."""
 FIRST_SAMPLE = 1 / 8
@@ -55,44 +56,44 @@ class PassiveLine:
 
     @property
     def load(self) -> float:
-        """G/g: the two resistors, in pins."""
+        """Return G/g: the two resistors, in pins."""
         return 2 * self.input_ohm / self.bias_ohm
 
     def amplitude_v(self, talking: int) -> float:
-        """A, one node on the line, while so many drive it."""
+        """Return A, one node on the line, while so many drive it."""
         return self.node_supply_v / 2 / (self.load + talking)
 
     @property
     def mean_amplitude_v(self) -> float:
-        """Midway between A of one node alone and of all."""
+        """Return the middle between A of one node alone and A of all."""
         return (self.amplitude_v(1) + self.amplitude_v(self.nodes)) / 2
 
     @property
     def shift_v(self) -> float:
-        """Largest constant that speaking nodes add: of all of them."""
+        """Return the largest constant that speaking nodes add: that of all of them."""
         high_v = (self.node_supply_v - self.supply_v) / 2
         return high_v * self.nodes / (self.load + self.nodes)
 
     @property
     def range_v(self) -> tuple[float, float]:
-        """The line with all pins low, and with all high."""
+        """Return the line with all pins low, and with all high."""
         middle_v = self.supply_v / 2 + self.shift_v
         swing_v = self.nodes * self.amplitude_v(self.nodes)
         return middle_v - swing_v, middle_v + swing_v
 
     @property
     def count_v(self) -> float:
-        """One count of the converter."""
+        """Return one count of the converter."""
         return self.adc_volts / (1 << self.adc_bits)
 
     def unsettled(self, chip_s: float) -> float:
-        """Share of a step that is left at the first sample, with all pins and 2 m of wire."""
+        """Return the share of a step left at the first sample, with all pins and 2 m of wire."""
         line_s = self.bias_ohm / 2 * (WIRE_F + self.nodes * PIN_F)
         return math.exp(-FIRST_SAMPLE * chip_s / line_s)
 
 
 def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
-    """The line for a skin. values: fields of PassiveLine that are given; None: chosen.
+    """Design the line for a skin. values: fields of PassiveLine that are given; None: chosen.
 
     Raises SpecError, naming value, limit and cause, where it takes an amplifier.
     """
@@ -129,6 +130,6 @@ def passive_line(spec: FrameSpec, **values: float | None) -> PassiveLine:
 
 
 def _e6(least: float) -> float:
-    """The smallest value of E6 from this one on."""
+    """Return the smallest value of E6 from this one on."""
     decade = 10.0 ** (math.floor(math.log10(least)) - 1)
     return min(value * decade for value in E6 if value * decade >= least * (1 - 1e-9))

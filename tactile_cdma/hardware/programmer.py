@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node is programmed with, as files, and writing them to a node by avrdude.
+"""Makes files of what a node is programmed with, and writes them to a node by avrdude.
 
 A node's memory goes into its EEPROM. Boot loaders of Arduinos write flash only: for them an image
 has the program and, behind it, memories, at which a node without one in its EEPROM looks.
@@ -52,7 +52,7 @@ def write_image(path: Path, text: str) -> None:
 
 
 def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: Path | None) -> str:
-    """Intel HEX of a microcontroller's program, and of memories: the node's, or of nodes 1, 2, ….
+    """Join a program with memories, the node's or those of nodes 1, 2, …, as Intel HEX.
 
     program: its Intel HEX; None: that of `make firmware`. Raises SpecError for a microcontroller
     without room, or for too many memories; NodeMemoryError, naming the file, for another program.
@@ -88,7 +88,7 @@ def node_image(mcu: str, memories: Sequence[bytes], crystal_mhz: int, program: P
 
 
 def node_files(directory: Path, nodes: int) -> list[Path]:
-    """A file for each of so many nodes: node01.hex, … The directory is made if it is missing.
+    """Name a file for each of so many nodes: node01.hex, … Makes the directory if it is missing.
 
     Raises NodeMemoryError where it cannot be made.
     """
@@ -115,7 +115,7 @@ def read_memory(path: Path) -> tuple[NodeRecord, NDArray[np.int8], NodeTable | N
 
 
 def avrdude(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> list[str]:
-    """The command that writes such a file to a node's EEPROM or FLASH, and verifies it.
+    """Return the command that writes such a file to a node's EEPROM or FLASH, and verifies it.
 
     programmer: its name, and what else avrdude has to be told of it: "arduino -P /dev/ttyUSB0".
     """
@@ -146,7 +146,7 @@ def burn(path: Path, mcu: str, programmer: str, memory: str = EEPROM) -> None:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Errors, also of what is in the file, name it."""
+    """Name the file in errors, also in those of what is in it."""
     try:
         yield
     except (OSError, NodeMemoryError) as error:
@@ -155,7 +155,7 @@ def _reading(path: Path) -> Iterator[None]:
 
 
 def _is_hex(path: Path) -> bool:
-    """Whether the file name asks for Intel HEX. Raises NodeMemoryError for an unknown ending."""
+    """Tell whether the name asks for Intel HEX. Raises NodeMemoryError for an unknown ending."""
     ending = path.suffix.lower()
     if ending not in HEX + RAW:
         raise NodeMemoryError(

@@ -41,23 +41,23 @@ class Heading(NamedTuple):
 
     @property
     def fields(self) -> bytes:
-        """It as fields of a message; they begin at a multiple of 4."""
+        """Return the header as fields of a message; they begin at a multiple of 4."""
         return self.stamp + string(self.frame_id)
 
     @property
     def stamp(self) -> bytes:
-        """The time alone, likewise."""
+        """Return the time alone as fields of a message."""
         return _STAMP.pack(*self.time)
 
     @property
     def time(self) -> tuple[int, int]:
-        """Seconds and nanoseconds, of the last time that a message can have if it is later."""
+        """Return seconds and nanoseconds, at most the last time that a message can have."""
         return divmod(min(self.stamp_ns, _LAST_NS), 1_000_000_000)
 
 
 @lru_cache
 def string(text: str) -> bytes:
-    """A string as a field, which begins at a multiple of 4."""
+    """Return a string as a field, which begins at a multiple of 4."""
     data = text.encode(errors="replace")
     return b"%b%b\0" % (_COUNT.pack(len(data) + 1), data)
 
@@ -105,7 +105,7 @@ class CdrWriter:
 def tactile_array(
     frame: TactileFrame, layout: Layout, heading: Heading, info_id: int, with_voltage: bool
 ) -> bytes:
-    """One frame as the message TactileArray, which a manipulation stack subscribes to."""
+    """Return a frame as the message TactileArray, which a manipulation stack subscribes to."""
     readings, header = frame.readings, heading.fields
     device_time_us = max(0, round(frame.t_middle * 1e6))
     size, count = (layout.rows, layout.columns), len(readings.status)
@@ -140,7 +140,7 @@ class CdrReader:
         self._data, self._size, self._end = message[4:], len(message) - 4, 0
 
     def take(self, size: int, alignment: int = 1) -> bytes:
-        """Bytes at the next multiple of alignment."""
+        """Take bytes at the next multiple of alignment."""
         begin = self._end + -self._end % alignment
         self._end = end = begin + size
         if end > self._size:
@@ -151,11 +151,11 @@ class CdrReader:
         return self._data[begin:end]
 
     def numbers(self, kinds: Struct, alignment: int) -> tuple[Any, ...]:
-        """Numbers at the next multiple of alignment."""
+        """Take numbers at the next multiple of alignment."""
         return kinds.unpack(self.take(kinds.size, alignment))
 
     def count(self) -> int:
-        """The length of a sequence, whose elements follow."""
+        """Take the length of a sequence, whose elements follow."""
         return int.from_bytes(self.take(4, 4), "little")
 
     def text(self) -> str:

@@ -18,7 +18,7 @@ AsField = Callable[[NDArray[np.generic]], Any]
 def info_fields(
     config: SkinConfig, source: Source, info_id: int, as_field: AsField, point: Callable[..., Any]
 ) -> dict[str, Any]:
-    """The fields of TactileSkinInfo, but for the header, tare and drift. point: makes a Point32."""
+    """Return TactileSkinInfo's fields, but for header, tare and drift. point: makes a Point32."""
     spec, layout = config.spec, config.layout
     code_rows = np.append(spec.rows, 0)  # 0 for a taxel without a node
     return {

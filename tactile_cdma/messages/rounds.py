@@ -20,7 +20,7 @@ class Rounds:
         self._news: set[str] = set()
 
     def is_due_before(self, sender: str) -> bool:
-        """Whether the round ends before this sender's next message is added."""
+        """Tell whether the round ends before this sender's next message is added."""
         return sender in self._news
 
     def add(self, sender: str, now_s: float) -> bool:
@@ -34,7 +34,7 @@ class Rounds:
         self._news.clear()
 
     def present(self, senders: Iterable[str], now_s: float) -> list[str]:
-        """The senders that are present, in the given order."""
+        """Return the senders that are present, in the given order."""
         heard_s = self._heard_s
         return [n for n in senders if now_s - heard_s.get(n, -math.inf) <= self.silent_after_s]
 

@@ -16,7 +16,7 @@ PACKAGE = "tactile_cdma"
 
 @cache
 def message_types() -> Typestore:
-    """The messages of ROS 2 and ours, by names like tactile_cdma/msg/TactileArray; to be read only.
+    """Return ROS 2's and our messages by names like tactile_cdma/msg/TactileArray; read only.
 
     Raises CaptureError where our definitions are not installed.
     """

@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where taxels are: layouts, neighbours, surfaces, coordinate frames."""
+"""Places taxels: layouts, neighbours, surfaces, coordinate frames."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which taxels are neighbours, the pieces they make, and the cells that divide the skin.
+"""Finds neighbours, the pieces that they make, and the cells that divide the skin.
 
 On an irregular skin neighbours are those of a Gabriel graph (Gabriel & Sokal, A new statistical
 approach to geographic variation analysis, 1969): the ball between two of them holds no third one.
@@ -42,7 +42,7 @@ def on_grid(
     places: Indices,
     columns: int,
 ) -> tuple[Indices, Indices]:
-    """First and second taxel of every pair of neighbours on a grid, in both orders, sorted.
+    """Pair each taxel with its neighbours on a grid: first and second taxel, both orders, sorted.
 
     positions_m, normals: (t, 3), m and unit vectors. pitches_m: from column to column, row to row.
     places: (t,) of each taxel on the whole grid, row by row, rising. Neighbours are those around a
@@ -65,7 +65,7 @@ def on_grid(
 
 
 def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indices, Indices]:
-    """Pair neighbours on an irregular skin, as on_grid. pitch_m: usual distance to the nearest."""
+    """Pair each taxel of an irregular skin with its neighbours. pitch_m: usual distance of two."""
     first, second, distance_m = beside(positions_m, normals, REACH_PITCHES * pitch_m)
     empty = _between_is_empty(positions_m.astype(np.float64), first, second, distance_m)
     empty = _both_ways(empty, first, second)  # the third one may face away from one of them
@@ -76,7 +76,7 @@ def around(positions_m: Points, normals: Points, pitch_m: float) -> tuple[Indice
 
 
 def table(first: Indices, second: Indices, count: int) -> NDArray[np.int32]:
-    """(count, m) int32, the seconds of each first, padded with its own index. Pairs are sorted."""
+    """List the seconds of each first, (count, m) int32, padded with its index. Pairs: sorted."""
     counts = np.bincount(first, minlength=count)
     column = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     result = np.arange(count, dtype=np.int32)[:, None].repeat(counts.max(initial=1), axis=1)
@@ -111,7 +111,7 @@ def connected(taxels: Indices, beside: NDArray[np.signedinteger]) -> Indices:
 
 
 def _lowest(root: Indices, near: Indices) -> Indices:
-    """(k,) int, the lowest root near each taxel."""
+    """Return the lowest root near each taxel, (k,) int."""
     # Of int32, numpy finds the minimum 30 times as fast as of int64.
     return np.asarray(root.astype(np.int32)[near].min(axis=0).astype(np.intp))
 
@@ -119,7 +119,7 @@ def _lowest(root: Indices, near: Indices) -> Indices:
 def _between_is_empty(
     places_m: Floats, first: Indices, second: Indices, distance_m: Floats
 ) -> NDArray[np.bool_]:
-    """(p,) whether the ball between two taxels holds none of those near the first one."""
+    """Tell whether the ball between two taxels holds none of those near the first one, (p,)."""
     near, empty = table(first, second, len(places_m)), np.ones(len(first), dtype=bool)
     step = max(1, _AT_ONCE // near.shape[1])
     for begin in range(0, len(first), step):
@@ -134,12 +134,12 @@ def _between_is_empty(
 
 
 def _both_ways(holds: NDArray[np.bool_], first: Indices, second: Indices) -> NDArray[np.bool_]:
-    """(p,) whether something holds of a pair in both orders."""
+    """Tell whether something holds of a pair in both orders, (p,)."""
     return holds & holds[np.lexsort((first, second))]
 
 
 def _median_of(group: Indices, values: Floats, groups: int) -> Floats:
-    """(groups,) the upper median of the values of each group; ∞ where there are none."""
+    """Return the upper median of each group's values, (groups,); ∞ where there are none."""
     order = np.lexsort((values, group))
     counts = np.bincount(group, minlength=groups)
     middle = np.cumsum(counts) - counts + counts // 2
@@ -152,7 +152,7 @@ def _median_of(group: Indices, values: Floats, groups: int) -> Floats:
 def cells(
     positions_m: Points, normals: Points, neighbours: NDArray[np.int32], pitch_m: float
 ) -> list[Floats]:
-    """The Voronoi cell of each taxel: corners (c, 2), m, right and up of its centre, turning left.
+    """Return the Voronoi cells: corners (c, 2), m, right and up of the taxel, turning left.
 
     neighbours: (t, m), padded with the taxel itself. Cells are cut in the tangent plane. At the
     border, where neighbours leave a gap of more than _GAP, a cell reaches as far out as it does on
@@ -174,13 +174,13 @@ def cells(
 
 
 def polygon_areas_m2(polygons: list[Floats]) -> Floats:
-    """Areas of polygons that turn left, (t,), m²."""
+    """Return the areas of polygons that turn left, (t,), m²."""
     sides = ((p, np.roll(p, -1, axis=0)) for p in polygons)  # by the shoelace formula
     return np.array([(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2 for p, q in sides])
 
 
 def _beyond(flat_m: Floats, pitch_m: float) -> Floats:
-    """(g, 2) places where taxels would be that lie beyond the border, seen from one at (0, 0)."""
+    """Return places (g, 2) of taxels that would lie beyond the border, seen from one at (0, 0)."""
     ghosts = [np.empty((0, 2)) if len(flat_m) else np.array([[pitch_m, 0.0]])]
     mirrored = np.arctan2(-flat_m[:, 1], -flat_m[:, 0])
     for begin, gap in _gaps(flat_m):
@@ -194,14 +194,14 @@ def _beyond(flat_m: Floats, pitch_m: float) -> Floats:
 
 
 def _gaps(flat_m: Floats) -> list[tuple[float, float]]:
-    """Where angles of more than _GAP between directions begin, and how wide they are, rad."""
+    """Find where angles of more than _GAP between directions begin, and how wide they are, rad."""
     turned = np.sort(np.arctan2(flat_m[:, 1], flat_m[:, 0]))
     width = np.diff(turned, append=turned[:1] + 2 * np.pi)
     return list(zip(turned[width > _GAP].tolist(), width[width > _GAP].tolist(), strict=True))
 
 
 def _cell(flat_m: Floats) -> Floats:
-    """(c, 2) corners of the points nearer to (0, 0) than to any other of these (k, 2) places."""
+    """Return corners (c, 2) of the points nearer to (0, 0) than to any of these (k, 2) places."""
     # A line n·p = h for each: it is an edge between the lines that cut it first on either side.
     far_m = np.linalg.norm(flat_m, axis=1)
     normal, height_m = flat_m / far_m[:, None], far_m / 2

@@ -51,7 +51,7 @@ class Layout(Surface):
 
     @classmethod
     def grid(cls, nodes: int, rows: int, columns: int, pitch_m: Pitch, taxel_m: float) -> Layout:
-        """A flat grid of nodes 1…n, row-major, about the centre of the skin.
+        """Make a flat grid of nodes 1…n, row-major, about the centre of the skin.
 
         Node 1 is row 0, column 0; x grows with columns, y falls with rows. Where rows or columns
         are 0 they are chosen, as square as a full grid allows. taxel_m: edge of a taxel's sensing
@@ -91,17 +91,17 @@ class Layout(Surface):
 
     @property
     def pitches_m(self) -> tuple[float, float]:
-        """Distance from column to column, and from row to row, m; equal on most skins."""
+        """Return the distance of two columns, and of two rows, m; equal on most skins."""
         return self.pitch_m * math.sqrt(self.aspect), self.pitch_m / math.sqrt(self.aspect)
 
     def said(self) -> dict[str, Pitch]:
-        """Values that the parameters rows, columns and pitch_mm would have."""
+        """Tell what the parameters of these names would be: rows, columns, pitch_mm."""
         across_mm, down_mm = (1e3 * pitch_m for pitch_m in self.pitches_m)
         pitch_mm = across_mm if self.aspect == 1 else (across_mm, down_mm)
         return {"rows": self.rows, "columns": self.columns, "pitch_mm": pitch_mm}
 
     def is_alike(self, other: Layout) -> bool:
-        """Whether the same taxels with the same nodes are at the same places."""
+        """Tell whether the same taxels with the same nodes are at the same places."""
         return len(self) == len(other) and all(
             np.allclose(getattr(self, name), getattr(other, name), rtol=1e-3, atol=1e-9)
             for name in ("positions_m", "normals", "areas_m2", "nodes")
@@ -109,7 +109,7 @@ class Layout(Surface):
 
     @property
     def edges_m(self) -> Floats:
-        """(t, 2) width and height of each taxel, m: of a rectangle of its area, shaped as cells."""
+        """Return each taxel's width and height, (t, 2), m: its area, in the shape of its cells."""
         shape = [math.sqrt(self.aspect), 1 / math.sqrt(self.aspect)]
         return np.sqrt(self.areas_m2.astype(np.float64))[:, None] * shape
 
@@ -120,13 +120,13 @@ class Layout(Surface):
 
     @cached_property
     def middle(self) -> int:
-        """The taxel nearest to the middle of all."""
+        """Find the taxel nearest to the middle of all."""
         from_middle_m = self.positions_m - self.positions_m.mean(axis=0)
         return int(np.linalg.norm(from_middle_m, axis=1).argmin())
 
     @cached_property
     def source(self) -> Indices | None:
-        """(t,) index of each taxel's node in arrays of all nodes; −1: no node.
+        """Return the index of each taxel's node in arrays of all nodes, (t,); −1: no node.
 
         None if taxel i has node i + 1 and every node has a taxel: arrays need no reordering.
         """
@@ -136,7 +136,7 @@ class Layout(Surface):
 
     @cached_property
     def neighbours(self) -> NDArray[np.int32]:
-        """(t, m) int32, the neighbours of each taxel, padded with its own index.
+        """Return the neighbours of each taxel, (t, m) int32, padded with its own index.
 
         On a grid they are the eight around it, and what a sleeve brings near; else see
         adjacency.around. None face away from each other, and none is without a node.
@@ -151,7 +151,7 @@ class Layout(Surface):
 
     @cached_property
     def pieces(self) -> Indices:
-        """(t,) which piece of the skin each taxel with a node belongs to, from 0; −1: no node.
+        """Return which piece of the skin each taxel with a node is of, (t,), from 0; −1: no node.
 
         Neighbours, and their neighbours, are one piece.
         """
@@ -162,7 +162,7 @@ class Layout(Surface):
 
     @cached_property
     def outlines_m(self) -> list[Floats]:
-        """Outline each taxel's cell: corners (c, 2), m right and up of its centre, turning left.
+        """Return each taxel's corners (c, 2), m from its centre, right and up, turning left.
 
         A rectangle on a grid, a Voronoi cell on an irregular skin; of the taxel's area.
         """
@@ -175,7 +175,7 @@ class Layout(Surface):
 
     @property
     def squares_m(self) -> Floats32:
-        """Two triangles per taxel, (t, 6, 3), corners in m, anticlockwise seen from outside.
+        """Return two triangles per taxel, (t, 6, 3), corners in m, anticlockwise seen from outside.
 
         Each has its taxel's area and the shape of its cell. Neighbouring ones meet on a plane, are
         tangent to a cylinder, and overlap slightly one way on a sphere, whose cells are narrower.
@@ -187,7 +187,7 @@ class Layout(Surface):
 
     @cached_property
     def raster(self) -> NDArray[np.int32]:
-        """(h, w) int32, the taxel in each cell of a picture of the unrolled skin; −1: none.
+        """Return the taxel in each cell of a picture of the unrolled skin, (h, w) int32; −1: none.
 
         Seen from outside, with the greatest y in the top row. The cells of a grid are its taxels
         with a node; those of an irregular skin are cell_m wide and hold the nearest taxel.
@@ -215,7 +215,7 @@ class Layout(Surface):
 
     @cached_property
     def cell_m(self) -> float:
-        """Edge length of a cell of the raster, m: the pitch of a grid.
+        """Return the edge length of a cell of the raster, m: the pitch of a grid.
 
         On an irregular skin half the pitch, doubled until there are at most MAX_CELLS cells.
         """
@@ -227,7 +227,7 @@ class Layout(Surface):
         return cell_m
 
     def _cells(self, cell_m: float) -> tuple[int, int]:
-        """Width and height of an irregular skin with a border of half a pitch, in cells."""
+        """Return width and height of an irregular skin and a border of half a pitch, in cells."""
         extent_m = np.ptp(self.flat_m.astype(np.float64), axis=0) + self.pitch_m
         # Rounding of float32 positions must not add a cell.
         width, height = np.ceil(extent_m / cell_m - 0.01).astype(int).tolist()

@@ -109,7 +109,7 @@ def _size(content: Keys) -> tuple[int, int]:
 
 
 def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surface, Pitch]:
-    """Rows and columns on a plane, a cylinder or a sphere; and the pitch, m."""
+    """Place rows and columns on a plane, a cylinder or a sphere; returns the pitch, m, too."""
     pitch, radius_m = _pitch_m(content), []
     if "radius_mm" in _KEYS[shape]:
         radius_m.append(content.number("radius_mm", _LEAST_MM, _MOST_MM, "mm") * 1e-3)
@@ -118,7 +118,7 @@ def _regular(content: Keys, shape: str, rows: int, columns: int) -> tuple[Surfac
 
 
 def _with_area(content: Keys, surface: Surface) -> Surface:
-    """With the area of each taxel that the file gives."""
+    """Give each taxel the area that the file says."""
     if content.get("area_mm2"):
         cell_mm2 = float(surface.areas_m2.min()) * 1e6
         most_mm2 = float(f"{cell_mm2 * 1.001:.4g}")  # admits a rounded cell area
@@ -130,7 +130,7 @@ def _with_area(content: Keys, surface: Surface) -> Surface:
 def _projected(
     content: Keys, folder: Path, rows: int, columns: int, places: list[TaxelNode]
 ) -> tuple[Surface, Pitch]:
-    """Rows and columns on a rectangle, seen against its normal on a mesh; and the pitch, m."""
+    """Lay a rectangle's rows and columns on a mesh, against its normal; returns the pitch, too."""
     pitch, triangles = _pitch_m(content), _triangles(content, folder)
     out, right = (_direction(content[key], key) for key in ("out", "right"))
     right -= (right @ out) * out
@@ -161,7 +161,7 @@ def _projected(
 
 
 def _triangles(content: Keys, folder: Path) -> Floats:
-    """(n, 3, 3) corners of the mesh, or of the link, m; paths are relative to the layout file."""
+    """Read corners (n, 3, 3), m, of mesh or link; paths are relative to the layout file."""
     mesh, urdf = content.get("mesh"), content.get("urdf")
     source = mesh or urdf
     if source is None or (mesh and urdf):
@@ -174,7 +174,7 @@ def _triangles(content: Keys, folder: Path) -> Floats:
 
 
 def _direction(value: Marked, what: str) -> Floats:
-    """A unit vector (3,), of whatever length in the file."""
+    """Make a unit vector (3,) of one of any length in the file."""
     direction = np.array(_vector(value, what, _MOST_NORMAL))
     if not np.linalg.norm(direction) > 1e-9:
         raise value.refuse(f"{what} has no direction: its length is 0")
@@ -182,7 +182,7 @@ def _direction(value: Marked, what: str) -> Floats:
 
 
 def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNode]]:
-    """Taxels given one by one; the pitch, m; and the taxels' places in the file."""
+    """Read taxels given one by one; returns the pitch, m, and their places in the file, too."""
     entries = content["taxels"].items("taxels", 1, MOST_TAXELS)
     taxels = [_taxel(value, index, first_row) for index, value in enumerate(entries)]
     places, positions_mm, directions, areas_mm2 = map(list, zip(*taxels, strict=True))
@@ -203,7 +203,7 @@ def _listed(content: Keys, first_row: int) -> tuple[Surface, Pitch, list[TaxelNo
 def _taxel(
     value: Marked, index: int, first_row: int
 ) -> tuple[TaxelNode, list[float], Floats, float | None]:
-    """An entry of a list: its place, position (mm), normal and area (mm²; None: of its cell)."""
+    """Read an entry: its place, position (mm), normal and area (mm²; None: of its cell)."""
     what = f"taxel {index}"
     entry = value.mapping(what)
     entry.check_keys(_TAXEL_KEYS)
@@ -221,7 +221,7 @@ def _vector(value: Marked, what: str, most: float, unit: str = "") -> list[float
 
 
 def _pitch_m(content: Keys) -> Pitch:
-    """One number, or that from column to column and that from row to row."""
+    """Read one number, or that from column to column and that from row to row."""
     limits = "pitch_mm", _LEAST_MM, _MOST_PITCH_MM, "mm"
     if isinstance(content["pitch_mm"].content, list):
         across_mm, down_mm = content["pitch_mm"].numbers(*limits, 2, 2)
@@ -230,7 +230,7 @@ def _pitch_m(content: Keys) -> Pitch:
 
 
 def _pitch_of_list_m(content: Keys, positions_m: Floats, normals: Floats) -> Pitch:
-    """The pitch as given, or else the median distance from a taxel to its nearest neighbour."""
+    """Return the pitch as given, else the median distance from a taxel to its nearest neighbour."""
     if content.get("pitch_mm"):
         return _pitch_m(content)
     with content["taxels"].refusing(SpecError):

@@ -43,7 +43,7 @@ class TaxelNode:
 
 
 def node_of_entry(entry: Keys, first_row: int) -> TaxelNode:
-    """The node of a taxel in a list, from its key node or code_row."""
+    """Read the node of a taxel in a list, from its key node or code_row."""
     node, code_row = entry.get("node"), entry.get("code_row")
     value = node or code_row
     if not value or (node and code_row):
@@ -52,7 +52,7 @@ def node_of_entry(entry: Keys, first_row: int) -> TaxelNode:
 
 
 def nodes_of_grid(content: Keys, rows: int, columns: int, first_row: int) -> list[TaxelNode]:
-    """Row-major, from the matrix of nodes or of code_rows; without either 1, 2, 3 and so on."""
+    """Read a grid's nodes, row-major, from nodes or code_rows; without either 1, 2, 3 and so on."""
     nodes, code_rows = content.get("nodes"), content.get("code_rows")
     if nodes and code_rows:
         raise code_rows.refuse("nodes and code_rows say the same: leave one out")
@@ -73,7 +73,7 @@ def nodes_of_grid(content: Keys, rows: int, columns: int, first_row: int) -> lis
 def check_nodes(
     content: Keys, places: list[TaxelNode], wiring: Wiring
 ) -> tuple[NDArray[np.int32], tuple[int, ...], tuple[int, ...]]:
-    """The nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
+    """Return the nodes of the taxels, (t,) int32, and the masked and the unplaced nodes.
 
     Raises LayoutError for nodes with two places or none, nodes beyond the skin's number, and
     numbers under masked or unplaced that contradict the places.
@@ -105,7 +105,7 @@ def check_nodes(
 
 
 def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
-    """The taxels that have a node, by its number."""
+    """Return the taxels that have a node, by its number."""
     placed = dict[int, TaxelNode]()
     for place in places:
         if other := placed.get(place.node):
@@ -121,7 +121,7 @@ def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
 
 
 def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
-    """The entries of a matrix, row-major."""
+    """Return the entries of a matrix, row-major."""
     lines = value.items(what)
     if len(lines) != rows:
         raise value.refuse(f"{what} has {len(lines)} rows; rows is {rows}")
@@ -129,7 +129,7 @@ def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:
 
 
 def _taxel_node(taxel: str, value: Marked, first_row: int | None = None) -> TaxelNode:
-    """A taxel with its node, which is given by number or, with first_row, by its code row."""
+    """Read a taxel's node, which is given by number or, with first_row, by its code row."""
     if first_row is None:
         return TaxelNode(taxel, value.whole(f"the node of {taxel}", 1, MOST_TAXELS), value)
     code_row = value.whole(f"the code row of {taxel}", 0, first_row + MOST_TAXELS - 1)
@@ -139,7 +139,7 @@ def _taxel_node(taxel: str, value: Marked, first_row: int | None = None) -> Taxe
 
 
 def _numbers(content: Keys, key: str) -> dict[int, Marked]:
-    """A list of node numbers, each with its place in the file."""
+    """Read a list of node numbers, each with its place in the file."""
     listing, numbers = content.get(key), dict[int, Marked]()
     for value in listing.items(key) if listing else ():
         number = value.whole(f"a node in {key}", 1, MOST_TAXELS)

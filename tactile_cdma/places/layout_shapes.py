@@ -45,34 +45,34 @@ class Surface:
 
     @classmethod
     def of(cls, *arrays: Floats) -> Surface:
-        """From arrays in the order of the fields, of any float type."""
+        """Make places of arrays in the order of the fields, of any float type."""
         return cls(*(np.array(values, dtype=np.float32) for values in arrays))
 
 
 def across_and_down(pitch_m: Pitch) -> tuple[float, float]:
-    """Distance from column to column, and from row to row, m."""
+    """Return the distance from column to column, and from row to row, m."""
     return pitch_m if isinstance(pitch_m, tuple) else (pitch_m, pitch_m)
 
 
 def pitch_of(pitch_mm: Pitch) -> Pitch:
-    """The pitch in m."""
+    """Return the pitch in m."""
     across_mm, down_mm = across_and_down(pitch_mm)
     return (across_mm * 1e-3, down_mm * 1e-3) if isinstance(pitch_mm, tuple) else pitch_mm * 1e-3
 
 
 def is_same(pitch: Pitch, other: Pitch) -> bool:
-    """Whether two pitches, or other numbers, agree to a thousandth."""
+    """Tell whether two pitches, or other numbers, agree to a thousandth."""
     pairs = zip(across_and_down(pitch), across_and_down(other), strict=True)
     return all(math.isclose(one, another, rel_tol=1e-3) for one, another in pairs)
 
 
 def shown_mm(pitch_mm: Pitch) -> str:
-    """The pitch as it is written in files and URLs."""
+    """Show the pitch as it is written in files and URLs."""
     return f"[{pitch_mm[0]:g}, {pitch_mm[1]:g}]" if isinstance(pitch_mm, tuple) else f"{pitch_mm:g}"
 
 
 def plane(rows: int, columns: int, pitch_m: Pitch) -> Surface:
-    """A flat grid, row-major, about its centre."""
+    """Lay a flat grid, row-major, about its centre."""
     flat_m = _grid(rows, columns, pitch_m)
     normals = np.broadcast_to([0.0, 0.0, 1.0], (len(flat_m), 3))
     areas_m2 = np.full(len(flat_m), math.prod(across_and_down(pitch_m)))
@@ -80,7 +80,7 @@ def plane(rows: int, columns: int, pitch_m: Pitch) -> Surface:
 
 
 def cylinder(rows: int, columns: int, pitch_m: Pitch, radius_m: float) -> Surface:
-    """A grid bent around an axis parallel to y at z = −radius: columns go around it, rows along it.
+    """Bend a grid around an axis parallel to y at z = −radius: columns go around it, rows along it.
 
     Distances along the surface are preserved: neighbouring columns are an angle pitch/radius apart.
     Raises SpecError where the columns go round more than once.
@@ -101,7 +101,7 @@ def cylinder(rows: int, columns: int, pitch_m: Pitch, radius_m: float) -> Surfac
 
 
 def sphere(rows: int, columns: int, pitch_m: Pitch, radius_m: float) -> Surface:
-    """A grid laid on a ball: distances and directions from its middle are kept.
+    """Lay a grid on a ball: distances and directions from its middle are kept.
 
     That is the azimuthal equidistant projection (Snyder, Map Projections, USGS 1395, ch. 25);
     across these directions places draw together, by sin(c)/c at the angle c from the middle.
@@ -123,7 +123,7 @@ def sphere(rows: int, columns: int, pitch_m: Pitch, radius_m: float) -> Surface:
 
 
 def seen_from_outside(positions_m: NDArray[np.floating], normals: NDArray[np.floating]) -> Floats:
-    """Positions projected along the mean normal, (t, 2), m; along z where the normals cancel out.
+    """Project positions along the mean normal, (t, 2), m; along z where the normals cancel out.
 
     x points to the right as closely as the direction of view allows.
     """
@@ -139,7 +139,7 @@ def seen_from_outside(positions_m: NDArray[np.floating], normals: NDArray[np.flo
 
 
 def tangents(normals: Floats | Floats32) -> tuple[Floats, Floats]:
-    """Right and up on the surface, (t, 3) float64 each, unit vectors; right × up is the normal.
+    """Return right and up on the surface, (t, 3) float64 each, unit; right × up is the normal.
 
     normals: (t, 3), unit vectors. Right and up are x and y, rotated as z is the shortest way to the
     normal, about y if that is straight down: the directions of rows and columns on regular skins.
@@ -155,14 +155,14 @@ def tangents(normals: Floats | Floats32) -> tuple[Floats, Floats]:
 
 
 def _grid(rows: int, columns: int, pitch_m: Pitch) -> Floats:
-    """Row-major positions of a flat grid about its centre, (rows · columns, 2), m."""
+    """Return the row-major positions of a flat grid about its centre, (rows · columns, 2), m."""
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     centred = np.stack([x.ravel() - (columns - 1) / 2, (rows - 1) / 2 - y.ravel()], axis=1)
     return np.asarray(centred * across_and_down(pitch_m))
 
 
 def _sphere_areas_m2(flat_m: Floats, pitch_m: Pitch, radius_m: float) -> Floats:
-    """Areas on the sphere of the cells around flat positions: the integral of sin(c)/c."""
+    """Return areas on the sphere of cells around flat positions: the integral of sin(c)/c."""
     at, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     half_m = np.array(across_and_down(pitch_m))[:, None, None] / 2
     x, y = flat_m.T[:, :, None] + at * half_m  # (t, _QUADRATURE) each

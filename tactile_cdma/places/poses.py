@@ -25,7 +25,7 @@ class Pose:
 
     @classmethod
     def of_rpy(cls, xyz_m: Sequence[float], rpy_rad: Sequence[float]) -> Pose:
-        """From roll, pitch and yaw about the parent's fixed axes, in this order, as in URDF."""
+        """Make a pose of roll, pitch, yaw about the parent's fixed axes, in this order, as URDF."""
         (sr, sp, sy), (cr, cp, cy) = np.sin(rpy_rad), np.cos(rpy_rad)
         roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
         pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -34,7 +34,7 @@ class Pose:
 
     @classmethod
     def of_quaternion(cls, xyz_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
-        """From a translation and a quaternion, as in ROS messages; the quaternion is normalised.
+        """Make a pose of a translation and a quaternion of any length, as in ROS messages.
 
         Raises ValueError for a zero or non-finite quaternion and for a non-finite translation.
         """
@@ -50,7 +50,7 @@ class Pose:
 
     @property
     def quaternion(self) -> Floats:
-        """The rotation as (4,) float64: x, y, z, w, of length 1, w ≥ 0."""
+        """Return the rotation as (4,) float64: x, y, z, w, of length 1, w ≥ 0."""
         (a, b, c), (d, e, f), (g, h, i) = self.rotation.tolist()
         # 4·q·qᵀ: the row with the largest diagonal entry is the most accurate (Markley 2008).
         rows = (
@@ -64,7 +64,7 @@ class Pose:
 
     @property
     def inverse(self) -> Pose:
-        """The parent's pose in this frame."""
+        """Return the parent's pose in this frame."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
 
     def __matmul__(self, other: Pose) -> Pose:
@@ -72,9 +72,9 @@ class Pose:
         return Pose(self.rotation @ other.rotation, self.apply(other.translation_m))
 
     def apply(self, points_m: Floats) -> Floats:
-        """Points (…, 3), m, from this frame to the parent."""
+        """Map points (…, 3), m, from this frame to the parent."""
         return self.rotate(points_m) + self.translation_m
 
     def rotate(self, vectors: Floats) -> Floats:
-        """Vectors (…, 3), such as normals and forces, from this frame to the parent."""
+        """Turn vectors (…, 3), such as normals and forces, from this frame to the parent."""
         return np.asarray(vectors @ self.rotation.T)

@@ -24,7 +24,7 @@ for the rounding of float32 normals."""
 def beside(
     positions_m: NDArray[np.floating], normals: NDArray[np.floating], radius_m: float
 ) -> tuple[Indices, Indices, Floats]:
-    """All pairs of positions within radius_m of each other whose normals are at most 90° apart.
+    """Pair positions within radius_m of each other whose normals are at most 90° apart.
 
     positions_m, normals: (t, 3), m and unit vectors. Returns the indices of the first and second
     position of each pair, in both orders, sorted, and their distance, m. The two sides of a thin
@@ -45,7 +45,7 @@ def beside(
 def usual_distance_m(
     positions_m: NDArray[np.floating], normals: NDArray[np.floating]
 ) -> float | None:
-    """Median distance to the nearest neighbour, m; None if there are no neighbours."""
+    """Return the median distance to the nearest neighbour, m; None without neighbours."""
     count = len(positions_m)
     extent_m = float(np.linalg.norm(np.ptp(positions_m.astype(np.float64), axis=0)))
     # Start small, so that pairs stay few, and widen until half of the positions have a neighbour.
@@ -62,7 +62,7 @@ def usual_distance_m(
 
 
 def _candidates(cells: NDArray[np.int64], radius_m: float) -> tuple[Indices, Indices]:
-    """Pairs of positions in the same cell or in adjacent ones."""
+    """Return pairs of positions in the same cell or in adjacent ones."""
     strides = np.array([1 << (_CELL_BITS * axis) for axis in range(3)])
     keys = cells @ strides
     order = np.argsort(keys, kind="stable")

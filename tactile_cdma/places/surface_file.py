@@ -13,7 +13,7 @@ from ..base.arrays import Floats
 from .poses import Pose
 
 MOST_TRIANGLES = 1 << 20
-"""Chosen: far beyond the meshes of robots, whose file may be another one by mistake."""
+"""Most triangles of a mesh. Chosen: far beyond robots'; a file may be another one by mistake."""
 _STL_HEADER, _STL_FACET = 84, 50
 _AT_ONCE = 1 << 18
 """Pairs of ray and triangle that are intersected at once."""
@@ -22,7 +22,7 @@ _SIDES = 96
 
 
 def read_triangles(path: Path) -> Floats:
-    """Corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
+    """Read corners (n, 3, 3), anticlockwise seen from outside, in the file's unit.
 
     Raises ValueError where it is neither an STL nor an OBJ file, OSError where it is not readable.
     """
@@ -39,7 +39,7 @@ def read_triangles(path: Path) -> Floats:
 
 
 def read_link(urdf: Path, link: str) -> Floats:
-    """Triangles of a link's collision geometry, or of its visual one, m, in the link's frame.
+    """Read triangles of a link's collision geometry, or its visual one, m, in the link's frame.
 
     Raises ValueError where there is none that can be read, OSError as read_triangles.
     """
@@ -59,7 +59,7 @@ def read_link(urdf: Path, link: str) -> Floats:
 
 
 def first_hits(triangles: Floats, starts: Floats, way: Floats) -> tuple[Floats, Floats]:
-    """Where parallel rays first meet triangles: distance (m,), ∞ if nowhere, and normal (m, 3).
+    """Find where rays first meet triangles: distance (m,), ∞ if nowhere, and normal (m, 3).
 
     triangles: (n, 3, 3). starts: (m, 3). way: unit vector. (Möller & Trumbore, Fast, minimum
     storage ray/triangle intersection, 1997.)
@@ -97,7 +97,7 @@ def _finite(triangles: Floats, path: Path) -> Floats:
 
 
 def _part(element: ElementTree.Element, urdf: Path, link: str) -> Floats:
-    """Triangles of one geometry, in the link's frame."""
+    """Return the triangles of one geometry, in the link's frame."""
     origin, shape = element.find("origin"), element.find("geometry/*")
     if shape is None:
         raise ValueError(f"{urdf}: link {link!r} has a geometry without a shape")
@@ -127,7 +127,7 @@ def _shape(shape: ElementTree.Element, urdf: Path, link: str) -> Floats:
 
 
 def _mesh_path(name: str, urdf: Path) -> Path:
-    """A mesh's file: relative to the URDF, or, of package://, to a folder above that has it."""
+    """Find a mesh's file: relative to the URDF, or, of package://, in a folder above."""
     plain = re.sub(r"^(package|file)://", "", name)
     tails = [plain] if not name.startswith("package://") else [plain, plain.partition("/")[2]]
     for folder in (urdf.parent, *urdf.resolve().parents):
@@ -149,7 +149,7 @@ def _box(half: Floats) -> Floats:
 
 
 def _turned(radius: Floats, height: Floats) -> Floats:
-    """A profile, upwards, turned about z."""
+    """Turn a profile, upwards, about z."""
     angle = np.linspace(0, 2 * np.pi, _SIDES + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     flat = radius[:, None, None] * ring

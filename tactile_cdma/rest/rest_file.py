@@ -56,7 +56,7 @@ class RestState:
     def misfit(
         self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str = ""
     ) -> str | None:
-        """Why this is not the state of such a skin, or None.
+        """Tell why this is not the state of such a skin, or None.
 
         An empty name fits every name, and simulated is None as long as that is not known.
         """
@@ -78,7 +78,7 @@ class RestState:
 
 
 def rest_path(folder: str, node: str, simulated: bool = False) -> Path:
-    """The file of a ROS node. node: its fully qualified name. simulated: by its port, sim://.
+    """Name the file of a ROS node. node: its fully qualified name. simulated: by its port, sim://.
 
     Simulated skins have files of their own: trying one must not cost a board its tare.
 
@@ -95,7 +95,7 @@ def rest_path(folder: str, node: str, simulated: bool = False) -> Path:
 
 
 def calibration_path(rest: Path) -> Path:
-    """The file, beside a node's, of the calibration that its tare and drift go with."""
+    """Name the file, beside a node's, of the calibration that its tare and drift go with."""
     return rest.with_name(rest.name.removesuffix(_SUFFIX) + ".calibration.yaml")
 
 
@@ -123,7 +123,7 @@ def set_aside(path: Path) -> Path | None:
 
 
 def read_rest(path: Path) -> RestState | None:
-    """The content of a file; None if it does not exist.
+    """Read a file; None if it does not exist.
 
     Raises RestError, naming file, line and cause, for anything but such a file.
     """
@@ -169,7 +169,7 @@ class RestStore:
     def read(
         self, skin: str, simulated: bool | None, nodes: int, curves: str, scene: str
     ) -> RestState | None:
-        """The state on file if it is that of such a skin (see RestState.misfit), else None."""
+        """Return the state on file if it is such a skin's (see RestState.misfit), else None."""
         self._is_others = False
         if self.path is None:
             return None

@@ -268,7 +268,7 @@ class RestKeeper:
         return path
 
     def _present(self) -> RestState:
-        """What is in force; while inactive, what was last."""
+        """Return the state in force; while inactive, the last one."""
         config, simulated = self.config, self._simulated
         if simulated is None:
             simulated = self._kept is not None and self._kept.simulated

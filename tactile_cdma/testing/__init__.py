@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""For users' own tests: a simulated skin as pytest fixtures, with and without ROS."""
+"""Gives users' own tests a simulated skin as pytest fixtures, with and without ROS."""

@@ -44,7 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def simulated_skin(request: pytest.FixtureRequest) -> Iterator[Skin]:
-    """An open Skin that a test presses: frame = simulated_skin.step(Sphere(…)); without ROS."""
+    """Open a Skin that a test presses: frame = simulated_skin.step(Sphere(…)); without ROS."""
     from ..skin import Skin
 
     with Skin(contacts=True, **_parameters(request)) as skin:
@@ -53,7 +53,7 @@ def simulated_skin(request: pytest.FixtureRequest) -> Iterator[Skin]:
 
 @pytest.fixture
 def simulated_driver(request: pytest.FixtureRequest) -> Iterator[SimulatedDriver]:
-    """A driver node, /skin, in a process of its own, that a test presses: simulated_driver.step().
+    """Start a node, /skin, in a process of its own, that a test presses: simulated_driver.step().
 
     It is in the ROS domain of the environment, and so are the nodes that are to be tested.
     """
@@ -110,7 +110,7 @@ class SimulatedDriver:
         asked, next_s = 0, 0.0
 
         def heard() -> bool:
-            """Whether a frame came; asks again now and then, as the first ones may pass unheard."""
+            """Tell whether a frame came; asks again, as the first ones may pass unheard."""
             nonlocal asked, next_s
             if time.monotonic() > next_s:
                 asked, next_s = asked + 1, time.monotonic() + ASK_S
@@ -155,7 +155,7 @@ class SimulatedDriver:
 
 
 def _parameters(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Read the parameters that a test's marker asks for; adds the port."""
+    """Return the parameters of the skin that a test's marker asks for, its port among them."""
     from ..base.errors import ParameterError
     from ..config.python_arguments import argument, parameters_of
 

@@ -43,7 +43,7 @@ class Cloud:
     def points(
         self, pressure_pa: Floats32, max_pa: float, pose: Pose | None = None, gamma: float = GAMMA
     ) -> NDArray[np.void]:
-        """(m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
+        """Make (m,) POINT or, of a patch, BODY_POINT: the taxels with a reading.
 
         pressure_pa: (t,) float32, Pa, NaN without a reading. max_pa: end of the colour scale, Pa.
         pose: of the skin's frame in that of the points; None: unchanged. gamma: of the scale.

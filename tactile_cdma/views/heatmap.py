@@ -41,7 +41,7 @@ _NO_TAXEL = np.array([NO_TAXEL_RGB], dtype=np.uint8)
 
 
 def shares(pressure_pa: Floats32, max_pa: float, gamma: float = GAMMA) -> Floats32:
-    """(n,) float32, 0…1, how far up the scale 0…max_pa each pressure is; NaN for NaN."""
+    """Tell how far up the scale 0…max_pa each pressure is, (n,) float32, 0…1; NaN for NaN."""
     share: Floats32 = np.clip(pressure_pa * np.float32(1 / max_pa), 0, 1) ** gamma
     return share
 
@@ -49,7 +49,7 @@ def shares(pressure_pa: Floats32, max_pa: float, gamma: float = GAMMA) -> Floats
 def scale_steps(
     pressure_pa: Floats32, max_pa: float, unsure: Bools | bool = False, gamma: float = GAMMA
 ) -> NDArray[np.int16]:
-    """(n,) int16, each taxel's row in SCALE_RGB on a fixed scale 0…max_pa; 256 for NaN.
+    """Find each taxel's row in SCALE_RGB on a fixed scale 0…max_pa, (n,) int16; 256 for NaN.
 
     unsure: (n,), readings that are uncertain. gamma: see GAMMA.
     """
@@ -62,7 +62,7 @@ def scale_steps(
 def colours(
     pressure_pa: Floats32, max_pa: float, unsure: Bools | bool = False, gamma: float = GAMMA
 ) -> NDArray[np.uint8]:
-    """One colour per taxel, (n, 3) uint8 RGB, see scale_steps; grey for NaN."""
+    """Colour each taxel, (n, 3) uint8 RGB, see scale_steps; grey for NaN."""
     return SCALE_RGB[scale_steps(pressure_pa, max_pa, unsure, gamma)]
 
 
@@ -74,7 +74,7 @@ def heatmap(
     unsure: Bools | bool = False,
     gamma: float = GAMMA,
 ) -> NDArray[np.uint8]:
-    """The unrolled skin as a picture, (height, width, 3) uint8 RGB, row 0 on top.
+    """Draw the unrolled skin, (height, width, 3) uint8 RGB, row 0 on top.
 
     Cells of LEAST_LINED_PX and more have lines between taxels, in the colour of no taxel.
 
@@ -100,12 +100,12 @@ def heatmap(
 
 
 def _ends(raster: NDArray[np.int32], axis: int) -> NDArray[np.bool_]:
-    """Whether each cell is the last one of its taxel along an axis, with another one after it."""
+    """Tell whether a cell is the last of its taxel along an axis, with another one after it."""
     return np.asarray(np.diff(raster, axis=axis, append=raster.take([-1], axis=axis)) != 0)
 
 
 def pressure_raster(pressure_pa: Floats32, layout: Layout) -> Floats32:
-    """The unrolled skin's pressures, (h, w) float32, Pa, one per cell of the layout's raster.
+    """Return the unrolled skin's pressures, (h, w) float32, Pa, one per cell of the raster.
 
     pressure_pa: (t,) float32, Pa. NaN where there is no taxel, or a taxel without a reading.
     """

@@ -25,11 +25,11 @@ class History:
 
     @property
     def latest(self) -> float:
-        """The value added last; NaN: unknown, or none yet."""
+        """Return the value added last; NaN: unknown, or none yet."""
         return self._values[-1][1] if self._values else math.nan
 
     def bins(self, now_s: float, count: int) -> Floats:
-        """(count,) the maximum in each of count equal parts of the span; NaN: no value.
+        """Return the maximum in each of count equal parts of the span, (count,); NaN: no value.
 
         The last part ends now. Maxima keep short peaks visible.
         """

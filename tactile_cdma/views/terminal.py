@@ -81,7 +81,7 @@ class Reading:
 def screen(
     reading: Reading, look: Look, title: str, notes: Sequence[str], columns: int, lines: int
 ) -> list[str]:
-    """Title, picture and notes within the given columns and lines.
+    """Lay out title, picture and notes within the given columns and lines.
 
     notes: the most important first; the last ones are dropped if there is little room.
     """
@@ -100,7 +100,7 @@ def _cut(line: str, columns: int) -> str:
 
 
 def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]:
-    """The unrolled skin within the given columns and lines, with labels of taxels where they fit.
+    """Draw the unrolled skin within the given columns and lines, with labels where they fit.
 
     If there are more cells than characters, each character shows the highest pressure around.
     """
@@ -137,7 +137,7 @@ def picture(reading: Reading, look: Look, columns: int, lines: int) -> list[str]
 
 
 def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
-    """(≤ lines, ≤ columns) the raster, or the most pressed taxel of each block of its cells.
+    """Shrink the raster to (≤ lines, ≤ columns): of each block of cells the most pressed taxel.
 
     Unless a taxel of a block reads more than TOUCH_PA, one without a reading stands for the block.
     """
@@ -158,7 +158,7 @@ def pooled(reading: Reading, columns: int, lines: int) -> NDArray[np.int32]:
 def _cell_size(
     reading: Reading, raster: NDArray[np.int32], columns: int, lines: int
 ) -> tuple[int, int]:
-    """Lines and columns of a cell: as large as fits, twice as wide as high, room for labels."""
+    """Choose lines and columns of a cell: large, twice as wide as high, with room for labels."""
     rows, cells = raster.shape
     covered = raster[raster >= 0]
     per_taxel = math.sqrt(len(covered) / max(1, len(np.unique(covered)))) or 1.0
@@ -168,7 +168,7 @@ def _cell_size(
 
 
 def _runs(line: NDArray[np.int32]) -> list[tuple[int, int, int]]:
-    """Taxel, begin and end of each run of equal cells in a line."""
+    """Yield taxel, begin and end of each run of equal cells in a line."""
     edges = [0, *(np.flatnonzero(np.diff(line)) + 1).tolist(), len(line)]
     return [(int(line[begin]), begin, end) for begin, end in pairwise(edges)]
 
@@ -176,7 +176,7 @@ def _runs(line: NDArray[np.int32]) -> list[tuple[int, int, int]]:
 def _labels(
     reading: Reading, look: Look, taxel: int, places: list[tuple[int, int, int]]
 ) -> dict[tuple[int, int], str]:
-    """Labels by line and column: a taxel's number in its first run, its value in the middle one."""
+    """Place labels by line and column: a taxel's number in its first run, its value in mid-run."""
     values = _value_labels(float(reading.pressure_pa[taxel]), int(reading.status[taxel]))
     wanted = [(places[len(places) // 2], values)]
     if look.numbers:
@@ -189,7 +189,7 @@ def _labels(
 
 
 def _value_labels(pressure_pa: float, status: int) -> list[str]:
-    """A taxel's value in kPa with its marks, from long to short."""
+    """Show a taxel's value in kPa with its marks, from long to short."""
     if status & Status.MASKED:
         return [""]
     marks = "".join(mark for flag, mark, _ in _MARKS if status & flag)
@@ -199,13 +199,13 @@ def _value_labels(pressure_pa: float, status: int) -> list[str]:
 
 
 def _ink(red: int, green: int, blue: int) -> str:
-    """The escape sequence for readable text on a colour."""
+    """Return the escape sequence for readable text on a colour."""
     ink = "30" if red * 0.3 + green * 0.6 + blue * 0.1 > 110 else "97"
     return f"\x1b[{ink};48;2;{red};{green};{blue}m"
 
 
 def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
-    """One character per share of the scale (0…1), light to heavy; the lightest for NaN."""
+    """Shade each share of the scale (0…1) by a character, light to heavy; the lightest for NaN."""
     level = np.clip(np.nan_to_num(share) * len(shades), 0, len(shades) - 1).astype(int)
     return [shades[i] for i in level]
 
@@ -214,7 +214,7 @@ def _shades(share: NDArray[np.floating], shades: str = _SHADES) -> list[str]:
 
 
 def scale(look: Look, columns: int) -> str:
-    """The colour scale with numbers at its ends and its middle, and the skin's axes.
+    """Draw the colour scale with numbers at its ends and its middle, and the skin's axes.
 
     Empty if it does not fit.
     """
@@ -232,7 +232,7 @@ def scale(look: Look, columns: int) -> str:
 
 
 def sparkline(values: NDArray[np.floating], unicode: bool) -> str:
-    """One character per value, scaled from 0 to the maximum; a space for NaN."""
+    """Draw each value as a character, scaled from 0 to the maximum; a space for NaN."""
     bars = _BARS if unicode else _SHADES[1:]
     top = float(np.fmax.reduce(values, initial=0.0)) or 1.0
     drawn = zip(values.tolist(), _shades(values / top, bars), strict=True)
@@ -240,7 +240,7 @@ def sparkline(values: NDArray[np.floating], unicode: bool) -> str:
 
 
 def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
-    """The statuses that occur, each with the numbers of its taxels or nodes."""
+    """List the statuses that occur, each with the numbers of its taxels or nodes."""
     numbers = reading.nodes if look.numbers is Numbers.NODES else np.arange(len(reading.nodes))
     in_service = is_in_service(reading.status)
     silent = in_service & (reading.status & Status.SILENT > 0)
@@ -260,7 +260,7 @@ def status_lines(reading: Reading, look: Look, columns: int) -> list[str]:
 
 
 def ranges(numbers: NDArray[np.integer]) -> str:
-    """Whole numbers as ranges: 1-3, 7."""
+    """Show whole numbers as ranges: 1-3, 7."""
     values = np.unique(numbers)
     runs = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
     return ", ".join(f"{r[0]}" if len(r) == 1 else f"{r[0]}-{r[-1]}" for r in runs if len(r))

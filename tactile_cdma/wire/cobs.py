@@ -4,7 +4,7 @@
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """The data encoded without zeros.
+    """Return the data encoded without zeros.
 
     With a zero appended, the data is a sequence of runs of non-zero bytes, each ended by a zero.
     A run becomes a block: the run's length with its zero, then the run. Runs of more than 254
@@ -22,7 +22,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes:
-    """The inverse of cobs_encode. Raises ValueError for anything that is not COBS."""
+    """Undo cobs_encode. Raises ValueError for anything that is not COBS."""
     if 0 in data:
         raise ValueError(f"no COBS: a zero at byte {data.index(0)} of {len(data)}")
     decoded, unended = bytearray(data), []

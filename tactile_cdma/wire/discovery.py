@@ -49,7 +49,7 @@ class SerialPort:
 
 
 def serial_ports() -> list[SerialPort]:
-    """The serial ports of this machine, sorted by name."""
+    """Return the serial ports of this machine, sorted by name."""
     try:
         found = sorted(list_ports.comports())
     except (OSError, TypeError, ValueError):  # one was unplugged during the search: search again
@@ -66,12 +66,12 @@ def serial_ports() -> list[SerialPort]:
 
 
 def in_words(ports: Sequence[SerialPort]) -> str:
-    """The end of a message: which serial ports there are."""
+    """End a message: tell which serial ports there are."""
     return f"Serial ports on this machine: {'; '.join(map(str, ports)) or 'none'}"
 
 
 def device_of(url: str) -> str:
-    """The device that usb://SERIAL is now; of any other URL, its scheme in lower case.
+    """Return the device that usb://SERIAL is now; of any other URL, its scheme in lower case.
 
     Raises PortError.
     """
@@ -86,7 +86,7 @@ def device_of(url: str) -> str:
 
 
 def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
-    """The device that usb://SERIAL means; upper and lower case are the same.
+    """Return the device that usb://SERIAL means; upper and lower case are the same.
 
     Raises PortError, listing the ports there are, unless exactly one has this serial number.
     """
@@ -108,7 +108,7 @@ def find_usb(url: str, ports: Sequence[SerialPort]) -> str:
 
 
 def is_away(url: str) -> bool:
-    """Whether opening a device path is bound to fail: no such device, or no permission.
+    """Tell whether opening a device path is bound to fail: no such device, or no permission.
 
     Takes microseconds. False for anything but a device path, of which nothing is known.
     """
@@ -119,7 +119,7 @@ def is_away(url: str) -> bool:
 
 
 def is_serial(device: str) -> bool:
-    """Whether a path can be a serial port: no file, folder, pipe, nor a device of another kind.
+    """Tell whether a path can be a serial port: no file, folder, pipe or device of another kind.
 
     The device is not opened. True for a path that is not there.
     """
@@ -135,7 +135,7 @@ def is_serial(device: str) -> bool:
 
 
 def holders(device: str) -> list[str]:
-    """Programs that have a device open, as far as this user may see: 'minicom (pid 42)'.
+    """List programs that have a device open, as far as this user may see: 'minicom (pid 42)'.
 
     Empty for a pseudo-terminal: the program that made it has it open, too.
     """
@@ -163,7 +163,7 @@ def leave_alone_if_open(url: str) -> None:
 
 
 def held_back(device: str, adapters: Path = ADAPTERS) -> str:
-    """A sentence about the adapter of an open port if it holds bytes back, else nothing.
+    """Return a sentence about the adapter of an open port if it holds bytes back, else nothing.
 
     device: path of the port, or a URL.
     """
@@ -186,7 +186,7 @@ def _links(device: str) -> tuple[str, ...]:
 
 
 def _entries(folder: str) -> list[str]:
-    """The names in a folder; none where it is gone, or another user's, both at any moment."""
+    """Return the names in a folder; none if it is gone, or another user's, both at any moment."""
     with suppress(OSError):
         return os.listdir(folder)
     return []

@@ -19,7 +19,7 @@ _SEPARATORS = re.compile(r"[\s:._-]")
 
 
 def parse_id(text: str) -> bytes:
-    """The 8 bytes of an id in hexadecimal digits; 0x and separators are allowed.
+    """Return the 8 bytes of an id in hexadecimal digits; 0x and separators are allowed.
 
     Raises ParameterError for anything else, and for all zeros, which mean that there is no id.
     """
@@ -38,22 +38,22 @@ def parse_id(text: str) -> bytes:
 
 
 def shown_id(digitizer_id: bytes) -> str:
-    """An id for people, as in the USB serial number of the RP2040's firmware."""
+    """Return an id for people, as in the USB serial number of the RP2040's firmware."""
     return "no id" if digitizer_id == NO_ID else digitizer_id.hex().upper()
 
 
 def is_simulated(digitizer_id: bytes) -> bool:
-    """Whether a digitizer says by its id that nothing is measured: nobody touches a sensor."""
+    """Tell whether a digitizer says by its id that nothing is measured: nobody touches a sensor."""
     return digitizer_id.startswith(SIMULATED_ID)
 
 
 def is_demonstrator(digitizer_id: bytes) -> bool:
-    """Whether it says that it is a demonstrator: a board whose nodes have no sensors."""
+    """Tell whether a digitizer says it is a demonstrator: a board whose nodes have no sensors."""
     return is_simulated(digitizer_id) and digitizer_id[6:] in _DEMONSTRATORS
 
 
 def kind_of(digitizer_id: bytes) -> str:
-    """What a digitizer is, for people; empty for a board."""
+    """Tell what a digitizer is, for people; empty for a board."""
     if is_demonstrator(digitizer_id):
         return _DEMONSTRATORS[digitizer_id[6:]]
     return "simulated" if is_simulated(digitizer_id) else ""

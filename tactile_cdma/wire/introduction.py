@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which digitizer is on a port. Nothing is sent to a device that does not speak our protocol."""
+"""Asks which digitizer is on a port. Sends nothing to devices that do not speak our protocol."""
 
 import logging
 import time
@@ -40,7 +40,7 @@ def introduction(port: Port, patience_s: float = LISTEN_S) -> Info:
 
 
 def described_info(info: Info, settings: str = "set to") -> str:
-    """A digitizer and its settings in one line. settings: the words that introduce these."""
+    """Describe a digitizer and its settings in a line. settings: the words that introduce these."""
     frame = info.frame
     known = ", ".join(filter(None, (shown_id(info.digitizer_id), kind_of(info.digitizer_id))))
     return (

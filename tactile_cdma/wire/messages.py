@@ -59,14 +59,14 @@ class Message:
 
     @classmethod
     def unpack(cls, data: bytes, **extra: int) -> Self:
-        """The inverse of pack; extra: fields that are not on the wire.
+        """Undo pack; extra: fields that are not on the wire.
 
         Raises struct.error for a wrong length, ValueError for a wrong value.
         """
         return cls._of(iter(WIRE[cls.__name__].unpack(data)), **extra)
 
     def _values(self) -> Iterator[Any]:
-        """Field values in wire order, those of nested messages among them."""
+        """Return the field values in wire order, those of nested messages among them."""
         for wire in FIELDS[type(self).__name__]:
             value = getattr(self, wire.name)
             if isinstance(value, Message):
@@ -122,7 +122,7 @@ class FrameLayout(Message):
         )
 
     def spec(self, amplitude_v: float | None = None) -> FrameSpec:
-        """The FrameSpec of this layout. Raises SpecError for a combination that cannot work."""
+        """Make this layout's FrameSpec. Raises SpecError for a combination that cannot work."""
         return FrameSpec(
             chip_s=self.chip_ns / 10**9,  # rounds once, as the literal 50e-6 does
             frame_period_s=self.frame_period_us / 10**6,
@@ -176,11 +176,11 @@ class Info(Packet):
 
     @property
     def sample_rate_hz(self) -> float:
-        """Rate of Samples.counts, Hz."""
+        """Return the rate of Samples.counts, Hz."""
         return self.sample_rate_uhz / 10**6
 
     def volts(self, counts: Counts) -> Floats32:
-        """The line in V, (m,) float32, of counts (m,)."""
+        """Convert counts (m,) to the line in V, (m,) float32."""
         volts = np.empty(counts.size, np.float32)
         to_volts(self.zero_count, self.volts_per_count, counts, volts)
         return volts
@@ -258,7 +258,7 @@ class Samples(Stretch):
 
     @classmethod
     def received(cls, content: tuple[int, int, int, bytes], sequence: int) -> Self:
-        """The packet as the compiled scanner takes it apart. Its counts: int16, as in memory."""
+        """Make a packet of what the compiled scanner took apart. counts: int16, as in memory."""
         *marked, counts = content
         return cls._of(iter((*marked, np.frombuffer(counts, _INT16))), sequence=sequence)
 
@@ -308,7 +308,7 @@ def _check_packing(base: int, step: int) -> None:
 
 
 def _pack_12(values: NDArray[np.uint16]) -> bytes:
-    """Values below 4096, two in three bytes; the unused bits of the last byte are 0."""
+    """Put values below 4096 into bytes, two in three; the unused bits of the last byte are 0."""
     odd = values.size % 2
     pairs = np.append(values, np.zeros(odd, np.uint16)).reshape(-1, 2)
     low, high = pairs.T
@@ -317,7 +317,7 @@ def _pack_12(values: NDArray[np.uint16]) -> bytes:
 
 
 def _unpack_12(data: bytes) -> NDArray[np.uint16]:
-    """The inverse. Raises SpecError for a number of bytes that no values have."""
+    """Undo _pack_12. Raises SpecError for a number of bytes that no values have."""
     if len(data) % 3 == 1:
         raise SpecError(f"{len(data)} bytes of packed samples: 1.5 for each, rounded up")
     odd = len(data) % 3 // 2
@@ -496,12 +496,12 @@ Received: TypeAlias = Packet | OtherVersion | Rejected
 
 
 def _codes(name: str) -> str:
-    """The struct codes of a message and of those nested in it."""
+    """Return the struct codes of a message and of those nested in it."""
     return "".join(_codes(wire.code) if wire.code in FIELDS else wire.code for wire in FIELDS[name])
 
 
 def _checked(wire: Field, value: Any) -> Any:
-    """The value as the receiver will see it. Raises SpecError if the field cannot hold it."""
+    """Return a value as the receiver will see it. Raises SpecError if the field cannot hold it."""
     if wire.code in FIELDS:
         return value
     if wire.code == "f":
@@ -523,7 +523,7 @@ def _checked(wire: Field, value: Any) -> Any:
 
 
 def _whole(name: str, seconds: float, per_second: int, unit: str) -> int:
-    """Seconds as a whole number of units. Raises SpecError if rounding would change the time."""
+    """Convert seconds to whole units. Raises SpecError if rounding would change the time."""
     count = round(seconds * per_second)
     if abs(seconds * per_second - count) > 1e-9 * count:  # more than float64 rounds
         raise SpecError(

@@ -39,7 +39,7 @@ class Counters:
 
     bytes: int = 0
     packets: int = 0
-    """With a correct CRC, including unknown and malformed ones."""
+    """Packets with a correct CRC, including unknown and malformed ones."""
     crc_errors: int = 0
     framing_errors: int = 0
     """Runs of bytes between two delimiters that are not COBS."""
@@ -89,28 +89,28 @@ class PacketParser:
 
     @property
     def counters(self) -> Counters:
-        """A snapshot."""
+        """Return a snapshot of all counters."""
         return Counters(**self.scanner.counts()) + self._refused
 
     @property
     def received(self) -> tuple[int, int]:
-        """Bytes and intact packets so far; cheaper than all counters."""
+        """Return the bytes and intact packets so far; cheaper than all counters."""
         counts = self.scanner.counts()
         return counts["bytes"], counts["packets"]
 
     def feed(self, data: bytes) -> list[Received]:
-        """The packets that these bytes complete."""
+        """Return the packets that these bytes complete."""
         received = [self.interpret(*found) for found in self.scanner.feed(data)]
         return [packet for packet in received if packet is not None]
 
     def skip(self) -> None:
-        """Bytes were left out here: the packet that they belonged to is lost, not broken."""
+        """Note that bytes were left out here: the packet that they are of is lost, not broken."""
         self.scanner.skip()
 
     def interpret(
         self, type_byte: int, sequence: int, payload: bytes | SampleBytes
     ) -> Received | None:
-        """The packet of an intact body; Rejected for a command that cannot be used."""
+        """Make the packet of an intact body; Rejected for a command that cannot be used."""
         if isinstance(payload, tuple):
             return Samples.received(payload, sequence)
         kind = PACKETS.get(type_byte)
@@ -153,11 +153,11 @@ class Scanner:
         return {name: getattr(seen, name) for name in _COUNTERS}
 
     def held(self) -> int:
-        """Bytes of an incomplete packet that are held back."""
+        """Return the bytes of an incomplete packet that are held back."""
         return len(self._partial)
 
     def feed(self, data: bytes) -> list[Found]:
-        """Type, sequence and payload of the packets that these bytes complete."""
+        """Return type, sequence and payload of the packets that these bytes complete."""
         self._seen.bytes += len(data)
         *runs, rest = data.split(b"\0")
         if runs and self._partial:
@@ -247,14 +247,14 @@ class PacketWriter:
         self.sequence = sequence
 
     def encode(self, packet: Packet) -> bytes:
-        """The bytes of the next packet, delimiter included."""
+        """Return the bytes of the next packet, delimiter included."""
         header = _HEADER.pack(packet.TYPE, self.sequence % SEQUENCES)
         self.sequence = (self.sequence + 1) % SEQUENCES
         return wrap(header + packet.pack())
 
 
 def diagnose(counters: Counters) -> str:
-    """The likely cause, for the person at the bench, when no INFO has come."""
+    """Tell the likely cause, for the person at the bench, when no INFO has come."""
     if counters.packets:
         return "packets arrive, but no description of the digitizer (INFO)"
     if not counters.bytes:
@@ -265,7 +265,7 @@ def diagnose(counters: Counters) -> str:
 
 
 def wrap(body: bytes) -> bytes:
-    """A body as it travels: with its CRC, COBS-encoded, delimited."""
+    """Make a body ready to travel: with its CRC, COBS-encoded, delimited."""
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 
@@ -279,7 +279,7 @@ _RESIDUE = 0x2144DF1C
 """The CRC-32 of any bytes that are followed by their own CRC-32."""
 _COMMAND_BIT = 0x80
 _NEVER, _MISSING = -1, -2
-"""In place of a CRC: never received; counted as lost."""
+"""Stand for the CRC of a packet that was never received, and of one that is counted as lost."""
 _MAX_RAW = (
     _HEADER.size
     + max(2 * MAX_SAMPLES + WIRE["Samples"].size, *(wire.size for wire in WIRE.values()))

@@ -104,7 +104,7 @@ class Port:
         return self._serial
 
     def read(self) -> tuple[bytes, float]:
-        """What has arrived, after waiting up to READ_TIMEOUT_S for a byte, or a whole packet.
+        """Return what has arrived; waits up to READ_TIMEOUT_S for a byte, or a whole packet.
 
         Returns the bytes (none after the time-out) and the host's monotonic time, s, just after
         they were read.
@@ -120,19 +120,19 @@ class Port:
 
     @property
     def file(self) -> int:
-        """Descriptor that bytes may be read from in place of read(); NO_FILE where there is none.
+        """Return the descriptor that bytes may be read from in place of read(); else NO_FILE.
 
         Raises OSError where the port is closed.
         """
         return int(self._serial.fileno()) if self._has_file else NO_FILE
 
     def lost(self, error: Exception) -> PortError:
-        """What to raise where reading has failed."""
+        """Make the error to raise where reading has failed."""
         return lost(self.url, "reading", error)
 
     @property
     def waiting(self) -> int:
-        """Bytes that have arrived and were not read; of a socket only whether there are any.
+        """Count the bytes that wait to be read; of a socket tell only whether there are any.
 
         A Linux tty reports 4095 at most, though more may wait behind them.
         """

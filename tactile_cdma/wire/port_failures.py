@@ -10,7 +10,7 @@ from ..base.errors import CaptureError, PortError, RecordingEndError, SpecError
 from .discovery import holders, in_words, is_serial, serial_ports
 
 TerminalError = termios.error
-"""Not an OSError, and pyserial lets it through."""
+"""Error of termios, which is no OSError, and which pyserial lets through."""
 SOCKET = "socket://"
 """Begins the URLs of ports on another machine."""
 NO_HOST = f"host and port (1…65535) are not named, as in {SOCKET}192.168.0.7:4000"
@@ -18,7 +18,7 @@ _NOT_SERIAL = (errno.ENOTTY, errno.EISDIR, errno.ENXIO)
 
 
 def why_not_open(error: Exception, device: str) -> str:
-    """Why a port did not open, and what to do about it."""
+    """Tell why a port did not open, and what to do about it."""
     if isinstance(error, SpecError | CaptureError):  # an option of sim://, the file of replay://
         return str(error)
     code = error.args[0] if isinstance(error, TerminalError) else getattr(error, "errno", None)
@@ -49,7 +49,7 @@ def why_not_open(error: Exception, device: str) -> str:
 
 
 def is_remote(url: str) -> bool:
-    """Whether a port is on another machine, where it may take seconds to open.
+    """Tell whether a port is on another machine, where it may take seconds to open.
 
     Raises PortError where a URL of such a port does not name host and port.
     """
@@ -61,7 +61,7 @@ def is_remote(url: str) -> bool:
 
 
 def lost(url: str, doing: str, error: Exception) -> PortError:
-    """The error to raise for one that reading or writing raised."""
+    """Make the error to raise for one that reading or writing raised."""
     if isinstance(error, RecordingEndError):
         return error
     if isinstance(error, CaptureError):  # the file of replay:// was taken away

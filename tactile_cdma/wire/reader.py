@@ -8,13 +8,13 @@ import select
 from ..base import kernel
 
 NO_FILE = -1
-"""In place of a descriptor: of a port that has none."""
+"""Stands for the descriptor of a port that has none."""
 READ_SIZE = 65_536
 """Bytes that one read takes at most; chosen well above the 4 kB that a Linux tty gives at once."""
 
 
 def numpy_read(file: int, timeout_ms: int) -> tuple[bytes, bool]:
-    """What has arrived, after waiting for a byte; none after the time-out.
+    """Return what has arrived, after a wait for a byte; nothing after the time-out.
 
     Also whether it had been there already, so may have come long before. Raises OSError where
     nothing can be read any more.

@@ -16,7 +16,7 @@ class Device(Protocol):
 
     @property
     def pending(self) -> int:
-        """Bytes that take() can return now."""
+        """Count the bytes that take() can return now."""
 
     def advance(self, wanted: int) -> float:
         """Make pending what is due by now; a device without a pace of its own, `wanted` bytes.
@@ -49,13 +49,13 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
 
     @abstractmethod
     def _made(self, url: str) -> AnyDevice:
-        """The device that a URL describes."""
+        """Make the device that a URL describes."""
 
     def _receive(self, device: AnyDevice, data: bytes) -> None:
         """Handle what was written; by default it is ignored."""
 
     def _has_ended(self, device: AnyDevice, data: bytes) -> bool:
-        """Whether read() has to return these bytes without waiting for more. May raise."""
+        """Tell whether read() has to return these bytes without waiting for more. May raise."""
         return False
 
     def open(self) -> None:
@@ -104,7 +104,7 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
         return len(sent)
 
     def flush(self) -> None:
-        """Nothing waits: what is written is received at once."""
+        """Do nothing: what is written is received at once."""
         self._opened()
 
     reset_output_buffer = flush
@@ -115,6 +115,6 @@ class VirtualPort(SerialBase, Generic[AnyDevice]):
         return self._device
 
     def _reconfigure_port(self) -> None:
-        """SerialBase calls this, and the following, when a setting changes."""
+        """Do nothing: SerialBase calls this, and the following, when a setting changes."""
 
     _update_rts_state = _update_dtr_state = _update_break_state = _reconfigure_port
