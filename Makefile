@@ -29,7 +29,7 @@
 # make fuzz    hostile inputs to every reader of data: COUNT=1000000 for Python and for each C harness
 # make dist    sdist and wheel of this processor, in dist/, installed in empty environments; needs no .venv
 # make audit   known advisories for installed packages; upper bounds and lock files of requirements
-# make lint    ruff, mypy and import-linter;  make clean: remove .venv and build products
+# make lint    ruff, mypy, import-linter and lizard;  make clean: remove .venv and build products
 # DISTRO=kilted with any of these: ROS 2 Kilted instead of Jazzy, in .venv-kilted
 
 PYTHON ?= python3
@@ -108,11 +108,17 @@ all-tests:
 	@"$(BIN)/python" -m pytest --collect-only -qq >/dev/null || true
 	@unset MAKEFLAGS; "$(BIN)/python" -m pytest $(PYTEST)
 
+# Limits of C are those that pyproject.toml gives ruff: ten paths through a function (`&&` makes none) and eight arguments.
+LINT_C = --languages c --extension nonstrict --extension mccabe --CCN 10 --arguments 8 --warnings_only
+# Kernel files that are being rewritten, and are looked at from then on.
+REWRITTEN = burst fit gap judge marked_frame module module_frames module_stream readout words
+
 lint: setup
 	@"$(BIN)/ruff" check .
 	@"$(BIN)/ruff" format --check --quiet .
 	@"$(BIN)/mypy"
 	@"$(BIN)/lint-imports" --no-logo --no-cache
+	@"$(BIN)/lizard" $(LINT_C) $(REWRITTEN:%=-x "kernel/%.c") kernel firmware/core firmware/node firmware/digitizer
 
 mutants: setup
 	@"$(BIN)/python" tools/mutants.py --since "$(SINCE)" --count $(if $(filter command%,$(origin COUNT)),$(COUNT),24) --core $(CORE)

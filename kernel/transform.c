@@ -60,6 +60,22 @@ static void transpose(const float *from, size_t from_step, float *to, size_t to_
     memcpy(to + 3 * to_step, &d, sizeof d);
 }
 
+/* Copies four neighbouring columns, which begin at `from`, scaled, to `column` and the next ones. */
+static void gather_four(float (*inputs)[COLUMNS], size_t column, const float *from,
+                        const struct dense *dense, float scale)
+{
+    size_t order = dense->order, stride = dense->stride;
+
+    if (stride == 1) {
+        for (size_t i = 0; i < order; i += 4)
+            transpose(from + i, order, inputs[i] + column, COLUMNS, scale);
+        return;
+    }
+    for (size_t i = 0; i < order; i++, from += stride)
+        for (size_t j = 0; j < 4; j++)
+            inputs[i][column + j] = from[j] * scale;
+}
+
 /* Copies up to COLUMNS columns from the place of the first on, scaled, so that they lie side by side;
  * the others are left 0. Columns are those of the inputs of a dense factor: at stride 1 each is
  * contiguous, at others, which are multiples of 4, four neighbours are. */
@@ -79,15 +95,7 @@ static void gather(float (*inputs)[COLUMNS], const float *from, const struct den
     }
     for (; column + 4 <= number; column += 4) {
         size_t place = first + column;
-        const float *four = from + place / stride * stride * order + place % stride;
-        if (stride == 1) {
-            for (size_t i = 0; i < order; i += 4)
-                transpose(four + i, order, inputs[i] + column, COLUMNS, scale);
-        } else {
-            for (size_t i = 0; i < order; i++, four += stride)
-                for (size_t j = 0; j < 4; j++)
-                    inputs[i][column + j] = four[j] * scale;
-        }
+        gather_four(inputs, column, from + place / stride * stride * order + place % stride, dense, scale);
     }
     for (; column < number; column++)
         for (size_t i = 0; i < order; i++)
@@ -171,26 +179,31 @@ static uint8_t *taken_sums(size_t order, const int8_t *matrix)
     return sums;
 }
 
+/* Chooses the way to multiply; lanes: 0 for the most. */
 static bool choose(struct transform *transform, unsigned lanes)
 {
-    bool sylvester = transform->inner == 1;
-
-    if (lanes == 0) {
-        lanes = transform_lanes();
-        while (sylvester && lanes > transform->order)
-            lanes /= lanes == 8 ? 2 : 4;
-    }
-    if (lanes > transform_lanes() || (sylvester && lanes > transform->order))
-        return false;
-    if (lanes == 1)
-        transform->multiply = sylvester ? multiply_sylvester_1 : multiply_product_1;
-    else if (lanes == 4)
-        transform->multiply = sylvester ? multiply_sylvester_4 : multiply_product_4;
+    static const struct {
+        unsigned lanes;
+        void (*sylvester)(const struct transform *, const float *, float *, size_t);
+        void (*product)(const struct transform *, const float *, float *, size_t);
+    } ways[] = {
 #if defined(HAS_AVX2)
-    else if (lanes == 8)
-        transform->multiply = sylvester ? multiply_sylvester_8 : multiply_product_8;
+        {8, multiply_sylvester_8, multiply_product_8},
 #endif
-    return transform->multiply != NULL;
+        {4, multiply_sylvester_4, multiply_product_4},
+        {1, multiply_sylvester_1, multiply_product_1},
+    };
+    bool sylvester = transform->inner == 1;
+    size_t most = sylvester ? transform->order : transform_lanes();
+
+    for (size_t i = 0; i < sizeof ways / sizeof *ways; i++) {
+        bool is_able = ways[i].lanes <= transform_lanes() && ways[i].lanes <= most;
+        if (is_able && (lanes == 0 || lanes == ways[i].lanes)) {
+            transform->multiply = sylvester ? ways[i].sylvester : ways[i].product;
+            return true;
+        }
+    }
+    return false;
 }
 
 struct transform *transform_new(unsigned twos, size_t count, const size_t *orders,

@@ -168,6 +168,18 @@ TARGET INLINE void NAMED(add_up)(float (*inputs)[COLUMNS], float (*sums)[16][COL
     }
 }
 
+/* Four outputs as they are, or 0 before the first sums. */
+TARGET INLINE void NAMED(sums_so_far)(lanes (*x)[COLUMNS / LANES], float (*outputs)[COLUMNS], bool none,
+                                      unsigned width)
+{
+    UNROLL
+    for (unsigned i = 0; i < 4; i++) {
+        UNROLL
+        for (unsigned v = 0; v < width / LANES; v++)
+            x[i][v] = none ? (lanes){0} : NAMED(load)(outputs[i] + v * LANES);
+    }
+}
+
 /* One dense factor times `width` columns. */
 TARGET INLINE void NAMED(dense_columns)(const struct dense *dense, float (*inputs)[COLUMNS],
                                         float (*outputs)[COLUMNS], unsigned width)
@@ -181,12 +193,7 @@ TARGET INLINE void NAMED(dense_columns)(const struct dense *dense, float (*input
         for (size_t j = 0; j < order; j += 4) {
             const uint8_t *taken = dense->sums + first * order + j;
             lanes x[4][COLUMNS / LANES];
-            UNROLL
-            for (unsigned i = 0; i < 4; i++) {
-                UNROLL
-                for (unsigned v = 0; v < width / LANES; v++)
-                    x[i][v] = first ? NAMED(load)(outputs[j + i] + v * LANES) : (lanes){0};
-            }
+            NAMED(sums_so_far)(x, outputs + j, first == 0, width);
             NO_UNROLL
             for (size_t group = 0; group < groups; group++, taken += order) {
                 UNROLL

@@ -83,6 +83,24 @@ class _Reader:
 
     def sheet(self, tree: Item, path: str, above: tuple[Path, ...] = ()) -> None:
         """Take in a sheet, and those in it. above: files that it is in."""
+        self._take_wires(tree, path)
+        for component, item, definition in components(tree, path):
+            self.components[component.reference] = component
+            for number, _, at in _pins(definition):
+                terminal = (component.reference, number)
+                self.terminals.append(terminal)
+                self._join((path, _placed(at, item.one("at"))), terminal)
+        for item, definition in _symbols(tree):
+            if any(definition.all("power")):
+                self._take_power(item, definition, path)
+        for child in tree.all("sheet"):
+            file = tree.file.parent / child.field("Sheetfile")
+            if file in (above := (*above, tree.file)):
+                raise child.error("it is within itself")
+            self.sheet(load(file), f"{path}/{child.one('uuid').text()}", above)
+
+    def _take_wires(self, tree: Item, path: str) -> None:
+        """Join what wires, junctions and labels of a sheet join."""
         wires = [_ends(wire) for wire in tree.all("wire")]
         for begin, end in wires:
             self._join((path, begin), (path, end))
@@ -95,22 +113,12 @@ class _Reader:
             for begin, end in wires:
                 if _on(at, begin, end):
                     self._join((path, at), (path, begin))
-        for component, item, definition in components(tree, path):
-            self.components[component.reference] = component
-            for number, _, at in _pins(definition):
-                terminal = (component.reference, number)
-                self.terminals.append(terminal)
-                self._join((path, _placed(at, item.one("at"))), terminal)
-        for item, definition in _symbols(tree):
-            if any(definition.all("power")):
-                for _, name, at in _pins(definition):
-                    if name != "PWR_FLAG":
-                        self._name(item.field("Value"), (path, _placed(at, item.one("at"))))
-        for child in tree.all("sheet"):
-            file = tree.file.parent / child.field("Sheetfile")
-            if file in (above := (*above, tree.file)):
-                raise child.error("it is within itself")
-            self.sheet(load(file), f"{path}/{child.one('uuid').text()}", above)
+
+    def _take_power(self, item: Item, definition: Item, path: str) -> None:
+        """Name the net of a power symbol."""
+        for _, name, at in _pins(definition):
+            if name != "PWR_FLAG":
+                self._name(item.field("Value"), (path, _placed(at, item.one("at"))))
 
     def netlist(self) -> Netlist:
         nets: dict[Any, set[Terminal]] = {}

@@ -64,12 +64,6 @@ void dg_stop(struct dg *dg)
     dg->running = dg->begun = false;
 }
 
-static void start(struct dg *dg)
-{
-    dg_stop(dg);
-    dg->running = dg->restarted = true;
-}
-
 static bool nodes_know(const struct dg_board *board, const struct tp_frame_layout *asked)
 {
     struct tp_frame_layout theirs;
@@ -81,7 +75,7 @@ static bool nodes_know(const struct dg_board *board, const struct tp_frame_layou
     return memcmp(&theirs, asked, sizeof theirs) == 0;
 }
 
-static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
+static enum tp_result set_up(struct dg *dg, const struct tp_configure *asked)
 {
     struct setup setup;
 
@@ -96,69 +90,99 @@ static enum tp_result configure(struct dg *dg, const struct tp_configure *asked)
     return TP_RESULT_OK;
 }
 
-static enum tp_result divide(struct dg *dg, const struct tp_groups *asked)
+/* Commands. payload: as large as the table below says. */
+
+static enum tp_result get_info(struct dg *dg, const uint8_t *payload)
 {
-    if (!tp_groups_in_range(asked))
+    (void)dg, (void)payload; /* the answer is followed by INFO */
+    return TP_RESULT_OK;
+}
+
+static enum tp_result start(struct dg *dg, const uint8_t *payload)
+{
+    (void)payload;
+    dg_stop(dg);
+    dg->running = dg->restarted = true;
+    return TP_RESULT_OK;
+}
+
+static enum tp_result stop(struct dg *dg, const uint8_t *payload)
+{
+    (void)payload;
+    dg_stop(dg);
+    return TP_RESULT_OK;
+}
+
+static enum tp_result pack(struct dg *dg, const uint8_t *payload)
+{
+    (void)payload;
+    dg->stream.packs = true;
+    return TP_RESULT_OK;
+}
+
+static enum tp_result configure(struct dg *dg, const uint8_t *payload)
+{
+    struct tp_configure asked;
+
+    memcpy(&asked, payload, sizeof asked);
+    return set_up(dg, &asked);
+}
+
+static enum tp_result divide(struct dg *dg, const uint8_t *payload)
+{
+    struct tp_groups asked;
+
+    memcpy(&asked, payload, sizeof asked);
+    if (!tp_groups_in_range(&asked))
         return TP_RESULT_OUT_OF_RANGE;
     if (!dg->running || dg->board->layout || !setup_has_turns(&dg->setup))
         return TP_RESULT_UNSUPPORTED;
-    pulses_divide(&dg->pulses, asked->log2_groups);
+    pulses_divide(&dg->pulses, asked.log2_groups);
     return TP_RESULT_OK;
 }
 
-static enum tp_result number(struct dg *dg, const struct tp_number *asked)
+static enum tp_result number(struct dg *dg, const uint8_t *payload)
 {
-    if (!tp_number_in_range(asked))
+    struct tp_number asked;
+
+    memcpy(&asked, payload, sizeof asked);
+    if (!tp_number_in_range(&asked))
         return TP_RESULT_OUT_OF_RANGE;
     if (!dg->running || dg->board->layout || !setup_has_numbers(&dg->setup))
         return TP_RESULT_UNSUPPORTED;
-    pulses_number(&dg->pulses, asked->number, asked->forget);
+    pulses_number(&dg->pulses, asked.number, asked.forget);
     return TP_RESULT_OK;
 }
 
-/* Executes the command just read. */
+static const struct {
+    uint8_t type;
+    size_t payload_size;
+    enum tp_result (*obey)(struct dg *dg, const uint8_t *payload);
+} commands[] = {
+    {TP_GET_INFO, 0, get_info},
+    {TP_START, 0, start},
+    {TP_STOP, 0, stop},
+    {TP_PACK, 0, pack},
+    {TP_CONFIGURE, sizeof(struct tp_configure), configure},
+    {TP_GROUPS, sizeof(struct tp_groups), divide},
+    {TP_NUMBER, sizeof(struct tp_number), number},
+};
+
+/* Executes the command just read; those that are none of the table's are the board's. */
 static enum tp_result obey(struct dg *dg)
 {
-    uint8_t type = dg->reader.header.type;
-    struct tp_configure asked;
-    struct tp_groups groups;
-    struct tp_number named;
+    const struct packet_reader *reader = &dg->reader;
 
-    switch (type) {
-    case TP_GET_INFO:
-    case TP_START:
-    case TP_STOP:
-    case TP_PACK:
-        if (dg->reader.payload_size != 0)
+    for (size_t i = 0; i < sizeof commands / sizeof *commands; i++) {
+        if (commands[i].type != reader->header.type)
+            continue;
+        if (commands[i].payload_size != reader->payload_size)
             return TP_RESULT_BAD_LENGTH;
-        break;
-    case TP_CONFIGURE:
-        if (dg->reader.payload_size != sizeof asked)
-            return TP_RESULT_BAD_LENGTH;
-        memcpy(&asked, dg->reader.payload, sizeof asked);
-        return configure(dg, &asked);
-    case TP_GROUPS:
-        if (dg->reader.payload_size != sizeof groups)
-            return TP_RESULT_BAD_LENGTH;
-        memcpy(&groups, dg->reader.payload, sizeof groups);
-        return divide(dg, &groups);
-    case TP_NUMBER:
-        if (dg->reader.payload_size != sizeof named)
-            return TP_RESULT_BAD_LENGTH;
-        memcpy(&named, dg->reader.payload, sizeof named);
-        return number(dg, &named);
-    default:
-        return dg->board->command
-                   ? dg->board->command(type, dg->reader.payload, dg->reader.payload_size)
-                   : TP_RESULT_UNKNOWN_COMMAND;
+        return commands[i].obey(dg, reader->payload);
     }
-    if (type == TP_START)
-        start(dg);
-    else if (type == TP_STOP)
-        dg_stop(dg);
-    else if (type == TP_PACK)
-        dg->stream.packs = true;
-    return TP_RESULT_OK;
+    return dg->board->command
+               ? dg->board->command(reader->header.type, reader->payload, reader->payload_size)
+               : TP_RESULT_UNKNOWN_COMMAND;
 }
 
 static void answer(struct dg *dg)
@@ -186,7 +210,7 @@ void dg_init(struct dg *dg, const struct dg_board *board, uint8_t *output, size_
     dg->report_us = now_us;
     packet_writer_init(&dg->writer, output, output_size);
     stream_init(&dg->stream, &dg->pulses, &dg->writer, (uint16_t *)samples, sample_capacity);
-    configure(dg, &setup_default);
+    set_up(dg, &setup_default);
 }
 
 void dg_receive(struct dg *dg, const uint8_t *bytes, size_t size, uint64_t now_us)

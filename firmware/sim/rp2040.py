@@ -241,15 +241,7 @@ class Rp2040:
         elif kind == "S":
             self._usb += payload[8:]
         elif kind == "P":
-            now_ns, pin, level = struct.unpack("<dBB", payload)
-            if pin == PIN_LED:
-                self.led = level == 1
-            elif pin == PIN_SYNC:
-                was_high, self._is_sync_high = self._is_sync_high, level == 1
-                if self._on_sync is not None and was_high != self._is_sync_high:
-                    self._on_sync(now_ns, self._is_sync_high)
-            elif self._on_pin is not None:
-                self._on_pin(now_ns, pin, level)
+            self._note_pin(*struct.unpack("<dBB", payload))
         elif kind == "D":
             told = struct.unpack("<dd?ddd", payload)
             self._now_ns, self.cycles, self.is_drive, self.late_packets = told[:4]
@@ -261,6 +253,17 @@ class Rp2040:
         else:
             raise EmulatorError(f"message {kind!r} of the emulator is not known")
         return kind
+
+    def _note_pin(self, now_ns: float, pin: int, level: int) -> None:
+        """Take in a change of a pin: 0 low, 1 high, 2 released."""
+        if pin == PIN_LED:
+            self.led = level == 1
+        elif pin == PIN_SYNC:
+            was_high, self._is_sync_high = self._is_sync_high, level == 1
+            if self._on_sync is not None and was_high != self._is_sync_high:
+                self._on_sync(now_ns, self._is_sync_high)
+        elif self._on_pin is not None:
+            self._on_pin(now_ns, pin, level)
 
     def _answer(self, now_ns: float, period_ns: float, stays_ns: float) -> None:
         """Send the line's counts at a conversion and at those before the sync line may change."""

@@ -81,15 +81,19 @@ class Parameter:
                 f"got {_shown(value)} ({type(value).__name__})"
             )
         assert isinstance(value, bool | int | float | str | tuple)
-        if isinstance(value, tuple):
-            assert isinstance(self.default, tuple)
-            if len(value) != len(self.default):
-                raise ParameterError(
-                    f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
-                )
-            element = partial(replace, self, default=0.0)
-            checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
-            return tuple(checked)
+        return self._checked_list(value) if isinstance(value, tuple) else self._within(value)
+
+    def _checked_list(self, value: tuple[object, ...]) -> Value:
+        assert isinstance(self.default, tuple)
+        if len(value) != len(self.default):
+            raise ParameterError(
+                f"{self.name} is {_shown(value)}; it must be {len(self.default)} numbers"
+            )
+        element = partial(replace, self, default=0.0)
+        checked: Any = [element(name=f"{self.name}[{i}]").check(v) for i, v in enumerate(value)]
+        return tuple(checked)
+
+    def _within(self, value: bool | int | float | str) -> Value:
         if self.choices and value not in self.choices:
             raise ParameterError(
                 f"{self.name} is {_shown(value)}; it must be one of "

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
@@ -165,40 +167,54 @@ def contradiction(info: Info, config: SkinConfig) -> str | None:
     """Why this digitizer's stream cannot be decoded with these parameters, or None."""
     if wrong := config.refusal(info.digitizer_id):
         return wrong
-    if not (info.volts_per_count > 0 and info.min_count < info.max_count):
-        return (
-            f"the digitizer describes no voltages: {info.volts_per_count:g} V per count, counts "
-            f"{info.min_count} to {info.max_count}"
-        )
-    samples_per_chip = info.sample_rate_hz * config.spec.chip_s
-    if samples_per_chip > MAX_SAMPLES_PER_CHIP:
-        return (
-            f"the digitizer sends {samples_per_chip:.3g} samples per chip; "
-            f"{MAX_SAMPLES_PER_CHIP} at most are taken"
-        )
-    samples = samples_per_chip * config.spec.span_chips
-    if samples > MAX_FRAME_SAMPLES:
-        return (
-            f"a frame has {samples:.3g} samples, {samples_per_chip:.3g} per chip; "
-            f"{MAX_FRAME_SAMPLES:,} at most are taken: have the digitizer send fewer"
-        )
-    if info.integrated != (abs(samples_per_chip - 1) < 0.01):
-        return (
-            f"the digitizer says it sends {'chip means' if info.integrated else 'raw samples'}, "
-            f"but {samples_per_chip:.3g} per chip"
-        )
-    if config.timing != GAP and info.sync_mode == SyncMode.NONE:
-        remedy = "connect the sync wire"
-        if not config.spec.sparse:
-            remedy = f"set timing to 'gap', or {remedy}"
-        return f"the digitizer marks no frame starts but timing is 'line': {remedy}"
-    if config.timing == GAP and info.integrated:
-        return "the digitizer sends one mean per chip, timing 'gap' needs raw samples"
-    if config.spec.amplitude_v is not None and info.quiet_uv > (most_uv := quiet_uv(config.spec)):
-        return (
-            f"the digitizer leaves out frames whose samples differ by up to {info.quiet_uv} µV, in "
-            f"which nodes may have spoken: {most_uv} µV at most"
-        )
+    wrongs = (text for is_wrong, text in _contradictions(info, config) if is_wrong)
+    return next(wrongs, None) or _difference(info, config)
+
+
+def _contradictions(info: Info, config: SkinConfig) -> Iterator[tuple[bool, str]]:
+    """What cannot be decoded: whether it is so, and what to say of it."""
+    spec, by_gaps = config.spec, config.timing == GAP
+    yield (
+        not (info.volts_per_count > 0 and info.min_count < info.max_count),
+        f"the digitizer describes no voltages: {info.volts_per_count:g} V per count, counts "
+        f"{info.min_count} to {info.max_count}",
+    )
+    per_chip = info.sample_rate_hz * spec.chip_s
+    yield (
+        per_chip > MAX_SAMPLES_PER_CHIP,
+        f"the digitizer sends {per_chip:.3g} samples per chip; {MAX_SAMPLES_PER_CHIP} at most are "
+        "taken",
+    )
+    samples = per_chip * spec.span_chips
+    yield (
+        samples > MAX_FRAME_SAMPLES,
+        f"a frame has {samples:.3g} samples, {per_chip:.3g} per chip; {MAX_FRAME_SAMPLES:,} at "
+        "most are taken: have the digitizer send fewer",
+    )
+    yield (
+        info.integrated != (abs(per_chip - 1) < 0.01),
+        f"the digitizer says it sends {'chip means' if info.integrated else 'raw samples'}, but "
+        f"{per_chip:.3g} per chip",
+    )
+    remedy = "" if spec.sparse else "set timing to 'gap', or "
+    yield (
+        not by_gaps and info.sync_mode == SyncMode.NONE,
+        f"the digitizer marks no frame starts but timing is 'line': {remedy}connect the sync wire",
+    )
+    yield (
+        by_gaps and info.integrated,
+        "the digitizer sends one mean per chip, timing 'gap' needs raw samples",
+    )
+    most_uv = math.inf if spec.amplitude_v is None else quiet_uv(spec)
+    yield (
+        info.quiet_uv > most_uv,
+        f"the digitizer leaves out frames whose samples differ by up to {info.quiet_uv} µV, in "
+        f"which nodes may have spoken: {most_uv} µV at most",
+    )
+
+
+def _difference(info: Info, config: SkinConfig) -> str | None:
+    """Where the digitizer's layout of a frame is not that of the parameters, or None."""
     theirs, ours = info.frame, FrameLayout.of(config.spec, config.samples_per_chip)
     # A digitizer may sample faster or slower than asked: its rate is in INFO and is what counts.
     aside = {"samples_per_chip"} | ({"sign_seed"} if ours.signs == Signs.NATURAL else set())

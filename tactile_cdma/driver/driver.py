@@ -213,29 +213,31 @@ class Driver:
                 last, t_host = self._next(port, file, timeout_ms)
                 if last:
                     age_s, heard_s = t_host - last.t_host, t_host
-                if last and self.problem:
-                    self._report(None)
-                if last and t_host < look_s:
-                    continue
+                    if self.problem:
+                        self._report(None)
+                    if t_host < look_s:
+                        continue
                 if t_host >= look_s:
                     waiting_bytes = port.waiting
                     self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
                     if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
-                        with self._busy:
-                            for frame in pipeline.drain():
-                                self._hand_on(frame, t_host)
-                            pipeline.skipped(port.skip())
+                        self._catch_up(port, t_host)
                 if request := session.watch(pipeline, t_host, heard_s):
                     port.write(request)
-                    if session.problem:
-                        self._report(session.problem)
-                timeout_ms = READ_TIMEOUT_MS
-                if (left_s := session.deadline_s - t_host) > 0:
-                    timeout_ms = min(timeout_ms, math.ceil(1e3 * left_s))
+                    self._report(session.problem or self.problem)
+                left_ms = math.ceil(1e3 * max(0.0, session.deadline_s - t_host))
+                timeout_ms = min(left_ms or READ_TIMEOUT_MS, READ_TIMEOUT_MS)
         finally:
             if self._stop.is_set():
                 port.write(session.close())
+
+    def _catch_up(self, port: Port, t_host: float) -> None:
+        """Decode what was read, and skip what waits at the port."""
+        with self._busy:
+            for frame in self.pipeline.drain():
+                self._hand_on(frame, t_host)
+            self.pipeline.skipped(port.skip())
 
     def _next(self, port: Port, file: int, timeout_ms: int) -> tuple[TactileFrame | None, float]:
         """Go on to what comes next: a frame that was handed on, if it is one; when it was read.

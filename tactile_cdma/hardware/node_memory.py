@@ -149,60 +149,19 @@ def node_memory(
     """
     if mcu not in MCUS:
         raise SpecError(f"mcu is {mcu!r}; it must be one of {', '.join(MCUS)}")
-    board = MCUS[mcu]
-    check_limits("node", node, 1, spec.nodes, "nodes are counted from 1")
-    check_limits("threshold", threshold, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
     if heartbeat is None:
         heartbeat = usual_heartbeat(spec.frame_period_s)
+    most_code, bits = 2**spec.bits - 1, f"codes have {spec.bits} bits"
+    check_limits("node", node, 1, spec.nodes, "nodes are counted from 1")
+    check_limits("threshold", threshold, 0, most_code, bits)
     check_limits("heartbeat", heartbeat, *_limits("heartbeat"), "a node counts frames in 16 bits")
-    if rest is not None:
-        check_limits("rest", rest, 0, 2**spec.bits - 1, f"codes have {spec.bits} bits")
+    check_limits("rest", rest or 0, 0, most_code, bits)
     check_limits("bits", spec.bits, *_limits("bits"), "a node's converter has 10 bits")
-    if spec.sparse and not board.sparse_chip_ns:
-        raise SpecError(
-            f"the {mcu}, with 8 kB of flash, has no sparse codes: take another, or set codes to "
-            "orthogonal"
-        )
-    if spec.sparse and spec.resync_chips and not board.bits_restart:
-        raise SpecError(
-            f"resync_chips is {spec.resync_chips}, but an {mcu} makes sparse codes without "
-            "restarts: set resync_chips and guard_chips to 0"
-        )
-    if not spec.sparse:
-        check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
     layout = FrameLayout.of(spec, samples_per_chip=1)  # whole nanoseconds and microseconds
+    _check_code(mcu, spec)
     _check_chip(layout.chip_ns, mcu, spec)
-    if board.bits_restart and spec.order % 2:
-        raise SpecError(
-            f"order is {spec.order}, but an {mcu}, which sends chips in octets, fills up the first "
-            "one by pairs: set order to an even number"
-        )
-    least_guard = math.ceil(board.restart_s / spec.chip_s - 1e-9)
-    if board.bits_restart and spec.resync_chips != spec.order:
-        raise SpecError(
-            f"resync_chips is {spec.resync_chips}, but an {mcu}, whose chips follow its own clock, "
-            f"starts anew at every bit: set resync_chips to {spec.order} and guard_chips to "
-            f"{least_guard} or more in the parameter file"
-        )
-    shortest_ms, longest_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
-    period_ms = layout.frame_period_us / 1e3
-    check_limits(
-        "frame_period_ms", period_ms, shortest_ms, longest_ms, "a node times the sync edges"
-    )
-    gap_s = spec.frame_period_s - spec.frame_s
-    if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
-        raise SpecError(
-            f"the gap after a frame lasts {gap_s * 1e3:g} ms, but a node takes "
-            f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_ms must be at least "
-            f"{(spec.frame_s + MEASURING_S) * 1e3:g}"
-        )
-    guard_s = spec.guard_chips * spec.chip_s
-    if spec.span_chips > spec.chips and guard_s < board.restart_s * (1 - 1e-9):
-        raise SpecError(
-            f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
-            f"takes at least {least_guard} of {spec.chip_s * 1e6:g} µs: set guard_chips to that in "
-            "the parameter file"
-        )
+    _check_restarts(mcu, spec)
+    _check_period(layout.frame_period_us, spec)
     digits = code_digits(spec.nodes, spec.order) if spec.sparse else 0
     record = NodeRecord(
         node=node,
@@ -217,14 +176,16 @@ def node_memory(
         heartbeat=heartbeat,
         turn=(node - 1) * heartbeat // spec.nodes,
     )
-    if digits:
-        octets = _first_octets(record.row, digits)
-    else:
-        (chips,) = spec.book.rows([record.row])
-        filled = np.take(chips > 0, np.arange(-(-spec.order % 8), spec.order), mode="wrap")
-        octets = np.packbits(filled, bitorder="little").tobytes()
+    octets = _first_octets(record.row, digits) if digits else _row_octets(record.row, spec)
     body = record.pack() + octets
     return body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")
+
+
+def _row_octets(row: int, spec: FrameSpec) -> bytes:
+    """The chips of a row, of which the last one ends an octet."""
+    (chips,) = spec.book.rows([row])
+    filled = np.take(chips > 0, np.arange(-(-spec.order % 8), spec.order), mode="wrap")
+    return np.packbits(filled, bitorder="little").tobytes()
 
 
 def _first_octets(number: int, digits: int) -> bytes:
@@ -233,6 +194,63 @@ def _first_octets(number: int, digits: int) -> bytes:
         digit = number >> t ^ sum(number >> t + tap for tap in TAPS[digits])
         number |= (digit & 1) << t + digits
     return number.to_bytes(digits, "little")
+
+
+def _check_code(mcu: str, spec: FrameSpec) -> None:
+    """Raises SpecError for a code that this board cannot make."""
+    board = MCUS[mcu]
+    if spec.sparse and not board.sparse_chip_ns:
+        raise SpecError(
+            f"the {mcu}, with 8 kB of flash, has no sparse codes: take another, or set codes to "
+            "orthogonal"
+        )
+    if spec.sparse and spec.resync_chips and not board.bits_restart:
+        raise SpecError(
+            f"resync_chips is {spec.resync_chips}, but an {mcu} makes sparse codes without "
+            "restarts: set resync_chips and guard_chips to 0"
+        )
+    if not spec.sparse:
+        check_limits("order", spec.order, 1, board.order, f"the {mcu} holds no longer code row")
+
+
+def _check_restarts(mcu: str, spec: FrameSpec) -> None:
+    """Raises SpecError for restarts within the frame that this board does not make, or lacks."""
+    board = MCUS[mcu]
+    if board.bits_restart and spec.order % 2:
+        raise SpecError(
+            f"order is {spec.order}, but an {mcu}, which sends chips in octets, fills up the first "
+            "one by pairs: set order to an even number"
+        )
+    least_guard = math.ceil(board.restart_s / spec.chip_s - 1e-9)
+    if board.bits_restart and spec.resync_chips != spec.order:
+        raise SpecError(
+            f"resync_chips is {spec.resync_chips}, but an {mcu}, whose chips follow its own clock, "
+            f"starts anew at every bit: set resync_chips to {spec.order} and guard_chips to "
+            f"{least_guard} or more in the parameter file"
+        )
+    guard_s = spec.guard_chips * spec.chip_s
+    if spec.span_chips > spec.chips and guard_s < board.restart_s * (1 - 1e-9):
+        raise SpecError(
+            f"guard_chips is {spec.guard_chips}, but to start anew within the frame a node "
+            f"takes at least {least_guard} of {spec.chip_s * 1e6:g} µs: set guard_chips to that in "
+            "the parameter file"
+        )
+
+
+def _check_period(frame_period_us: int, spec: FrameSpec) -> None:
+    """Raises SpecError for a period that a node cannot time, or in which it cannot measure."""
+    shortest_ms, longest_ms = (limit / 1e3 for limit in _limits("frame_period_us"))
+    period_ms = frame_period_us / 1e3
+    check_limits(
+        "frame_period_ms", period_ms, shortest_ms, longest_ms, "a node times the sync edges"
+    )
+    gap_s = spec.frame_period_s - spec.frame_s
+    if gap_s < MEASURING_S * (1 - 1e-9):  # rounding of the difference
+        raise SpecError(
+            f"the gap after a frame lasts {gap_s * 1e3:g} ms, but a node takes "
+            f"{MEASURING_S * 1e3:g} ms to measure in it: frame_period_ms must be at least "
+            f"{(spec.frame_s + MEASURING_S) * 1e3:g}"
+        )
 
 
 def _check_chip(chip_ns: int, mcu: str, spec: FrameSpec) -> None:

@@ -78,6 +78,34 @@ def check_nodes(
     Raises LayoutError for nodes with two places or none, nodes beyond the skin's number, and
     numbers under masked or unplaced that contradict the places.
     """
+    placed = _placed(content, places)
+    masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")
+    nodes = wiring.nodes or max(placed.keys() | unplaced.keys())
+    for node, place in placed.items():
+        if node > nodes:
+            raise place.value.refuse(
+                f"{place.taxel} has node {node}, but the skin has {nodes} nodes, on code rows "
+                f"{wiring.first_row}…{wiring.first_row + nodes - 1}"
+            )
+    for node in unplaced:
+        why = f"which is behind {placed[node].taxel}" if node in placed else ""
+        why = why or (f"but the skin has {nodes} nodes" if node > nodes else "")
+        if why:
+            raise unplaced[node].refuse(f"unplaced lists node {node}, {why}")
+    for node in (node for node in masked if node not in placed):
+        raise masked[node].refuse(f"masked lists node {node}, which is behind no taxel")
+    missing = [n for n in range(1, nodes + 1) if n not in placed and n not in unplaced]
+    if missing:
+        raise content.value.refuse(
+            f"no place for {listed(missing, 'node')} of the skin's {nodes}; place them, or list "
+            "under 'unplaced' what is on the wire but not on the skin"
+        )
+    nodes_of_taxels = np.array([place.node for place in places], dtype=np.int32)
+    return nodes_of_taxels, tuple(sorted(masked)), tuple(sorted(unplaced))
+
+
+def _placed(content: Keys, places: list[TaxelNode]) -> dict[int, TaxelNode]:
+    """The taxels that have a node, by its number."""
     placed = dict[int, TaxelNode]()
     for place in places:
         if other := placed.get(place.node):
@@ -89,30 +117,7 @@ def check_nodes(
             placed[place.node] = place
     if not placed:
         raise content.value.refuse("no taxel has a node")
-    masked, unplaced = _numbers(content, "masked"), _numbers(content, "unplaced")
-    nodes = wiring.nodes or max(placed.keys() | unplaced.keys())
-    for node, place in placed.items():
-        if node > nodes:
-            raise place.value.refuse(
-                f"{place.taxel} has node {node}, but the skin has {nodes} nodes, on code rows "
-                f"{wiring.first_row}…{wiring.first_row + nodes - 1}"
-            )
-    for node, value in unplaced.items():
-        if node in placed:
-            raise value.refuse(f"unplaced lists node {node}, which is behind {placed[node].taxel}")
-        if node > nodes:
-            raise value.refuse(f"unplaced lists node {node}, but the skin has {nodes} nodes")
-    for node, value in masked.items():
-        if node not in placed:
-            raise value.refuse(f"masked lists node {node}, which is behind no taxel")
-    missing = [n for n in range(1, nodes + 1) if n not in placed and n not in unplaced]
-    if missing:
-        raise content.value.refuse(
-            f"no place for {listed(missing, 'node')} of the skin's {nodes}; place them, or list "
-            "under 'unplaced' what is on the wire but not on the skin"
-        )
-    nodes_of_taxels = np.array([place.node for place in places], dtype=np.int32)
-    return nodes_of_taxels, tuple(sorted(masked)), tuple(sorted(unplaced))
+    return placed
 
 
 def _matrix(value: Marked, what: str, rows: int, columns: int) -> list[Marked]:

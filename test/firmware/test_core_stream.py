@@ -364,6 +364,25 @@ def drifts(frame: FrameLayout) -> bool:
     return frame.chip_ns < SHORT_NS and frame.chip_ns * 48 % 1000 > 0
 
 
+@dataclass(frozen=True)
+class Course:
+    """How samples come: in chunks of these sizes by turns; some are lost: begin and length."""
+
+    size: int
+    chunks: list[int]
+    losses: list[tuple[int, int]]
+    seed: int
+
+
+courses = st.builds(
+    Course,
+    size=st.integers(1, 4000),
+    chunks=st.lists(st.integers(1, 700), min_size=1, max_size=4),
+    losses=st.lists(st.tuples(st.integers(0, 4000), st.integers(1, 600)), max_size=3),
+    seed=st.integers(0, 2**32 - 1),
+)
+
+
 @examples(150)
 @given(
     frame=layouts(),
@@ -371,10 +390,7 @@ def drifts(frame: FrameLayout) -> bool:
     packs=st.booleans(),
     quiet=st.booleans(),
     capacity=st.integers(1, 300) | st.just(8192),
-    size=st.integers(1, 4000),
-    chunks=st.lists(st.integers(1, 700), min_size=1, max_size=4),
-    losses=st.lists(st.tuples(st.integers(0, 4000), st.integers(1, 600)), max_size=3),
-    seed=st.integers(0, 2**32 - 1),
+    course=courses,
 )
 def test_packets_follow_the_rules_exactly(
     core: ctypes.CDLL,
@@ -383,11 +399,9 @@ def test_packets_follow_the_rules_exactly(
     packs: bool,
     quiet: bool,
     capacity: int,
-    size: int,
-    chunks: list[int],
-    losses: list[tuple[int, int]],
-    seed: int,
+    course: Course,
 ) -> None:
+    size, chunks, losses = course.size, course.chunks, course.losses
     quiet_uv = 100_000 if quiet and integrated else 0
     asked = Configure(frame, SyncMode.DRIVE, integrated, quiet_uv)
     digitizer = CoreDigitizer(core, capacity=capacity, output=1 << 20, now_us=START_US)
@@ -396,7 +410,7 @@ def test_packets_follow_the_rules_exactly(
     assume(accepted)
     size *= 1 + 9 * integrated
     rules = Rules(asked, digitizer.ticks_per_sample, capacity)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(course.seed)
     counts = rng.integers(0, 4096, size).astype(np.uint16)
     if quiet_uv:  # some silence
         level = rng.integers(0, 2, -(-size // 500)).repeat(500)[:size]

@@ -79,6 +79,13 @@ def message(kind: type) -> Any:
     return kind(status=[DiagnosticStatus()]) if kind is DiagnosticArray else kind()
 
 
+def called(client: Node, service: Any) -> Any:
+    """The answer to come of a service."""
+    caller = client.create_client(service.srv_type, service.service_name)
+    assert caller.wait_for_service(60.0)
+    return caller.call_async(service.srv_type.Request())
+
+
 @pytest.mark.parametrize("name", NODES)
 def test_whatever_calls_back_may_raise(
     name: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
@@ -107,11 +114,7 @@ def test_whatever_calls_back_may_raise(
             timer.reset()
         for event in events:
             event.is_ready, event.take_data = (lambda _: True), (lambda: "an event")
-        calls = []
-        for service in services:
-            caller = client.create_client(service.srv_type, service.service_name)
-            assert caller.wait_for_service(60.0)
-            calls.append(caller.call_async(service.srv_type.Request()))
+        calls = [called(client, service) for service in services]
         sent = [
             (client.create_publisher(one.msg_type, one.topic_name, OFFERED), message(one.msg_type))
             for one in heard

@@ -83,6 +83,16 @@ static void send(struct dg *dg, size_t most, FILE *output)
     }
 }
 
+/* Reads the next event, and its data; false at the end of the file. */
+static bool next_event(FILE *events, struct event *event)
+{
+    if (fread(event, sizeof *event, 1, events) != 1)
+        return false;
+    if (event->size > sizeof data || fread(data.bytes, 1, event->size, events) != event->size)
+        fail("an event is longer than 65536 bytes, or than the rest of its file");
+    return true;
+}
+
 static void replay(FILE *events, FILE *output)
 {
     static struct dg dg;
@@ -98,9 +108,7 @@ static void replay(FILE *events, FILE *output)
     dg_init(&dg, &board, allocate(start.output_size), start.output_size,
             allocate(start.sample_capacity * sizeof(int16_t)), start.sample_capacity, now_us);
 
-    while (fread(&event, sizeof event, 1, events) == 1) {
-        if (event.size > sizeof data || fread(data.bytes, 1, event.size, events) != event.size)
-            fail("an event is longer than 65536 bytes, or than the rest of its file");
+    while (next_event(events, &event)) {
         switch ((enum kind)event.kind) {
         case RECEIVE:
             dg_receive(&dg, data.bytes, event.size, now_us);

@@ -399,6 +399,18 @@ static void buffer_done(uint32_t endpoint, enum direction direction)
     }
 }
 
+static void buffers_done(void)
+{
+    uint32_t done = USB->buf_status;
+
+    for (uint32_t i = 0; i < 2 * (EP_DATA + 1); i++) {
+        if (done & 1u << i) {
+            USB->buf_status = 1u << i;
+            buffer_done(i / 2, i % 2 ? DIR_OUT : DIR_IN);
+        }
+    }
+}
+
 void usb_interrupt(void)
 {
     uint32_t status = USB->ints;
@@ -421,15 +433,8 @@ void usb_interrupt(void)
         USB->buf_status = ~0u; /* of transfers before the reset */
         set_configuration(0);
     }
-    if (status & USB_INTS_BUFF_STATUS_BITS) { /* before a new request, because it completes the previous one */
-        uint32_t done = USB->buf_status;
-        for (uint32_t i = 0; i < 2 * (EP_DATA + 1); i++) {
-            if (done & 1u << i) {
-                USB->buf_status = 1u << i;
-                buffer_done(i / 2, i % 2 ? DIR_OUT : DIR_IN);
-            }
-        }
-    }
+    if (status & USB_INTS_BUFF_STATUS_BITS) /* before a new request, because it completes the previous one */
+        buffers_done();
     if (status & USB_INTS_SETUP_REQ_BITS) {
         USB->sie_status = USB_SIE_STATUS_SETUP_REC_BITS;
         for (uint32_t direction = DIR_IN; direction <= DIR_OUT; direction++)

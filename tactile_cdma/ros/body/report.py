@@ -55,42 +55,46 @@ def body_report(
 
 def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
     """What is wrong and what to do, empty if nothing is; and what a patch in order shows."""
-    silent_s, coverage = feed.silent_s(now_s), feed.coverage
-    silent = silent_s > stale_after_s
-    late_s, underway_s, rate_hz = feed.late_s(), feed.underway_s(), feed.rate_hz(now_s)
     if not feed.is_followed:
         return "", "its driver is there" if feed.has_driver else "its driver was not seen yet"
-    complaint = ""
-    if silent and not feed.has_driver:
-        complaint = "no driver: does it run, in this ROS domain, on a computer that is discovered?"
-    elif silent:
-        since = f" for {silent_s:.0f} s" if silent_s < math.inf else ""
-        complaint = (
+    coverage, rate_hz, underway_s = feed.coverage, feed.rate_hz(now_s), feed.underway_s()
+    silent_s, late_s = feed.silent_s(now_s), feed.late_s()
+    silent = silent_s > stale_after_s
+    since = f" for {silent_s:.0f} s" if silent_s < math.inf else ""
+    in_service = coverage.in_service if coverage else 0
+    wrongs = (
+        (
+            silent and not feed.has_driver,
+            "no driver: does it run, in this ROS domain, on a computer that is discovered?",
+        ),
+        (
+            silent,
             f"its driver is there, but silent{since}: its own entries here say why; if those stay "
-            "away, too, the network to its computer is cut"
-        )
-    elif fault:
-        complaint = fault
-    elif coverage and not coverage.valid:
-        complaint = (
-            f"none of its {coverage.in_service} taxels in service has a valid reading: its own "
-            "entry 'nodes' here says why"
-        )
-    elif underway_s < -AHEAD_S:
-        complaint = (
+            "away, too, the network to its computer is cut",
+        ),
+        (bool(fault), fault),
+        (
+            coverage is not None and not coverage.valid,
+            f"none of its {in_service} taxels in service has a valid reading: its own entry "
+            "'nodes' here says why",
+        ),
+        (
+            underway_s < -AHEAD_S,
             f"the clock of its computer is ahead of this one's by {-underway_s:.3f} s and the time "
-            "that messages take: have both computers follow one time server"
-        )
-    elif underway_s > BEHIND_S:
-        complaint = (
+            "that messages take: have both computers follow one time server",
+        ),
+        (
+            underway_s > BEHIND_S,
             f"its messages take {underway_s:.3f} s by the computers' clocks: that of its computer "
-            "is behind this one's, or the network is slow (ping tells)"
-        )
-    elif abs(late_s) > STAMPS_OFF_S:
-        complaint = (
+            "is behind this one's, or the network is slow (ping tells)",
+        ),
+        (
+            abs(late_s) > STAMPS_OFF_S,
             f"its stamps are {late_s:+.1f} s off this computer's time: is use_sim_time the same "
-            "for both, or is a computer too busy?"
-        )
+            "for both, or is a computer too busy?",
+        ),
+    )
+    complaint = next((text for is_wrong, text in wrongs if is_wrong), "")
     state = f"{rate_hz:.1f} Hz"
     if math.isfinite(underway_s):
         state += f", {underway_s * 1e3:.0f} ms on the way"
