@@ -165,7 +165,7 @@ def _compare(path: Path, other_path: Path) -> int:
     }
     if not off_pa:
         raise CalibrationError(f"{path} and {other_path}: no node has a curve in both")
-    for node in sorted(off_pa, key=lambda node: -off_pa[node])[: WORST]:
+    for node in sorted(off_pa, key=lambda node: -off_pa[node])[:WORST]:
         print(f"node {node}: up to {off_pa[node] / 1e3:.3g} kPa")
     only = len(one.curves.keys() ^ other.curves.keys())
     median_pa, most_pa = np.median(list(off_pa.values())), max(off_pa.values())
