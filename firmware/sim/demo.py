@@ -82,7 +82,7 @@ def all_scenes(frame: int) -> Codes:
 
 
 class Nodes:
-    """Tells when nodes speak: while their code is off its rest or what was sent last, and in turn."""
+    """Tells when nodes speak: in turn, and while their code is off its rest or the last sent."""
 
     def __init__(self) -> None:
         self.last = np.full(NODES, REST)
