@@ -376,7 +376,7 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
         mean_of_columns(rows + code->first, code->order, code->bits, code->nodes, certifier->mean);
         *atoms = fmax(*atoms, greatest(certifier->mean, code->nodes) / least);
         for (; next < end && next->shift == SHIFTS[shift]; next++)
-            if (words->active[next->sent] && !words->active[next->alike])
+            if (words->active[next->sent] && (next->alike == next->sent || !words->active[next->alike]))
                 *rivals = fmax(*rivals, twin(certifier, reading, next, rows, words->amplitude[next->sent]));
     }
 }
