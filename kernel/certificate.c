@@ -3,7 +3,6 @@
 #include "certificate.h"
 
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -418,7 +417,7 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
         mean_of_columns(rows + code->first, code->order, code->bits, code->nodes, certifier->mean);
         *atoms = fmax(*atoms, greatest(certifier->mean, code->nodes) / least);
         for (; next < end && next->shift == SHIFTS[shift]; next++)
-            if (words->active[next->sent] && !words->active[next->alike])
+            if (words->active[next->sent] && (next->alike == next->sent || !words->active[next->alike]))
                 *rivals = fmax(*rivals, twin(certifier, reading, next, rows, words->amplitude[next->sent]));
     }
 }
@@ -580,15 +579,35 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
     return uneven;
 }
 
-/* Whether what is on row 0 may be the line's level: it is the same in all bits. */
+/* Whether what is on row 0 may be the line's level, or a step of it: its bits change once at most. */
 static bool may_be_level(const struct certifier *certifier)
 {
     const struct code *code = &certifier->code;
-    size_t positive = 0;
+    size_t changes = 0;
 
-    for (size_t bit = 0; bit < code->bits; bit++)
-        positive += certifier->rows[bit * code->order] > 0;
-    return positive == 0 || positive == code->bits;
+    for (size_t bit = 1; bit < code->bits; bit++)
+        changes += (certifier->rows[bit * code->order] > 0) != (certifier->rows[(bit - 1) * code->order] > 0);
+    return changes <= 1;
+}
+
+/* Whether the line shows beside a frame that its level is the one at rest, on both sides as far as it is seen there. */
+static bool shows_rest(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct certificate_limits *limits = &certifier->limits;
+    const float *sides[] = {reading->before, reading->after};
+
+    for (size_t side = 0; side < 2; side++) {
+        double sum = 0, count = 0;
+        for (size_t i = 0; i < reading->side; i++)
+            if (!isnan(sides[side][i])) {
+                sum += (double)sides[side][i];
+                count++;
+            }
+        double chance = limits->deviations * sqrt(reading->view->noise / fmax(count, 1));
+        if (count > 0 && fabs(sum / count) + chance > (double)certifier->code.active_share * reading->swing)
+            return false;
+    }
+    return true;
 }
 
 /* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
@@ -763,7 +782,8 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     bool hidden = hides_nodes(certifier, &reading, words, noise);
     for (size_t i = 0; i < code->nodes; i++)
         words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
-    if (view->level_unknown && code->first == 0 && !code->scrambled && may_be_level(certifier))
+    if (code->first == 0 && !code->scrambled && (view->level_unknown || !shows_rest(certifier, &reading)) &&
+        may_be_level(certifier))
         words->doubtful[0] = 1;
 }
 

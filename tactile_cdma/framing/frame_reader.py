@@ -50,6 +50,8 @@ SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count
 of a 10-bit converter."""
+MARKED_SIDE_CHIPS = 2
+"""Chips beside a marked frame that are looked at: marks are off by no more."""
 Rails = tuple[float, float] | None
 
 
@@ -67,7 +69,7 @@ class FrameReader:
         rails_v: Rails = None,
         active_share: float = 0.5,
         swing_v: float | None = None,
-        side_chips: int = 2,
+        side_chips: int = MARKED_SIDE_CHIPS,
     ) -> None:
         """Raise SpecError at a rate that frames cannot be read at.
 

@@ -233,7 +233,10 @@ class GapTiming:
                 continue  # no gap before it: the rest of a frame that began before the cursor
             why = self._read(self._take(begin, end), volts, gap, burst)
             if why == lib.FRAME_READ:
-                return self._emit(self._reader.taken(begin + self._first))
+                frame = self._reader.taken(begin + self._first)
+                if frame.speakers:
+                    return self._emit(frame)
+                why = lib.FRAME_NOISY  # of silence, the place is not known
         if seen is None:
             if gaps and not final:
                 self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
