@@ -85,7 +85,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class FrameLayout(Message):
-    """How the nodes share the line, in the wire's integers.
+    """Tells how the nodes share the line, in the wire's integers.
 
     A layout converts to a FrameSpec and back unchanged. So does a FrameSpec whose times are whole
     nanoseconds and microseconds, except for its amplitude, which is not sent.
@@ -138,7 +138,7 @@ class FrameLayout(Message):
 
 @dataclass(frozen=True, slots=True)
 class Packet(Message):
-    """What one packet carries.
+    """Holds what one packet carries.
 
     TYPE: the first byte of its body; see PACKETS. sequence: filled in by the parser. PacketWriter
     ignores it, and so do comparisons.
@@ -151,7 +151,7 @@ class Packet(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Info(Packet):
-    """What the digitizer is and how it is set.
+    """Tells what the digitizer is and how it is set.
 
     sample_rate_uhz: rate of Samples.counts, µHz; in integrated mode that is the chip rate.
     volts_per_count: V, rounded to float32; counts are relative to zero_count.
