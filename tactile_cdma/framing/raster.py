@@ -68,7 +68,9 @@ class Raster:
         chip, width, sure = self._chip, math.inf, False
         if self._known >= LEAST_KNOWN:
             slips = (self._slipped + 1) / (self._known + 2)  # Laplace's rule of succession
-            width = math.hypot(NARROWEST, math.sqrt(self._square / max(self._known - self._slipped, 1)))
+            width = math.hypot(
+                NARROWEST, math.sqrt(self._square / max(self._known - self._slipped, 1))
+            )
             sure = slips <= RARE_SLIPS
         scatter = math.hypot(width * chip, self._period_error * passed)
         sure &= scatter + self._change * self._span_chips <= KNOWN_PLACE * chip

@@ -336,7 +336,10 @@ class GapTiming:
         if self._reader.is_deaf(volts):
             return int(lib.FRAME_AT_RAIL)
         look = self._reader.sum_up(mean, variance)
-        if look == lib.FRAME_SILENT and more * search.period > self._reader.silent_power * search.shortest:
+        if (
+            look == lib.FRAME_SILENT
+            and more * search.period > self._reader.silent_power * search.shortest
+        ):
             return int(lib.FRAME_NOISY)
         return look
 
