@@ -241,8 +241,8 @@ static void tell_words(struct sparse *sparse, const struct detector *detector, d
         size_t node = (size_t)detector->nodes[found->codes[i]];
         words->active[node] = words->amplitude[node] > code->active_share * sparse->expected[node];
     }
-    words_decide(&sparse->measures, code->nodes, (unsigned)code->bits, code->parity, sparse->expected, code->sign_mask,
-                 (float)(1 / fmax(noise, 1e-12)), &limits->words, words);
+    const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
+    words_decide(&sparse->measures, &sent, sparse->expected, (float)(1 / fmax(noise, 1e-12)), &limits->words, words);
     double chance = certificate_chance(bits, limits->faint_deviations) * noise * noise;
     float most = (float)(bits * fmax(faint * faint, chance));
     for (size_t i = 0; i < code->nodes; i++) {
