@@ -25,6 +25,7 @@ struct certifier {
     float *padded; /* (k, N) what they leave over, and SIDE chips on either side */
     float *work, *other; /* (k, N) */
     float *level;  /* (k) of each bit, V */
+    bool leaks;    /* what leaks from chip to chip is taken off what is left of them */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
     float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
@@ -131,12 +132,17 @@ VECTORS static void leave(const struct certifier *certifier, const float *restri
     const float *restrict model = certifier->model;
 
     for (size_t bit = 0; bit < bits; bit++, chips += order, model += order, left += order) {
-        float sums[8] = {0};
+        const size_t whole = order & ~(size_t)7;
+        floats8 sums = {0};
+        float sum = 0;
         for (size_t i = 0; i < order; i++)
             left[i] = chips[i] - model[i];
-        for (size_t i = 0; i < order; i++)
-            sums[i % 8] += left[i];
-        float sum = ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]));
+        for (size_t i = 0; i < whole; i += 8)
+            sums += *(const floats8 *)(left + i);
+        for (size_t i = whole; i < order; i++)
+            sum += left[i];
+        for (size_t lane = 0; lane < 8; lane++)
+            sum += sums[lane];
         float level = has_level ? sum / (float)order : 0;
         for (size_t i = 0; i < order; i++)
             left[i] -= level;
@@ -150,29 +156,32 @@ VECTORS static void take_off(const float *from, float share, size_t size, float 
         left[i] -= share * from[i];
 }
 
-/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two.
- * chip_before, chip_after: next to the frame. */
-static void take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
+/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. False, and
+ * nothing is taken off, where they explain no more than chance does. chip_before, chip_after: next to the frame. */
+static bool take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
 {
     const float *model = certifier->model;
     float *left = left_of(certifier);
     const size_t chips = certifier->code.bits * certifier->code.order;
-    const double most = certifier->limits.leak;
+    const double most = certifier->limits.leak, by_chance = 2 * certifier->limits.log_odds / (double)chips;
     double before = sums_power(model, chips - 1), after = sums_power(model + 1, chips - 1);
     double both = sums_dot(model, model + 2, chips - 2);
     double of_before = sums_dot(model, left + 1, chips - 1), of_after = sums_dot(model + 1, left, chips - 1);
     double tiny = 1e-9 * (before + after), determinant = (before + tiny) * (after + tiny) - both * both;
 
     if (!(determinant > 0))
-        return;
+        return false;
     double late = ((after + tiny) * of_before - both * of_after) / determinant;
     double early = ((before + tiny) * of_after - both * of_before) / determinant;
+    if (late * of_before + early * of_after < by_chance * sums_power(left, chips))
+        return false;
     late = fmin(fmax(late, -most), most);
     early = fmin(fmax(early, -most), most);
     take_off(model, (float)late, chips - 1, left + 1);
     take_off(model + 1, (float)early, chips - 1, left);
     *chip_before -= (float)early * model[0];
     *chip_after -= (float)late * model[chips - 1];
+    return true;
 }
 
 /* The chips beside a frame without the level that goes on there; of unipolar drive it ends with the words. */
@@ -324,6 +333,12 @@ static double row_atoms(const struct certifier *certifier, const struct reading 
     return greatest(certifier->power + from, code->order - from) / ((double)code->bits * fmax(share * share, chance));
 }
 
+/* Sum of squares by which a rival must leave more, V², so that a word of this amplitude, V, is certain. */
+static double least_worse(const struct certifier *certifier, const struct reading *reading, double amplitude)
+{
+    return 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * amplitude * amplitude;
+}
+
 /* Whether a delay makes one of these words that of another node, whose row is `alike`, as likely. rows: of what is
  * left, read later by the twin's shift. Its value, of which 1 is the limit. */
 static double twin(const struct certifier *certifier, const struct reading *reading, const struct code_twin *twin,
@@ -349,8 +364,28 @@ static double twin(const struct certifier *certifier, const struct reading *read
     double there = sum / (double)bits, here = (double)amplitude;
     /* The chips at the other end of the frame, in which that one would be at rest. */
     double worse = (double)(bits * order) * (here * here - there * there) + (double)lag * here * here;
-    double least = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * here * here;
+    double least = least_worse(certifier, reading, here);
     return worse > least * 1e-6 ? least / worse : 1e6;
+}
+
+/* Whether any delay may make a word another node's, by the most that such a row can hold: its shares of the word, and
+ * what is left, V RMS. */
+static bool any_near_twin(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+                          double left)
+{
+    const struct code *code = &certifier->code;
+    const double chips = (double)(code->bits * code->order), order = (double)code->order;
+    bool any = false;
+
+    for (size_t i = 0; i < code->twin_count && !any; i++) {
+        const struct code_twin *twin = &code->twins[i];
+        double here = (double)words->amplitude[twin->sent], lag = (double)abs(twin->shift);
+        double share = (double)(fabsf(twin->share) + fabsf(twin->wrap)) * order / (order - lag);
+        double there = here * share + left;
+        double worse = chips * (here * here - there * there) + lag * here * here;
+        any = words->active[twin->sent] && !words->active[twin->alike] && worse < least_worse(certifier, reading, here);
+    }
+    return any;
 }
 
 /* Atoms out of place: what is left, read early or late, on the rows of all nodes; and, of codes that are not
@@ -369,6 +404,12 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
         float before = reading->before[reading->side - SIDE + i], after = reading->after[i];
         certifier->padded[i] = isnan(before) ? 0 : before;
         left_of(certifier)[chips + i] = isnan(after) ? 0 : after;
+    }
+    /* No row holds more than all that is left; nor has a twin more than its share of the word, and that. */
+    double hidden = sums_power(certifier->padded, chips + 2 * SIDE) / (double)chips;
+    if (hidden < least * least && !any_near_twin(certifier, reading, words, sqrt(hidden))) {
+        *atoms = sqrt(hidden) / least;
+        return;
     }
     for (size_t shift = 0; shift < SHIFT_COUNT; shift++) {
         float *rows = certifier->work;
@@ -598,8 +639,8 @@ double certifier_left(struct certifier *certifier, const float *chips, double *p
     bool differ;
 
     *power = sums_power(chips, code->bits * code->order) / size;
-    code_rows(code, chips, certifier->work);
-    return rows_left(certifier, certifier->work, NULL, &differ) / size;
+    code_rows(code, chips, certifier->rows);
+    return rows_left(certifier, certifier->rows, NULL, &differ) / size;
 }
 
 void certifier_model(struct certifier *certifier, const float *chips, float *model)
@@ -635,7 +676,7 @@ static double find_beside(struct certifier *certifier, const struct certificate_
         level_beside(certifier, view->side, beside);
     memcpy(certifier->leaked, beside, 2 * view->side * sizeof *beside);
     double shown = sums_power(left_of(certifier), code->bits * code->order) + sum_beside(beside, 2 * view->side);
-    take_leakage(certifier, beside + view->side - 1, beside + view->side);
+    certifier->leaks = take_leakage(certifier, beside + view->side - 1, beside + view->side);
     return shown;
 }
 
@@ -656,6 +697,15 @@ static double beyond_edges(const struct certifier *certifier, size_t side)
     return sum;
 }
 
+/* What words leave on rows, (k, N): the frame's without the words', and without the level, which is on row 0. */
+VECTORS static void subtract_words(const struct code *code, const float *restrict rows, float *restrict symbols)
+{
+    for (size_t i = 0; i < code->bits * code->order; i++)
+        symbols[i] = rows[i] - symbols[i];
+    for (size_t bit = 0; bit < code->bits && code->first > 0; bit++)
+        symbols[bit * code->order] = 0;
+}
+
 /* What the frame's words leave over, in chips and on rows. */
 static struct reading find_rest(struct certifier *certifier, const struct certificate_view *view,
                                 const struct words *words)
@@ -666,7 +716,8 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     const bool has_level = code->first > 0 || code->scrambled;
     struct reading reading = {.view = view};
 
-    code_rows(code, view->chips, certifier->rows);
+    if (!view->rows_known)
+        code_rows(code, view->chips, certifier->rows);
     certifier->measures.amplitude = words->amplitude;
     words_measure(certifier->rows + code->first, code->order, code->bits, code->nodes, &certifier->measures);
     reading.speakers = find_speakers(certifier, view->noise, words, &reading.weakest);
@@ -689,7 +740,10 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     reading.left = fmax(reading.total / reading.free, 1e-12 * reading.swing * reading.swing);
     reading.more = (limits->left + limits->left_of_word * limits->left_of_word * (double)reading.speakers) *
                    reading.swing * reading.swing;
-    code_rows(code, left_of(certifier), certifier->work);
+    if (certifier->leaks || code->scrambled)
+        code_rows(code, left_of(certifier), certifier->work);
+    else
+        subtract_words(code, certifier->rows, certifier->work);
     squares_of_columns(certifier->work, code->order, code->bits, certifier->power, certifier->most);
     return reading;
 }
@@ -708,7 +762,8 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
     certifier->edges = limits->edges * reading.weakest * sqrt((double)reading.speakers);
-    certifier->beyond = beyond_edges(certifier, view->side);
+    if (view->is_compared)
+        certifier->beyond = beyond_edges(certifier, view->side);
     certifier->worse = 2 * certifier->limits.log_odds * reading.shown / reading.free +
                        certifier->limits.better * reading.weakest * reading.weakest;
     value[CLAUSE_REST] = rest(certifier, &reading);

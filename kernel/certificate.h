@@ -58,13 +58,15 @@ struct certificate_view {
     float beside[CERTIFICATE_BESIDE];
     double noise;
     bool is_noise, level_unknown;
+    bool rows_known;  /* certifier_left was the last to read these chips */
+    bool is_compared; /* certifier_compare is to follow */
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
  * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
  * is no more than noise. crowded: more nodes spoke than sparse codes tell apart, or such that these do not. */
 struct certificate {
-    double left, noise, swing, kurtosis, value[CERTIFICATE_CLAUSES];
+    double left, noise, swing, value[CERTIFICATE_CLAUSES], kurtosis;
     size_t speakers;
     bool understood, crowded;
 };

@@ -22,6 +22,7 @@ struct frame_reader {
     struct certifier *certifier;  /* of orthogonal codes; NULL: they are sparse */
     struct sparse *sparse;        /* the other way round */
     struct fit carried, proposed; /* chip 0: none */
+    struct fit taken;             /* by which the chips are */
     struct {
         double left, kurtosis;    /* V²; see certificate */
     } seen[SEEN];                 /* what the words of the last frames left over */
@@ -197,6 +198,7 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
     const size_t side = reader->rules.side;
     const float *levels = reader->levels + side;
 
+    reader->taken = *fit;
     fit_levels(line, fit, reader->rules.refining.blur, side, code->span + 2 * side, reader->levels);
     if (code->span == chips)
         memcpy(reader->chips, levels, chips * sizeof *levels);
@@ -212,9 +214,12 @@ static struct certificate_view view_of(struct frame_reader *reader, const struct
     const size_t side = reader->rules.side, after = side + reader->code.span;
     const double end = fit_end(fit, reader->code.span), last = (double)line->size - EDGE + 0.1;
     struct certificate_view view = {
-        .chips = reader->chips, .side = side, .noise = rest->noise, .is_noise = true, .level_unknown = !rest->known};
+        .chips = reader->chips, .side = side, .noise = rest->noise, .is_noise = true, .level_unknown = !rest->known,
+        .is_compared = reader->place_count > 0};
 
-    take_chips(reader, line, fit);
+    view.rows_known = fit->start == reader->taken.start && fit->chip == reader->taken.chip;
+    if (!view.rows_known)
+        take_chips(reader, line, fit);
     for (size_t i = 0; i < side; i++) {
         bool before_seen = fit->start - (double)(side - i) * fit->chip > -EDGE - 0.1;
         bool after_seen = end + (double)(i + 1) * fit->chip < last;
@@ -414,9 +419,9 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     return look;
 }
 
-/* A frame of raw samples. */
+/* A frame of raw samples. sampled: their mean power, V². */
 static enum frame_look read_samples(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
-                                    const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+                                    double sampled, const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     struct fit_line line = {count, volts, reader->sums, found->level};
@@ -448,15 +453,11 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
     }
     struct certificate_view view = view_of(reader, &line, &fit, rest);
     /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
-    size_t begin = (size_t)fmax(0, ceil(fit.start)), stop = (size_t)fmin((double)count, floor(end));
-    struct samples_sums sums = samples_add(volts + begin, stop - begin);
-    double size = (double)(stop - begin), noise = rest->noise * rules->chip;
-    double sampled = (sums.squares - 2 * found->level * sums.sum) / size + found->level * found->level;
+    double size = (double)rules->size, noise = rest->noise * rules->chip;
     double within = (sampled - noise - power) / (rules->kept * power + 3 * noise * sqrt(2 / size) + 1e-12);
     reader->carried = fit;
     found->start = fit.start;
     found->chip = fit.chip;
-    found->clipped = share_clipped(rules, volts + begin, stop - begin);
     return certify(reader, &view, &line, rest, power, within, words, found);
 }
 
@@ -508,5 +509,5 @@ enum frame_look frame_reader_read(struct frame_reader *reader, const float *volt
             return silent(rules, rest, fmax(power, 0), found);
     }
     return rules->integrated ? read_means(reader, volts, count, rest, words, found)
-                             : read_samples(reader, volts, count, final, searches, rest, words, found);
+                             : read_samples(reader, volts, count, final, searches, power, rest, words, found);
 }

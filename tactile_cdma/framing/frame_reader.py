@@ -257,15 +257,19 @@ class FrameReader:
 def line_frame(
     found: Any, has_words: bool, memory: NDArray[np.uint8], first_index: int, nodes: int
 ) -> LineFrame:
-    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps."""
+    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps.
+
+    The members of the kernel's struct certificate begin with those of Certificate.
+    """
     words = certificate = None
     told = found.certificate
     if has_words:
         words = words_of(memory, nodes, found.noise)
-        certificate = Certificate(told.left, told.noise, told.swing, *told.value)
+        numbers = kernel.ffi.cast("double *", kernel.ffi.addressof(found, "certificate"))
+        certificate = Certificate._make(kernel.ffi.unpack(numbers, len(Certificate._fields)))
     return LineFrame(
         first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
-        found.noise, found.level, found.clipped, crowded=told.crowded,
+        found.noise, found.level, found.clipped, memory, crowded=told.crowded,
     )  # fmt: skip
 
 
