@@ -57,7 +57,7 @@ struct certificate_view {
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
  * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
- * is no more than noise. crowded: more nodes spoke than sparse codes tell apart, or such that these do not. */
+ * is no more than noise. crowded: the sparse codes of those who spoke are not told apart. */
 struct certificate {
     double left, noise, swing, kurtosis, value[CERTIFICATE_CLAUSES];
     size_t speakers;

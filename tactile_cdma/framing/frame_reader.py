@@ -84,7 +84,9 @@ class FrameReader:
             )
         self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
         self.broken = np.zeros(spec.nodes, np.uint8)
-        self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
+        self.size = math.ceil(
+            (spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5
+        )
         code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
         limits = kernel.struct(

@@ -80,7 +80,7 @@ class LineFrame:
     noise_rms_v: noise of one chip's level, V. level_v: of the line in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
     turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
-    crowded: more nodes spoke than sparse codes tell apart, or such that these do not.
+    crowded: the sparse codes of those who spoke are not told apart.
     """
 
     start: float
