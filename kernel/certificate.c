@@ -8,7 +8,7 @@
 
 #include "sums.h"
 
-#define SIDE 2            /* chips beside a frame that are looked at, and by which things may be off */
+#define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
 #define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
 #define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
 
@@ -25,8 +25,12 @@ struct certifier {
     float *padded; /* (k, N) what they leave over, and SIDE chips on either side */
     float *work, *other; /* (k, N) */
     float *level;  /* (k) of each bit, V */
+    bool leaks;    /* what leaks from chip to chip is taken off what is left of them */
     float *power, *most; /* (N) of what is left on a row: sum of squares, greatest square */
     float *mean;   /* (N) */
+    float beside[CERTIFICATE_BESIDE], leaked[CERTIFICATE_BESIDE]; /* V, beside the frame; with what leaks there */
+    double edges;          /* V, by which edges may put a chip off */
+    double beyond, worse;  /* V²: sum of squares of what is left beyond that; by which that of a rival must be more */
     struct words_measures measures;
 };
 
@@ -128,12 +132,17 @@ VECTORS static void leave(const struct certifier *certifier, const float *restri
     const float *restrict model = certifier->model;
 
     for (size_t bit = 0; bit < bits; bit++, chips += order, model += order, left += order) {
-        float sums[8] = {0};
+        const size_t whole = order & ~(size_t)7;
+        floats8 sums = {0};
+        float sum = 0;
         for (size_t i = 0; i < order; i++)
             left[i] = chips[i] - model[i];
-        for (size_t i = 0; i < order; i++)
-            sums[i % 8] += left[i];
-        float sum = ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]));
+        for (size_t i = 0; i < whole; i += 8)
+            sums += *(const floats8 *)(left + i);
+        for (size_t i = whole; i < order; i++)
+            sum += left[i];
+        for (size_t lane = 0; lane < 8; lane++)
+            sum += sums[lane];
         float level = has_level ? sum / (float)order : 0;
         for (size_t i = 0; i < order; i++)
             left[i] -= level;
@@ -147,32 +156,36 @@ VECTORS static void take_off(const float *from, float share, size_t size, float 
         left[i] -= share * from[i];
 }
 
-/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. */
-static void take_leakage(const struct certifier *certifier, float *beside)
+/* Takes off what leaks from the chip before and the one after, the same share for all; least squares of two. False, and
+ * nothing is taken off, where they explain no more than chance does. chip_before, chip_after: next to the frame. */
+static bool take_leakage(const struct certifier *certifier, float *chip_before, float *chip_after)
 {
     const float *model = certifier->model;
     float *left = left_of(certifier);
     const size_t chips = certifier->code.bits * certifier->code.order;
-    const double most = certifier->limits.leak;
+    const double most = certifier->limits.leak, by_chance = 2 * certifier->limits.log_odds / (double)chips;
     double before = sums_power(model, chips - 1), after = sums_power(model + 1, chips - 1);
     double both = sums_dot(model, model + 2, chips - 2);
     double of_before = sums_dot(model, left + 1, chips - 1), of_after = sums_dot(model + 1, left, chips - 1);
     double tiny = 1e-9 * (before + after), determinant = (before + tiny) * (after + tiny) - both * both;
 
     if (!(determinant > 0))
-        return;
+        return false;
     double late = ((after + tiny) * of_before - both * of_after) / determinant;
     double early = ((before + tiny) * of_after - both * of_before) / determinant;
+    if (late * of_before + early * of_after < by_chance * sums_power(left, chips))
+        return false;
     late = fmin(fmax(late, -most), most);
     early = fmin(fmax(early, -most), most);
     take_off(model, (float)late, chips - 1, left + 1);
     take_off(model + 1, (float)early, chips - 1, left);
-    beside[1] -= (float)early * model[0];
-    beside[2] -= (float)late * model[chips - 1];
+    *chip_before -= (float)early * model[0];
+    *chip_after -= (float)late * model[chips - 1];
+    return true;
 }
 
 /* The chips beside a frame without the level that goes on there; of unipolar drive it ends with the words. */
-static void level_beside(const struct certifier *certifier, float *beside)
+static void level_beside(const struct certifier *certifier, size_t side, float *beside)
 {
     const struct code *code = &certifier->code;
     const float *level = certifier->level;
@@ -181,9 +194,9 @@ static void level_beside(const struct certifier *certifier, float *beside)
     if (code->unipolar)
         return;
     float before = level[0] + 0.5f * (level[0] - level[1]), after = level[last] + 0.5f * (level[last] - level[last - 1]);
-    for (size_t i = 0; i < SIDE; i++) {
+    for (size_t i = 0; i < side; i++) {
         beside[i] -= before;
-        beside[SIDE + i] -= after;
+        beside[side + i] -= after;
     }
 }
 
@@ -230,7 +243,10 @@ struct reading {
     double total, left;           /* sum of squares of what is left, and over `free` */
     double more;                  /* that edges of the words may leave */
     size_t speakers;
-    float beside[2 * SIDE];       /* what is left beside the frame; NaN where not seen */
+    const float *before, *after;  /* what is left of `side` chips beside the frame; NaN where not seen */
+    const float *shown_before, *shown_after; /* of these, with what leaks from the frame, */
+    double shown;                 /* and the sum of squares of what is left with leakage, there and in the frame */
+    size_t side;
 };
 
 /* By the cube root of Wilson and Hilferty 1931. */
@@ -317,6 +333,12 @@ static double row_atoms(const struct certifier *certifier, const struct reading 
     return greatest(certifier->power + from, code->order - from) / ((double)code->bits * fmax(share * share, chance));
 }
 
+/* Sum of squares by which a rival must leave more, V², so that a word of this amplitude, V, is certain. */
+static double least_worse(const struct certifier *certifier, const struct reading *reading, double amplitude)
+{
+    return 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * amplitude * amplitude;
+}
+
 /* Whether a delay makes one of these words that of another node, whose row is `alike`, as likely. rows: of what is
  * left, read later by the twin's shift. Its value, of which 1 is the limit. */
 static double twin(const struct certifier *certifier, const struct reading *reading, const struct code_twin *twin,
@@ -325,7 +347,7 @@ static double twin(const struct certifier *certifier, const struct reading *read
     const struct code *code = &certifier->code;
     const size_t bits = code->bits, order = code->order, lag = (size_t)abs(twin->shift);
     const float *sent = certifier->rows + code->first + twin->sent;
-    const float *beside = twin->shift > 0 ? reading->beside + SIDE : reading->beside + SIDE - lag;
+    const float *beside = twin->shift > 0 ? reading->after : reading->before + reading->side - lag;
     bool seen = !isnan(beside[0]) && !isnan(beside[lag - 1]);
     double sum = 0;
 
@@ -342,8 +364,28 @@ static double twin(const struct certifier *certifier, const struct reading *read
     double there = sum / (double)bits, here = (double)amplitude;
     /* The chips at the other end of the frame, in which that one would be at rest. */
     double worse = (double)(bits * order) * (here * here - there * there) + (double)lag * here * here;
-    double least = 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * here * here;
+    double least = least_worse(certifier, reading, here);
     return worse > least * 1e-6 ? least / worse : 1e6;
+}
+
+/* Whether any delay may make a word another node's, by the most that such a row can hold: its shares of the word, and
+ * what is left, V RMS. */
+static bool any_near_twin(const struct certifier *certifier, const struct reading *reading, const struct words *words,
+                          double left)
+{
+    const struct code *code = &certifier->code;
+    const double chips = (double)(code->bits * code->order), order = (double)code->order;
+    bool any = false;
+
+    for (size_t i = 0; i < code->twin_count && !any; i++) {
+        const struct code_twin *twin = &code->twins[i];
+        double here = (double)words->amplitude[twin->sent], lag = (double)abs(twin->shift);
+        double share = (double)(fabsf(twin->share) + fabsf(twin->wrap)) * order / (order - lag);
+        double there = here * share + left;
+        double worse = chips * (here * here - there * there) + lag * here * here;
+        any = words->active[twin->sent] && !words->active[twin->alike] && worse < least_worse(certifier, reading, here);
+    }
+    return any;
 }
 
 /* Atoms out of place: what is left, read early or late, on the rows of all nodes; and, of codes that are not
@@ -359,8 +401,15 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
     double least = fmax(certifier->limits.atom * reading->least, noise);
 
     for (size_t i = 0; i < SIDE; i++) {
-        certifier->padded[i] = isnan(reading->beside[i]) ? 0 : reading->beside[i];
-        left_of(certifier)[chips + i] = isnan(reading->beside[SIDE + i]) ? 0 : reading->beside[SIDE + i];
+        float before = reading->before[reading->side - SIDE + i], after = reading->after[i];
+        certifier->padded[i] = isnan(before) ? 0 : before;
+        left_of(certifier)[chips + i] = isnan(after) ? 0 : after;
+    }
+    /* No row holds more than all that is left; nor has a twin more than its share of the word, and that. */
+    double hidden = sums_power(certifier->padded, chips + 2 * SIDE) / (double)chips;
+    if (hidden < least * least && !any_near_twin(certifier, reading, words, sqrt(hidden))) {
+        *atoms = sqrt(hidden) / least;
+        return;
     }
     for (size_t shift = 0; shift < SHIFT_COUNT; shift++) {
         float *rows = certifier->work;
@@ -368,7 +417,7 @@ static void shifted_atoms(struct certifier *certifier, const struct reading *rea
         mean_of_columns(rows + code->first, code->order, code->bits, code->nodes, certifier->mean);
         *atoms = fmax(*atoms, greatest(certifier->mean, code->nodes) / least);
         for (; next < end && next->shift == SHIFTS[shift]; next++)
-            if (words->active[next->sent] && !words->active[next->alike])
+            if (words->active[next->sent] && (next->alike == next->sent || !words->active[next->alike]))
                 *rivals = fmax(*rivals, twin(certifier, reading, next, rows, words->amplitude[next->sent]));
     }
 }
@@ -409,8 +458,9 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
 {
     const struct code *code = &certifier->code;
     const size_t chips = code->bits * code->order;
-    const float *beside = shift > 0 ? reading->beside + SIDE : reading->beside + SIDE + shift;
-    const size_t lag = (size_t)abs(shift), hidden = shift > 0 ? chips - lag : 0;
+    const size_t lag = (size_t)abs(shift);
+    const float *beside = shift > 0 ? reading->shown_after : reading->shown_before + reading->side - lag;
+    const size_t hidden = shift > 0 ? chips - lag : 0;
     bool seen = true;
 
     for (size_t i = 0; i < chips; i++) {
@@ -430,35 +480,46 @@ static void read_shifted(struct certifier *certifier, const struct reading *read
     code_rows(code, rows, rows);
 }
 
-/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all. */
-static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words)
+/* Sum of squares of chips beside the frame, where seen. */
+static double sum_beside(const float *beside, size_t count)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < count; i++)
+        sum += isnan(beside[i]) ? 0 : (double)beside[i] * (double)beside[i];
+    return sum;
+}
+
+/* Rivals: the frame some chips beside its place, or from one of its bits on, where a chip was taken twice or not at all.
+ * One that leaves out loud chips of this frame is none, nor is any that leaves out more. sign: later, or earlier. */
+static double shifted_frames(struct certifier *certifier, const struct reading *reading, const struct words *words,
+                             int sign)
 {
     const struct code *code = &certifier->code;
-    const size_t chips = code->bits * code->order;
+    const size_t chips = code->bits * code->order, side = reading->side;
     const float *read = reading->view->chips, *level = certifier->level;
-    double weakest = reading->weakest, base = reading->total, value = 0;
+    double cut = 0, value = 0;
+    double beside = sum_beside(reading->shown_before, 2 * side);
+    double base = reading->shown + certifier->worse;
     bool differ;
 
-    for (size_t i = 0; i < 2 * SIDE; i++)
-        base += isnan(reading->beside[i]) ? 0 : (double)reading->beside[i] * (double)reading->beside[i];
-    base += 2 * certifier->limits.log_odds * reading->left + certifier->limits.better * weakest * weakest;
-    for (size_t number = 0; number < SHIFT_COUNT; number++) {
-        int shift = SHIFTS[number];
+    for (size_t lag = 1; lag <= side; lag++) {
         float *rows = certifier->work;
-        double cut = 0;
-        read_shifted(certifier, reading, shift, rows);
-        for (size_t i = 0; i < (size_t)abs(shift); i++) {
-            double chip = shift > 0 ? (double)(read[i] - level[0]) : (double)(read[chips - 1 - i] - level[code->bits - 1]);
-            cut += chip * chip;
-        }
-        double left = rows_left(certifier, rows, words, &differ) + cut;
+        double chip = sign > 0 ? (double)(read[lag - 1] - level[0])
+                               : (double)(read[chips - lag] - level[code->bits - 1]);
+        cut += chip * chip;
+        if (cut > base)
+            break;
+        read_shifted(certifier, reading, sign * (int)lag, rows);
+        double covered = sum_beside(sign > 0 ? reading->shown_after : reading->shown_before + side - lag, lag);
+        double left = rows_left(certifier, rows, words, &differ) + cut + beside - covered;
         if (differ)
             value = fmax(value, base / fmax(left, 1e-30));
-        for (size_t bit = 1; abs(shift) == 1 && bit < code->bits; bit++) {
+        for (size_t bit = 1; lag == 1 && bit < code->bits; bit++) {
             memcpy(certifier->other, certifier->rows, bit * code->order * sizeof *rows);
             memcpy(certifier->other + bit * code->order, rows + bit * code->order,
                    (code->bits - bit) * code->order * sizeof *rows);
-            left = rows_left(certifier, certifier->other, words, &differ);
+            left = rows_left(certifier, certifier->other, words, &differ) + beside - covered;
             if (differ)
                 value = fmax(value, base / fmax(left, 1e-30));
         }
@@ -474,8 +535,11 @@ static double rest(const struct certifier *certifier, const struct reading *read
     double least = limits->deviations * sqrt(reading->view->noise) + limits->beside * reading->least, most = 0;
     double mean = 0, variance = 0, bits = (double)code->bits;
 
-    for (size_t i = 0; i < 2 * SIDE; i++)
-        most = isnan(reading->beside[i]) ? most : fmax(most, fabs((double)reading->beside[i]));
+    for (size_t i = 0; i < SIDE; i++) {
+        float before = reading->before[reading->side - 1 - i], after = reading->after[i];
+        most = isnan(before) ? most : fmax(most, fabs((double)before));
+        most = isnan(after) ? most : fmax(most, fabs((double)after));
+    }
     for (size_t bit = 0; bit < code->bits; bit++)
         mean += (double)certifier->level[bit] / bits;
     for (size_t bit = 0; bit < code->bits; bit++)
@@ -515,15 +579,35 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
     return uneven;
 }
 
-/* Whether what is on row 0 may be the line's level: it is the same in all bits. */
+/* Whether what is on row 0 may be the line's level, or a step of it: its bits change once at most. */
 static bool may_be_level(const struct certifier *certifier)
 {
     const struct code *code = &certifier->code;
-    size_t positive = 0;
+    size_t changes = 0;
 
-    for (size_t bit = 0; bit < code->bits; bit++)
-        positive += certifier->rows[bit * code->order] > 0;
-    return positive == 0 || positive == code->bits;
+    for (size_t bit = 1; bit < code->bits; bit++)
+        changes += (certifier->rows[bit * code->order] > 0) != (certifier->rows[(bit - 1) * code->order] > 0);
+    return changes <= 1;
+}
+
+/* Whether the line shows beside a frame that its level is the one at rest, on both sides as far as it is seen there. */
+static bool shows_rest(const struct certifier *certifier, const struct reading *reading)
+{
+    const struct certificate_limits *limits = &certifier->limits;
+    const float *sides[] = {reading->before, reading->after};
+
+    for (size_t side = 0; side < 2; side++) {
+        double sum = 0, count = 0;
+        for (size_t i = 0; i < reading->side; i++)
+            if (!isnan(sides[side][i])) {
+                sum += (double)sides[side][i];
+                count++;
+            }
+        double chance = limits->deviations * sqrt(reading->view->noise / fmax(count, 1));
+        if (count > 0 && fabs(sum / count) + chance > (double)certifier->code.active_share * reading->swing)
+            return false;
+    }
+    return true;
 }
 
 /* Whether a frame that leaves too much leaves no more than noise but for the words of few nodes, which are uneven: then
@@ -555,8 +639,8 @@ double certifier_left(struct certifier *certifier, const float *chips, double *p
     bool differ;
 
     *power = sums_power(chips, code->bits * code->order) / size;
-    code_rows(code, chips, certifier->work);
-    return rows_left(certifier, certifier->work, NULL, &differ) / size;
+    code_rows(code, chips, certifier->rows);
+    return rows_left(certifier, certifier->rows, NULL, &differ) / size;
 }
 
 void certifier_model(struct certifier *certifier, const float *chips, float *model)
@@ -580,6 +664,48 @@ void certifier_model(struct certifier *certifier, const float *chips, float *mod
         model[i] += (float)pedestal;
 }
 
+/* Chips beside a frame without their level and what leaks from it, which is taken off its chips, too. Sum of squares, V²,
+ * of what is left before that, there and in the frame. */
+static double find_beside(struct certifier *certifier, const struct certificate_view *view)
+{
+    const struct code *code = &certifier->code;
+    float *beside = certifier->beside;
+
+    memcpy(beside, view->beside, 2 * view->side * sizeof *beside);
+    if (code->first > 0 || code->scrambled)
+        level_beside(certifier, view->side, beside);
+    memcpy(certifier->leaked, beside, 2 * view->side * sizeof *beside);
+    double shown = sums_power(left_of(certifier), code->bits * code->order) + sum_beside(beside, 2 * view->side);
+    certifier->leaks = take_leakage(certifier, beside + view->side - 1, beside + view->side);
+    return shown;
+}
+
+/* Sum of squares, V², by which what is left, in the frame and beside it, is more than edges do. */
+static double beyond_edges(const struct certifier *certifier, size_t side)
+{
+    const float *left = left_of(certifier), *beside = certifier->beside, edges = (float)certifier->edges;
+    double sum = 0;
+
+    for (size_t i = 0; i < certifier->code.bits * certifier->code.order; i++) {
+        double more = (double)fmaxf(fabsf(left[i]) - edges, 0);
+        sum += more * more;
+    }
+    for (size_t i = 0; i < 2 * side; i++) {
+        double more = isnan(beside[i]) ? 0 : (double)fmaxf(fabsf(beside[i]) - edges, 0);
+        sum += more * more;
+    }
+    return sum;
+}
+
+/* What words leave on rows, (k, N): the frame's without the words', and without the level, which is on row 0. */
+VECTORS static void subtract_words(const struct code *code, const float *restrict rows, float *restrict symbols)
+{
+    for (size_t i = 0; i < code->bits * code->order; i++)
+        symbols[i] = rows[i] - symbols[i];
+    for (size_t bit = 0; bit < code->bits && code->first > 0; bit++)
+        symbols[bit * code->order] = 0;
+}
+
 /* What the frame's words leave over, in chips and on rows. */
 static struct reading find_rest(struct certifier *certifier, const struct certificate_view *view,
                                 const struct words *words)
@@ -590,7 +716,8 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     const bool has_level = code->first > 0 || code->scrambled;
     struct reading reading = {.view = view};
 
-    code_rows(code, view->chips, certifier->rows);
+    if (!view->rows_known)
+        code_rows(code, view->chips, certifier->rows);
     certifier->measures.amplitude = words->amplitude;
     words_measure(certifier->rows + code->first, code->order, code->bits, code->nodes, &certifier->measures);
     reading.speakers = find_speakers(certifier, view->noise, words, &reading.weakest);
@@ -599,11 +726,12 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     make_symbols(code, certifier->rows, words->amplitude, words->active, certifier->broken, certifier->work);
     code_chips(code, certifier->work, certifier->model);
     leave(certifier, view->chips, left_of(certifier));
-    memcpy(reading.beside, view->beside, sizeof reading.beside);
-    if (has_level)
-        level_beside(certifier, reading.beside);
-    if (reading.speakers)
-        take_leakage(certifier, reading.beside);
+    reading.shown = find_beside(certifier, view);
+    reading.side = view->side;
+    reading.before = certifier->beside;
+    reading.after = certifier->beside + view->side;
+    reading.shown_before = certifier->leaked;
+    reading.shown_after = certifier->leaked + view->side;
     double taken = (double)reading.speakers + (has_level ? (double)code->bits : 0) + (reading.speakers ? 2 : 0);
     for (size_t i = 0; i < code->nodes; i++)
         taken += certifier->broken[i] ? (double)code->bits : 0;
@@ -612,7 +740,10 @@ static struct reading find_rest(struct certifier *certifier, const struct certif
     reading.left = fmax(reading.total / reading.free, 1e-12 * reading.swing * reading.swing);
     reading.more = (limits->left + limits->left_of_word * limits->left_of_word * (double)reading.speakers) *
                    reading.swing * reading.swing;
-    code_rows(code, left_of(certifier), certifier->work);
+    if (certifier->leaks || code->scrambled)
+        code_rows(code, left_of(certifier), certifier->work);
+    else
+        subtract_words(code, certifier->rows, certifier->work);
     squares_of_columns(certifier->work, code->order, code->bits, certifier->power, certifier->most);
     return reading;
 }
@@ -622,6 +753,7 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 {
     const struct code *code = &certifier->code;
     const struct reading reading = find_rest(certifier, view, words);
+    const struct certificate_limits *limits = &certifier->limits;
     const double noise = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
 
@@ -629,13 +761,19 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
                  code->sign_mask, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
     bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
-    shifted_atoms(certifier, &reading, words, &atoms, &rivals);
-    value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
-    if (!code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few)
-        rivals = fmax(rivals, shifted_frames(certifier, &reading, words));
-    value[CLAUSE_RIVALS] = rivals;
+    certifier->edges = limits->edges * reading.weakest * sqrt((double)reading.speakers);
+    if (view->is_compared)
+        certifier->beyond = beyond_edges(certifier, view->side);
+    certifier->worse = 2 * certifier->limits.log_odds * reading.shown / reading.free +
+                       certifier->limits.better * reading.weakest * reading.weakest;
     value[CLAUSE_REST] = rest(certifier, &reading);
     value[CLAUSE_WORDS] = parts ? 2 : 0;
+    shifted_atoms(certifier, &reading, words, &atoms, &rivals);
+    value[CLAUSE_ATOMS] = fmax(atoms, row_atoms(certifier, &reading));
+    for (int sign = -1; sign <= 1 && !code->scrambled && reading.speakers && reading.speakers <= certifier->limits.few;
+         sign += 2)
+        rivals = fmax(rivals, shifted_frames(certifier, &reading, words, sign));
+    value[CLAUSE_RIVALS] = rivals;
     certificate->left = reading.left;
     certificate->noise = noise;
     certificate->swing = reading.swing;
@@ -644,7 +782,8 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     bool hidden = hides_nodes(certifier, &reading, words, noise);
     for (size_t i = 0; i < code->nodes; i++)
         words->doubtful[i] |= words->faint[i] | (hidden & !words->active[i]);
-    if (view->level_unknown && code->first == 0 && !code->scrambled && may_be_level(certifier))
+    if (code->first == 0 && !code->scrambled && (view->level_unknown || !shows_rest(certifier, &reading)) &&
+        may_be_level(certifier))
         words->doubtful[0] = 1;
 }
 
@@ -658,6 +797,39 @@ double certificate_worst(const struct certificate *certificate, enum certificate
     if (clause)
         *clause = (enum certificate_clause)worst;
     return certificate->value[worst];
+}
+
+double certifier_explained(struct certifier *certifier, const float *chips)
+{
+    const struct code *code = &certifier->code;
+    const size_t size = code->bits * code->order;
+    double levels = 0;
+    float beside;
+
+    certifier_model(certifier, chips, certifier->model);
+    leave(certifier, chips, left_of(certifier));
+    take_leakage(certifier, &beside, &beside);
+    for (size_t bit = 0; bit < code->bits; bit++)
+        levels += (double)certifier->level[bit] * (double)certifier->level[bit];
+    return sums_power(chips, size) - sums_power(left_of(certifier), size) - (double)code->order * levels;
+}
+
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
+                       struct certificate *certificate)
+{
+    const struct code *code = &certifier->code;
+    double *value = &certificate->value[CLAUSE_RIVALS];
+    bool differ;
+
+    code_rows(code, view->chips, certifier->work);
+    rows_left(certifier, certifier->work, words, &differ);
+    if (!differ || !certificate->speakers)
+        return;
+    certifier_model(certifier, view->chips, certifier->model);
+    leave(certifier, view->chips, left_of(certifier));
+    find_beside(certifier, view);
+    double more = beyond_edges(certifier, view->side) - certifier->beyond;
+    *value = fmax(*value, certifier->worse / fmax(more, 1e-6 * certifier->worse));
 }
 
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)

@@ -36,6 +36,7 @@ struct certificate_limits {
     double faint, faint_bit;     /* share of a silent row, and of its loudest bit, that is asked about */
     double faint_deviations;     /* normal deviations of noise that is asked about there */
     double better;               /* squares of the weakest word by which a rival must be worse */
+    double edges;                /* share of the words' RMS by which edges may put a chip off */
     size_t few;                  /* words up to which a frame may look like another one beside it */
     double beside, moves;        /* share of a chip beside the frame; deviation of the level from bit to bit */
     double silent_rho;           /* ρ below which noise may hide a node */
@@ -46,20 +47,26 @@ struct certificate_limits {
     double uneven;               /* share of nodes whose words may be uneven in a frame that is understood */
 };
 
-/* Chips as they were received. beside: two chips before the frame and two after it, V, NaN where not seen. noise: V², of
- * a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask. level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
+#define CERTIFICATE_BESIDE 32 /* chips beside a frame that are looked at, at most */
+
+/* Chips as they were received. beside: `side` chips before the frame and as many after it, V, NaN where not seen; two at
+ * least. noise: V², of a chip at rest; 0: unknown. is_noise: it is known to hold no node; only sparse codes ask.
+ * level_unknown: the line's level at rest is, so that a word on row 0 may be it. */
 struct certificate_view {
     const float *chips;
-    float beside[4];
+    size_t side;
+    float beside[CERTIFICATE_BESIDE];
     double noise;
     bool is_noise, level_unknown;
+    bool rows_known;  /* certifier_left was the last to read these chips */
+    bool is_compared; /* certifier_compare is to follow */
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
  * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
  * is no more than noise. crowded: the sparse codes of those who spoke are not told apart. */
 struct certificate {
-    double left, noise, swing, kurtosis, value[CERTIFICATE_CLAUSES];
+    double left, noise, swing, value[CERTIFICATE_CLAUSES], kurtosis;
     size_t speakers;
     bool understood, crowded;
 };
@@ -93,6 +100,14 @@ void certifier_free(struct certifier *certifier);
 /* Reads a frame. */
 void certifier_read(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                     struct certificate *certificate);
+
+/* Sum of squares, V², that words of one amplitude and leakage explain of chips (k, N), without their levels. */
+double certifier_explained(struct certifier *certifier, const float *chips);
+
+/* How near a frame that is read elsewhere comes to being other words that explain as much as those of the frame read
+ * last; CLAUSE_RIVALS is raised to that. */
+void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
+                       struct certificate *certificate);
 
 /* Puts in doubt what the values of a certificate ask for; after whoever has more to add to them did. */
 void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words);

@@ -9,10 +9,10 @@
 #include "sparse.h"
 #include "sums.h"
 
-#define SIDE 2       /* chips beside a frame that are looked at */
 #define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
 #define LEARNT 8     /* of these, until then it is unknown */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
+#define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
 #define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
 
 struct frame_reader {
@@ -22,13 +22,18 @@ struct frame_reader {
     struct certifier *certifier;  /* of orthogonal codes; NULL: they are sparse */
     struct sparse *sparse;        /* the other way round */
     struct fit carried, proposed; /* chip 0: none */
+    struct fit taken;             /* by which the chips are */
     struct {
         double left, kurtosis;    /* V²; see certificate */
     } seen[SEEN];                 /* what the words of the last frames left over */
     size_t count;                 /* of those, ever */
     double *sums;                 /* of the samples of a frame */
     size_t room;
-    float *levels;                /* (span + 2·SIDE) V, chips by a fit, with those beside and pauses */
+    size_t begin;                 /* sample at which the frame is expected to begin */
+    bool is_free, measures;       /* it may begin whole chips beside that, too; that is refined in any case */
+    struct fit places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
+    size_t place_count;
+    float *levels;                /* (span + 2·side) V, chips by a fit, with those beside and pauses */
     float *chips;                 /* (k, N) of these */
     float *scratch;
 };
@@ -47,7 +52,7 @@ struct frame_reader *frame_reader_new(const struct code *code, const struct fram
         reader->sparse = sparse_new(code, limits, expected);
     else
         reader->certifier = certifier_new(code, limits, expected, broken);
-    reader->levels = malloc((code->span + 2 * SIDE) * sizeof(float));
+    reader->levels = malloc((code->span + 2 * rules->side) * sizeof(float));
     reader->chips = malloc(code->bits * code->order * sizeof(float));
     reader->scratch = malloc(fit_scratch(code) * sizeof(float));
     if ((reader->certifier || reader->sparse) && reader->levels && reader->chips && reader->scratch)
@@ -88,6 +93,16 @@ void frame_reader_reset(struct frame_reader *reader)
 {
     reader->carried = reader->proposed = (struct fit){0};
     reader->count = 0;
+}
+
+void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures)
+{
+    reader->carried = *fit;
+    reader->rules.earliest = fit->start - scatter;
+    reader->rules.latest = fit->start + scatter;
+    reader->begin = (size_t)fmax(0, ceil(fit->start));
+    reader->is_free = isinf(scatter);
+    reader->measures = measures;
 }
 
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit)
@@ -180,14 +195,38 @@ static void take_chips(struct frame_reader *reader, const struct fit_line *line,
 {
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
-    const float *levels = reader->levels + SIDE;
+    const size_t side = reader->rules.side;
+    const float *levels = reader->levels + side;
 
-    fit_levels(line, fit, reader->rules.refining.blur, SIDE, code->span + 2 * SIDE, reader->levels);
+    reader->taken = *fit;
+    fit_levels(line, fit, reader->rules.refining.blur, side, code->span + 2 * side, reader->levels);
     if (code->span == chips)
         memcpy(reader->chips, levels, chips * sizeof *levels);
     else
         for (size_t i = 0; i < chips; i++)
             reader->chips[i] = levels[code->places[i]];
+}
+
+/* What is seen of a frame by a fit. */
+static struct certificate_view view_of(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit,
+                                       const struct frame_rest *rest)
+{
+    const size_t side = reader->rules.side, after = side + reader->code.span;
+    const double end = fit_end(fit, reader->code.span), last = (double)line->size - EDGE + 0.1;
+    struct certificate_view view = {
+        .chips = reader->chips, .side = side, .noise = rest->noise, .is_noise = true, .level_unknown = !rest->known,
+        .is_compared = reader->place_count > 0};
+
+    view.rows_known = fit->start == reader->taken.start && fit->chip == reader->taken.chip;
+    if (!view.rows_known)
+        take_chips(reader, line, fit);
+    for (size_t i = 0; i < side; i++) {
+        bool before_seen = fit->start - (double)(side - i) * fit->chip > -EDGE - 0.1;
+        bool after_seen = end + (double)(i + 1) * fit->chip < last;
+        view.beside[i] = before_seen ? reader->levels[i] : NAN;
+        view.beside[side + i] = after_seen ? reader->levels[after + i] : NAN;
+    }
+    return view;
 }
 
 /* Whether a fit is within the limits, and its frame within the samples. */
@@ -226,16 +265,55 @@ static bool find_fit(struct frame_reader *reader, const struct fit_line *line, d
         }
         take_chips(reader, line, &fit);
         over = certifier_left(reader->certifier, reader->chips, &of_chips);
-        if (!any || over < 0.98 * *left) {
+        if (!any || over < 0.98 * *left || reader->measures) {
             *best = fit;
             *left = over;
             *power = of_chips;
         }
         any = true;
-        if (*left < MORE_NOISE * noise + rules->refined * *power)
+        if (*left < MORE_NOISE * noise + rules->refined * *power && !reader->measures)
             break;
     }
     return any;
+}
+
+/* Sum of squares, V², that the words of a fit explain. */
+static double explained_by(struct frame_reader *reader, const struct fit_line *line, const struct fit *fit)
+{
+    take_chips(reader, line, fit);
+    return certifier_explained(reader->certifier, reader->chips);
+}
+
+/* Moves a frame that may begin anywhere by whole chips to where its words explain most, and keeps the other places at
+ * which they explain nearly as much: each with its own best timing, as that of one suits the words of no other. */
+static void choose_place(struct frame_reader *reader, const struct fit_line *line, struct fit *best)
+{
+    const int side = (int)reader->rules.side;
+    const struct fit here = *best;
+    double most = explained_by(reader, line, best), least = NEAR * most;
+
+    reader->place_count = 0;
+    for (int shift = -side; shift <= side; shift++) {
+        struct fit there = {here.start + shift * here.chip, here.chip};
+        double power = shift && is_possible(reader, line, &there) ? explained_by(reader, line, &there) : 0;
+        if (power <= least)
+            continue;
+        struct fit own = fit_refine(&reader->code, line, &reader->rules.refining, reader->certifier, there, -INFINITY,
+                                    INFINITY, reader->scratch);
+        bool is_near = fabs(own.start - there.start) < here.chip / 2 && is_possible(reader, line, &own);
+        double refined = is_near ? explained_by(reader, line, &own) : 0;
+        if (refined > power) {
+            there = own;
+            power = refined;
+        }
+        struct fit *place = &reader->places[reader->place_count++];
+        *place = there;
+        if (power > most) {
+            *place = *best;
+            *best = there;
+            most = power;
+        }
+    }
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------ */
@@ -283,8 +361,8 @@ static bool is_noise(const struct frame_reader *reader, const struct certificate
 }
 
 /* Words and certificate of the chips in the reader. beside: see certificate_view. */
-static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, double power, double within,
-                               const struct words *words, struct frame_found *found)
+static enum frame_look certify(struct frame_reader *reader, const struct certificate_view *view, const struct fit_line *line,
+                               const struct frame_rest *rest, double power, double within, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     struct certificate *certificate = &found->certificate;
@@ -294,6 +372,10 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
     else
         certifier_read(reader->certifier, view, words, certificate);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
+    for (size_t i = 0; line && i < reader->place_count; i++) {
+        struct certificate_view other = view_of(reader, line, &reader->places[i], rest);
+        certifier_compare(reader->certifier, &other, words, certificate);
+    }
     found->noise = certificate->noise * sqrt((double)reader->code.order);
     bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
                                            : certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
@@ -316,14 +398,18 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
 {
     const struct code *code = &reader->code;
     const size_t chips = code->bits * code->order;
-    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, noise_of_frames(reader), false, !rest->known};
+    struct certificate_view view = {.chips = reader->chips, .side = reader->rules.side, .noise = noise_of_frames(reader),
+                                    .level_unknown = !rest->known};
 
+    for (size_t i = 0; i < 2 * view.side; i++)
+        view.beside[i] = NAN;
     for (size_t i = 0; i < chips; i++)
         reader->chips[i] = volts[i] - (float)found->level;
     view.is_noise = reader->sparse && is_noise(reader, &reader->limits, view.noise);
     found->start = 0;
     found->chip = 1;
-    enum frame_look look = certify(reader, &view, sums_power(reader->chips, chips) / (double)chips, 0, words, found);
+    double power = sums_power(reader->chips, chips) / (double)chips;
+    enum frame_look look = certify(reader, &view, NULL, rest, power, 0, words, found);
     if (!reader->sparse || found->certificate.understood) { /* else much of what is left is words */
         reader->seen[reader->count % SEEN].left = found->certificate.left;
         reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
@@ -333,9 +419,9 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     return look;
 }
 
-/* A frame of raw samples. */
+/* A frame of raw samples. sampled: their mean power, V². */
 static enum frame_look read_samples(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
-                                    const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+                                    double sampled, const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
     struct fit_line line = {count, volts, reader->sums, found->level};
@@ -353,33 +439,44 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
         return FRAME_NEEDS_MORE;
     }
     reader->proposed.chip = 0;
+    reader->place_count = 0;
+    if (reader->is_free) {
+        choose_place(reader, &line, &fit);
+        take_chips(reader, &line, &fit);
+        certifier_left(reader->certifier, reader->chips, &power);
+    }
     double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
     if (missing > EDGE && !final) {
         reader->carried = fit;
         found->more = (size_t)ceil(missing);
         return FRAME_NEEDS_MORE;
     }
-    take_chips(reader, &line, &fit);
-    const float *levels = reader->levels;
-    const size_t after = SIDE + reader->code.span;
-    struct certificate_view view = {reader->chips, {NAN, NAN, NAN, NAN}, rest->noise, true, !rest->known};
-    for (size_t i = 0; i < SIDE; i++) {
-        if (fit.start - (double)(SIDE - i) * fit.chip > -EDGE - 0.1)
-            view.beside[i] = levels[i];
-        if (end + (double)(i + 1) * fit.chip < (double)count - EDGE + 0.1)
-            view.beside[SIDE + i] = levels[after + i];
-    }
+    struct certificate_view view = view_of(reader, &line, &fit, rest);
     /* What samples have besides their chips is noise, unless chips are misplaced and change within. */
-    size_t begin = (size_t)fmax(0, ceil(fit.start)), stop = (size_t)fmin((double)count, floor(end));
-    struct samples_sums sums = samples_add(volts + begin, stop - begin);
-    double size = (double)(stop - begin), noise = rest->noise * rules->chip;
-    double sampled = (sums.squares - 2 * found->level * sums.sum) / size + found->level * found->level;
+    double size = (double)rules->size, noise = rest->noise * rules->chip;
     double within = (sampled - noise - power) / (rules->kept * power + 3 * noise * sqrt(2 / size) + 1e-12);
     reader->carried = fit;
     found->start = fit.start;
     found->chip = fit.chip;
-    found->clipped = share_clipped(rules, volts + begin, stop - begin);
-    return certify(reader, &view, power, within, words, found);
+    return certify(reader, &view, &line, rest, power, within, words, found);
+}
+
+void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,
+                            const struct fit *fit, size_t count, double *powers)
+{
+    if (!make_room(reader, size))
+        count = 0;
+    struct fit_line line = {size, volts, reader->sums, level};
+    struct fit at = *fit;
+
+    if (count)
+        fit_sums(volts, size, level, reader->sums);
+    for (size_t i = 0; i < count; i++, at.start += at.chip) {
+        double power;
+        take_chips(reader, &line, &at);
+        double left = certifier_left(reader->certifier, reader->chips, &power);
+        powers[i] = power - left;
+    }
 }
 
 enum frame_look frame_reader_read(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
@@ -388,9 +485,10 @@ enum frame_look frame_reader_read(struct frame_reader *reader, const float *volt
     const struct frame_rules *rules = &reader->rules;
 
     *found = (struct frame_found){.level = rest->level};
-    if (count < rules->size || !make_room(reader, count))
+    const float *frame = volts + reader->begin;
+    if (count < reader->begin + rules->size || !make_room(reader, count))
         return FRAME_INCOMPLETE;
-    struct samples_sums sums = samples_add(volts, rules->size);
+    struct samples_sums sums = samples_add(frame, rules->size);
     double mean = sums.sum / (double)rules->size, power = sums.squares / (double)rules->size;
     if (isnan(power))
         return FRAME_ABSURD;
@@ -400,7 +498,7 @@ enum frame_look frame_reader_read(struct frame_reader *reader, const float *volt
         power -= mean * mean;
     else
         power += found->level * (found->level - 2 * mean);
-    found->clipped = share_clipped(rules, volts, rules->size);
+    found->clipped = share_clipped(rules, frame, rules->size);
     if (found->clipped > rules->clipped)
         return FRAME_AT_RAIL;
     if (power <= rules->silent_power) {
@@ -411,5 +509,5 @@ enum frame_look frame_reader_read(struct frame_reader *reader, const float *volt
             return silent(rules, rest, fmax(power, 0), found);
     }
     return rules->integrated ? read_means(reader, volts, count, rest, words, found)
-                             : read_samples(reader, volts, count, final, searches, rest, words, found);
+                             : read_samples(reader, volts, count, final, searches, power, rest, words, found);
 }

@@ -20,6 +20,7 @@ struct frame_rules {
     double chip, least_chip, most_chip; /* samples: nominal, and limits */
     double earliest, latest;   /* samples from the first one: between these the frame begins */
     double tail;               /* chips after a frame that are looked at */
+    size_t side;               /* chips before a frame and after it that are looked at where they are seen */
     double rail_low, rail_high; /* V: samples at these, or beyond, are clipped */
     double silent_power;       /* V²: of samples, below which nobody speaks, however faintly */
     double silent_chip;        /* V: of an integrated chip, below which the same holds */
@@ -73,6 +74,14 @@ void frame_reader_reset(struct frame_reader *reader);
 
 /* Tries this timing on the next frame, too; see FRAME_SEARCH. */
 void frame_reader_propose(struct frame_reader *reader, const struct fit *fit);
+
+/* The next frame begins by so many samples, at most, before or after a fit's start, with such chips; infinite: or whole
+ * chips beside that. measures: start and chip are refined in any case. */
+void frame_reader_expect(struct frame_reader *reader, const struct fit *fit, double scatter, bool measures);
+
+/* Power, V², that words explain of the chips of `count` fits, of which each begins a chip later. */
+void frame_reader_explained(struct frame_reader *reader, const float *volts, size_t size, double level,
+                            const struct fit *fit, size_t count, double *powers);
 
 /* Samples that a frame takes by the timing of the frames before, with its tail. */
 size_t frame_reader_due(const struct frame_reader *reader);

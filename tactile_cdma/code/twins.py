@@ -49,7 +49,7 @@ def twins(order: int, first_row: int, nodes: int) -> NDArray[np.void]:
             share = correlate(moved, book)[:, first_row : first_row + nodes]
             wrap = correlate(beside, book)[:, first_row : first_row + nodes]
             of, alike = np.nonzero(np.abs(share) > ALIKE)
-            others = sent[of] != alike
+            others = (sent[of] != alike) | (share[of, alike] < 0)  # a node's own row, inverted
             of, alike = of[others], alike[others]
             pairs = np.zeros(of.size, TWIN)
             pairs["sent"], pairs["alike"], pairs["shift"] = sent[of], alike, shift

@@ -15,6 +15,7 @@ from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, DOUBTED_FOR, DOUBTED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
 from ..driver.pipeline import Pipeline, TactileFrame
+from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
 from ..framing.frame_reader import hides_silence
 from ..framing.limits import LIMITS
@@ -69,9 +70,13 @@ def judge(
     """
     yield from _link(chunks)
     if no_frames:
-        yield problem("frames", no_frames)
+        other = mismatch(config, chunks)
+        yield problem("scramble", other) if other else problem("frames", no_frames)
         return
     decoded = _decoded(chunks, config, None)
+    if not any(map(is_understood, decoded.frames)) and (other := mismatch(config, chunks)):
+        yield problem("scramble", other)
+        return
     yield from _rate(decoded, config)
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     if clipped:
@@ -141,7 +146,9 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
             frames += new
             arrived_s.append(t_host)
     if not frames:
-        raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
+        raise PortError(
+            pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
+        )
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LIMITS.low_rho) for frame in frames])
     return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, pipeline)

@@ -36,8 +36,8 @@ REJECTED_FOR = {
     "lower its gain (make amplifier)",
     "noisy": "with noise that would hide words: look for what disturbs the line, or raise the "
     "amplitude",
-    "misfit": "explained by no words: check chip_us, order and bits, noise on the line, and whether "
-    "nodes' clocks are off",
+    "misfit": "explained by no words: check chip_us, order, bits and scramble, noise on the line, "
+    "and whether nodes' clocks are off",
 }
 """What to do about frames that are mostly rejected for one reason."""
 DOUBTED_FOR = {
@@ -142,8 +142,16 @@ def _doubts(window: Window) -> Iterator[Finding]:
         yield Finding(f"{text}: {DOUBTED_FOR[clause]}", key="doubted")
 
 
-def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
-    """Judge the nodes, one by one. stuck: numbers of those that do not move."""
+def nodes(
+    pipeline: Pipeline, stuck: list[int], window: Window, mismatch: str | None = None
+) -> Iterator[Finding]:
+    """Judge the nodes, one by one. stuck: numbers of those that do not move.
+
+    mismatch: that they scramble otherwise than the parameters say.
+    """
+    if mismatch:
+        yield Finding(mismatch, Level.ERROR, event=True)
+        return
     taxels, health = pipeline.taxels, pipeline.health
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):

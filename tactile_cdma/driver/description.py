@@ -11,7 +11,8 @@ import numpy as np
 from ..base import kernel
 from ..config.parameters import GAP
 from ..config.skin_config import SkinConfig
-from ..framing.frame_reader import FrameReader
+from ..framing.frame_reader import MARKED_SIDE_CHIPS, FrameReader
+from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..framing.proposals import Proposer
 from ..wire.messages import Info
 from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Pace
@@ -49,12 +50,13 @@ class Description:
         low_v, high_v = info.volts(np.array([info.min_count, info.max_count], dtype=np.int16))
         rails_v = float(low_v), float(high_v)
         self.pace = Pace(info, spec)
-        self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v)
+        is_marked = config.timing != GAP
+        side_chips = MARKED_SIDE_CHIPS if is_marked else SIDE_CHIPS
+        self.reader = FrameReader(
+            spec, rate_hz, rails_v, config.active_share, swing_v, side_chips
+        )
         self.proposer = Proposer(spec, self.reader.chip)
-        self.gaps = None
-        if config.timing == GAP:
-            from ..framing.gaps.gap_timing import GapTiming
-            self.gaps = GapTiming(self.reader, rate_hz)
+        self.gaps = None if is_marked else GapTiming(self.reader, rate_hz)
 
     def rules(self, frames: bool) -> kernel.Held:
         """Return the kernel's struct stream_rules; frames: see Pipeline."""

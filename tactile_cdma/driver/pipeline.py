@@ -212,7 +212,7 @@ class Pipeline:
             words = silent(self.config.spec.nodes, frame.noise_rms_v)
             return words, self.taxels.update_silent(words, t_device, self.health)
         counts = frame.speakers > 0 and (frame.understood or certificate.holds)
-        readings = self.taxels.update(words, t_device, self.health, counts)
+        readings = self.taxels.update(frame.memory, t_device, self.health, counts)
         if counts and self.health.counted():
             self._adopt_health()
         return words, readings

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import kernel
-from ..base.arrays import Floats32
+from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from ..code.transform import CompiledTransform
@@ -50,6 +50,8 @@ SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count
 of a 10-bit converter."""
+MARKED_SIDE_CHIPS = 2
+"""Chips beside a marked frame that are looked at: marks are off by no more."""
 Rails = tuple[float, float] | None
 
 
@@ -67,12 +69,14 @@ class FrameReader:
         rails_v: Rails = None,
         active_share: float = 0.5,
         swing_v: float | None = None,
+        side_chips: int = MARKED_SIDE_CHIPS,
     ) -> None:
         """Raise SpecError at a rate that frames cannot be read at.
 
         rails_v: lowest and highest level that is not cut off, V; None: unknown. active_share: of a
         node's amplitude, above which its word counts. swing_v: amplitude of a node's row, V; the
-        specification's by default.
+        specification's by default. side_chips: before and after a frame, that are looked at where
+        they are seen.
         """
         self.spec, self.chip = spec, rate_hz * spec.chip_s
         self.swing_v = spec.node_swing_v if swing_v is None else swing_v
@@ -84,9 +88,8 @@ class FrameReader:
             )
         self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
         self.broken = np.zeros(spec.nodes, np.uint8)
-        self.size = math.ceil(
-            (spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5
-        )
+        self._side_chips = side_chips
+        self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
         code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
         limits = kernel.struct(
@@ -108,6 +111,7 @@ class FrameReader:
         self.at = self._held.at
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
+        self._memory = words_memory(spec.nodes)
         self._counts = [0] * kernel.compiled.FRAME_LOOKS
 
     def _rules(self, rails_v: Rails) -> dict[str, Any]:
@@ -115,6 +119,7 @@ class FrameReader:
         spec, chip, swing_v = self.spec, self.chip, self.swing_v
         low, high = rails_v or (-math.inf, math.inf)
         margin = RAIL_MARGIN * (high - low) if rails_v else 0.0
+        self._within_v = low + margin, high - margin
         return {
             "integrated": self.integrated,
             "mean_is_offset": (spec.first_row > 0 or spec.scramble) and spec.drive == BIPOLAR,
@@ -126,6 +131,7 @@ class FrameReader:
             "earliest": -1.0,
             "latest": 0.5,
             "tail": TAIL_CHIPS,
+            "side": self._side_chips,
             "rail_low": low + margin,
             "rail_high": high - margin,
             "silent_power": (SILENT_SHARE * (swing_v or 0.0)) ** 2,
@@ -154,23 +160,93 @@ class FrameReader:
             self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
         )
 
+    def expect(self, start: float, chip: float, scatter: float, measures: bool = True) -> None:
+        """Expect the next frame to begin within ±scatter of a start, with such chips; samples.
+
+        measures: both are refined in any case.
+        """
+        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        kernel.compiled.frame_reader_expect(self.at, fit, scatter, measures)
+
+    def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
+        """Return the power that words explain, V², of frames that each begin a chip later.
+
+        volts: (m,), of which start and chip, samples, are those of the first frame.
+        """
+        powers = np.empty(count)
+        fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
+        samples, out = kernel.pointer(volts, volts.size), kernel.pointer(powers, count, written=True)
+        kernel.compiled.frame_reader_explained(
+            self.at, samples, volts.size, self._rest.level, fit, count, out
+        )
+        return powers
+
+    def look(self, volts: Floats32, final: bool = True, searches: bool = False) -> int:
+        """Read one frame, and return the kernel's verdict (enum frame_look); see `taken`.
+
+        volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
+        needed.
+        """
+        lib, nodes = kernel.compiled, self.spec.nodes
+        self._memory = words_memory(nodes)
+        words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
+        look: int = lib.frame_reader_read(
+            self.at,
+            kernel.pointer(volts, volts.size),
+            volts.size,
+            final,
+            searches,
+            self._rest,
+            kernel.ffi.new("struct words *", words),
+            self._found,
+        )
+        self._has_words = look == lib.FRAME_READ
+        return look
+
+    def sum_up(self, mean_v: float, variance_v2: float) -> int:
+        """Return the verdict on samples in which nobody spoke, of which this is known."""
+        self._has_words = False
+        look: int = kernel.compiled.frame_reader_sum_up(
+            self.at, self._rest, mean_v, variance_v2, self._found
+        )
+        return look
+
+    def is_deaf(self, volts: Floats32) -> bool:
+        """Whether so many samples are at a rail that a node may speak unheard."""
+        low_v, high_v = self._within_v
+        return float(np.mean((volts <= low_v) | (volts >= high_v))) > DEAFENED
+
+    @property
+    def due_chips(self) -> float:
+        """Chips from a frame's begin until it can be read."""
+        return float(self.spec.span_chips + TAIL_CHIPS)
+
+    @property
+    def silent_power(self) -> float:
+        """Power of samples below which nobody speaks, V²."""
+        return float((SILENT_SHARE * (self.swing_v or 0.0)) ** 2)
+
+    @property
+    def more(self) -> int:
+        """Samples that the last frame needs beside those that were given."""
+        return int(self._found.more)
+
+    def taken(self, first_index: int) -> LineFrame:
+        """Return the frame that was read last; first_index: of its samples in the stream."""
+        return line_frame(
+            self._found, self._has_words, self._memory, first_index, self.spec.nodes
+        )
+
     def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
         """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.
 
         first_index: of the first sample in the stream.
         """
-        samples, memory = np.ascontiguousarray(volts, np.float32), words_memory(self.spec.nodes)
-        lib, found = kernel.compiled, self._found
-        where = kernel.pointer(memory, memory.size, written=True)
-        words = kernel.ffi.new("struct words *", lib.words_in(where, self.spec.nodes))
-        given = kernel.pointer(samples, samples.size)
-        look = lib.frame_reader_read(
-            self.at, given, samples.size, True, False, self._rest, words, found
-        )
-        if look > lib.FRAME_READ:
+        look = self.look(np.ascontiguousarray(volts, np.float32))
+        if look > kernel.compiled.FRAME_READ:
             self._counts[look] += 1
             return None
-        return line_frame(found, look == lib.FRAME_READ, memory, first_index, self.spec.nodes)
+        return self.taken(first_index)
 
     @property
     def rejections(self) -> Rejections:
@@ -181,15 +257,19 @@ class FrameReader:
 def line_frame(
     found: Any, has_words: bool, memory: NDArray[np.uint8], first_index: int, nodes: int
 ) -> LineFrame:
-    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps."""
+    """Return what the kernel found (struct frame_found); memory: of the words, which it keeps.
+
+    The members of the kernel's struct certificate begin with those of Certificate.
+    """
     words = certificate = None
     told = found.certificate
     if has_words:
         words = words_of(memory, nodes, found.noise)
-        certificate = Certificate(told.left, told.noise, told.swing, *told.value)
+        numbers = kernel.ffi.cast("double *", kernel.ffi.addressof(found, "certificate"))
+        certificate = Certificate._make(kernel.ffi.unpack(numbers, len(Certificate._fields)))
     return LineFrame(
         first_index + found.start, found.chip, words, certificate, told.speakers, told.understood,
-        found.noise, found.level, found.clipped, crowded=told.crowded,
+        found.noise, found.level, found.clipped, memory, crowded=told.crowded,
     )  # fmt: skip
 
 

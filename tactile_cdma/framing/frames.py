@@ -9,6 +9,9 @@ from dataclasses import astuple, dataclass, fields, replace
 from enum import IntEnum
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..base.stage import stage
 from ..words.words import Words
 
@@ -79,6 +82,7 @@ class LineFrame:
         say something of their nodes.
     noise_rms_v: noise of one chip's level, V. level_v: of the line in silence, V.
     clipped: share of the frame's samples at a rail, 0…1.
+    memory: the words as the kernel lays them, which `words` are views of.
     turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
     crowded: the sparse codes of those who spoke are not told apart.
     """
@@ -92,6 +96,7 @@ class LineFrame:
     noise_rms_v: float
     level_v: float
     clipped: float
+    memory: NDArray[np.uint8]
     turn: int = 0
     crowded: bool = False
 

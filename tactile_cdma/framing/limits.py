@@ -33,6 +33,8 @@ class Limits:
         about, and deviations of noise there. A doubtful silence costs one taxel, not a frame.
     better: squares of the weakest word by which a rival must be worse: a quarter of one chip that
         is missing.
+    edges: share of the words' RMS by which edges may put a chip off, so that it tells no rivals
+        apart: edges 0.1 chip off and low-passes of 0.3 chip.
     few: words up to which shifted frames are compared. More do not look like other words: what
         they leave over shows in `left`.
     beside, moves: share of a chip beside the frame; deviation of the line's level from bit to bit,
@@ -66,6 +68,7 @@ class Limits:
     faint_bit: float = 0.25
     faint_deviations: float = 3.3
     better: float = 0.25
+    edges: float = 0.3
     few: int = 12
     beside: float = 0.4
     moves: float = 0.3

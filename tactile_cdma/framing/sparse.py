@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What frames of sparse codes are read by (kernel/sparse.h and detect.h), each number with its origin.
+"""What frames of sparse codes are read by (kernel/sparse.h, detect.h), each with its origin.
 
 What orthogonal codes are read by, too, is in `limits`.
 """

@@ -121,13 +121,19 @@ class Readout(kernel.Held):
         self._of_baseline: tuple[Floats32, Floats32] = (np.empty(0, np.float32),) * 2
         self._pointers: tuple[object, ...] = ()
 
-    def read(self, words: Words, counts: bool, now_s: float, stale_after_s: float) -> None:
+    def read(
+        self, words: Words | NDArray[np.uint8], counts: bool, now_s: float, stale_after_s: float
+    ) -> None:
         """Read a frame, whose readings are in `found` then.
 
-        counts: the words say something of their nodes. now_s: device time of the frame.
+        words: its words, or the memory in which the kernel wrote them. counts: they say something
+        of their nodes. now_s: device time of the frame.
         """
-        for name, given in self._given:
-            given[:] = getattr(words, name)
+        if isinstance(words, Words):
+            for name, given in self._given:
+                given[:] = getattr(words, name)
+        else:
+            self._memory[:] = words
         drift_v, tare_pa = self._chain.baseline.drift_v, self._chain.baseline.tare_pa
         if drift_v is not self._of_baseline[0] or tare_pa is not self._of_baseline[1]:
             self._of_baseline = drift_v, tare_pa

@@ -240,9 +240,13 @@ class Taxels:
         self.chain.unsettle()
 
     def update(
-        self, words: Words, t_device: float, health: NodeHealth, counts: bool = False
+        self,
+        words: Words | NDArray[np.uint8],
+        t_device: float,
+        health: NodeHealth,
+        counts: bool = False,
     ) -> Readings:
-        """Update with one frame's words; t_device: its device time, s.
+        """Update with one frame's words, see Readout.read; t_device: its device time, s.
 
         counts: what the words say of their nodes goes into their health.
         """

@@ -13,6 +13,7 @@ from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.frame_reader import FrameReader
+from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..wire._protocol import SyncMode
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, diagnose
@@ -37,9 +38,10 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
             f"{spec.chip_s * 1e6:g} µs; {_MIN_SAMPLES_PER_CHIP} or more are needed: "
             "record faster, or correct the chip duration (is the first column in s?)"
         )
-    from ..framing.gaps.gap_timing import GapTiming
     for start_s, volts in capture.pieces:
-        reader = FrameReader(spec, capture.rate_hz, active_share=config.active_share)
+        reader = FrameReader(
+            spec, capture.rate_hz, active_share=config.active_share, side_chips=SIDE_CHIPS
+        )
         timing = GapTiming(reader, capture.rate_hz)
         for frame in timing.feed(0, volts) + timing.flush():
             if frame.words is not None:
