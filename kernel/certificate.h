@@ -109,9 +109,6 @@ double certifier_explained(struct certifier *certifier, const float *chips);
 void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                        struct certificate *certificate);
 
-/* Puts in doubt what the values of a certificate ask for; after whoever has more to add to them did. */
-void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words);
-
 /* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips: by which
  * timings are compared. */
 double certifier_left(struct certifier *certifier, const float *chips, double *power);
