@@ -831,9 +831,3 @@ void certifier_compare(struct certifier *certifier, const struct certificate_vie
     double more = beyond_edges(certifier, view->side) - certifier->beyond;
     *value = fmax(*value, certifier->worse / fmax(more, 1e-6 * certifier->worse));
 }
-
-void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)
-{
-    if (!(certificate_worst(certificate, NULL) < 1))
-        memset(words->doubtful, 1, certifier->code.nodes);
-}

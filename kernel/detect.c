@@ -373,7 +373,7 @@ static void take_turns(struct detector *detector, bool soft, double damping)
         }
         if (noise < 1e-12 * swing2) /* not fmax: a frame that is no number does not settle */
             noise = 1e-12 * swing2;
-        soft = soft && !(noise < rules->least * rules->least * swing2 || noise > before);
+        soft = soft && !(noise < rules->least * rules->least * swing2 || noise > (1 - rules->near) * before);
         before = noise;
         bool is_last = turn + 1 == rules->turns;
         detector->settled = !soft && are_final(detector, power, were_hard, are_whole);

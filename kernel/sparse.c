@@ -163,7 +163,6 @@ static void judge(const struct sparse *sparse, const struct detector *detector, 
     double crowd = (double)count / (double)(sparse->sparse.capacity + 1);
     certificate->value[CLAUSE_WORDS] = detector->settled ? fmax(faint, crowd) : 2;
     certificate->understood = detector->settled && crowd < 1;
-    certificate->crowded = detector->settled && !(crowd < 1);
     if (certificate->understood) {
         double chance = by_chance(sparse, code->order) * view->noise / (swing * swing);
         certificate->crowded = !are_told_apart(sparse, found, chance);
@@ -298,6 +297,5 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     if (!detector->settled) {
         double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
         certificate->speakers = (size_t)fmax(0, round(power));
-        certificate->crowded = certificate->speakers > sparse->sparse.capacity;
     }
 }
