@@ -539,3 +539,17 @@ def test_answers_that_nobody_asked_for_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=f"{answer}: not asked for"):
             made._answer(answer, *arguments)
+
+
+def test_bytes_are_kept_that_a_digitizers_description_is_amid() -> None:
+    """The kernel reads where they are: if nobody else holds them, the stream does."""
+    data = sent((), "sim://?scene=all&threshold=0", 40)
+    pipeline = Pipeline(SkinConfig.of({}))
+    pipeline.stream.give(bytes(bytearray(data)), 0.0, False)
+    frames, others = [], []
+    while not (event := pipeline.stream.next()).needs_bytes:
+        frame = pipeline.take(event)
+        frames += [frame] if frame else []
+        others.append(bytes(len(data)))  # takes the place of what was given back
+    assert len(frames) > 30
+    assert pipeline.packet_counts.crc_errors == pipeline.packet_counts.framing_errors == 0
