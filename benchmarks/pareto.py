@@ -63,7 +63,7 @@ RAIL_V = 12.0
 
 @dataclass(frozen=True)
 class Way:
-    """Is one way to sample and decode the skin; the defaults are those of the parameters.
+    """One way to sample and decode the skin; the defaults are those of the parameters.
 
     late: nodes start late. sparse: codes are. dense: nothing but a product.
     """
@@ -125,7 +125,7 @@ WAYS = (
 
 @dataclass(frozen=True)
 class Stream:
-    """Is what a digitizer sends, (host time in s, bytes); warm_up comes before what is measured.
+    """What a digitizer sends, as (host time in s, bytes); warm_up comes before what is measured.
 
     truths: of the frames that are measured.
     """
@@ -138,7 +138,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Holds what one way made of one stream.
+    """What one way made of one stream.
 
     cpu_s: per frame. codes: (frames, n), SILENT where no word was heard. lost: frames.
     unflagged: wrong words that are not flagged as doubtful, missing ones included.
@@ -205,7 +205,7 @@ def measure(some: Stream) -> Outcome:
 
 
 class DenseProduct:
-    """Decodes marked frames of nodes that all speak by the least: one product, and its signs."""
+    """The least that decodes marked frames of nodes that all speak: one product, and its signs."""
 
     def __init__(self, config: SkinConfig) -> None:
         spec, self._per_chip = config.spec, config.samples_per_chip
@@ -216,7 +216,7 @@ class DenseProduct:
         self._held, self._t_start = 0, 0.0
 
     def feed(self, data: bytes, _: float) -> list[DenseFrame]:
-        """Return the frames that these bytes complete."""
+        """The frames that these bytes complete."""
         frames = []
         for packet in self._parser.feed(data):
             if not isinstance(packet, Samples):
@@ -252,7 +252,7 @@ class DenseWords:
 
 @dataclass(frozen=True)
 class DenseFrame:
-    """Stands for a TactileFrame, of which it has start and words."""
+    """Has start and words of a TactileFrame."""
 
     t_start: float
     words: DenseWords
@@ -311,7 +311,7 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Point:
-    """Holds what one way costs with one kernel; scatter: 95 % of the bit error rate.
+    """One way with one kernel; scatter: 95 % of the bit error rate.
 
     unflagged: share of words that are wrong without a flag. lost: share of frames.
     """

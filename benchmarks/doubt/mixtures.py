@@ -48,7 +48,7 @@ Effect: TypeAlias = Callable[["Mixture", Draw], "Mixture"]
 
 @dataclass(frozen=True)
 class Mixture(LineCondition):
-    """Is a condition with as many frames as its size allows."""
+    """A condition with as many frames as its size allows."""
 
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
         """See LineCondition."""
@@ -57,7 +57,7 @@ class Mixture(LineCondition):
 
     @property
     def speakers(self) -> int:
-        """Return how many nodes transmit in a frame."""
+        """How many nodes transmit in a frame."""
         of = self.talk.speakers if isinstance(self.talk.speakers, int) else self.skin.nodes
         return self.talk.together or max(1, round(self.talk.share * of))
 
@@ -72,26 +72,26 @@ class Mixture(LineCondition):
 
     @property
     def weakest(self) -> float:
-        """Return the share of its amplitude that a node needs, to be more than noise."""
+        """Share of its amplitude that a node needs, to be more than noise."""
         rho = math.sqrt(self.skin.order) * self.swing_v / self.line.noise_v
         return max(WEAKEST, LEAST_RHO / rho)
 
     def with_line(self, **changes: Any) -> Mixture:
-        """Return the same with another line."""
+        """Return this mixture with another line."""
         return replace(self, line=replace(self.line, **changes))
 
     def with_digitizer(self, **changes: Any) -> Mixture:
-        """Return the same with another digitizer."""
+        """Return this mixture with another digitizer."""
         return replace(self, digitizer=replace(self.digitizer, **changes))
 
     def some(self, draw: Draw) -> list[int]:
-        """Return one to three nodes."""
+        """One to three nodes."""
         count = min(self.skin.nodes, int(draw.integers(1, 4)))
         return [int(node) for node in draw.choice(self.skin.nodes, count, replace=False)]
 
 
 def between(draw: Draw, low: float, high: float) -> float:
-    """Draw one of numbers that span several octaves, each of which is as likely."""
+    """Draw from numbers that span several octaves, each of which is as likely."""
     return float(math.exp(draw.uniform(math.log(low), math.log(high))))
 
 
@@ -234,7 +234,7 @@ EFFECTS: tuple[Effect, ...] = (
 
 
 def conditions() -> Iterator[Mixture]:
-    """Yield the first mixtures, and scrambled twins of those whose skins are plain and can be."""
+    """The first mixtures, and the scrambled twins of those whose skins are plain and can be."""
     yield from map(mixture_of, range(DRAWN))
     for number in range(TWINS):
         if mixture_of(number).can_scramble:
@@ -242,7 +242,7 @@ def conditions() -> Iterator[Mixture]:
 
 
 def mixture_of(number: int) -> Mixture:
-    """Return the mixture of a number."""
+    """The mixture of a number."""
     if number >= MIXTURES:
         _, _, drawn = (plain := mixture_of(number - MIXTURES)).name.partition(":")
         return replace(plain, name=f"mixture {number}:{drawn}").scrambled()
@@ -272,7 +272,7 @@ def mixture_of(number: int) -> Mixture:
 
 
 def draw_skin(draw: Draw) -> Skin:
-    """Draw a skin of any order and word length, whose nodes' sum the converter has room for."""
+    """A skin of any order and word length, whose nodes' sum the converter has room for."""
     order, drive = int(draw.choice(ORDERS)), str(draw.choice(["bipolar"] * 5 + ["unipolar"]))
     bipolar = drive == "bipolar"
     first = int(not (bipolar and draw.random() < 0.2))
@@ -296,7 +296,7 @@ def draw_skin(draw: Draw) -> Skin:
 
 
 def draw_talk(skin: Skin, draw: Draw) -> Talk:
-    """Draw who talks: all nodes at once, few, or those that have something to say."""
+    """All nodes at once, few, or those that have something to say."""
     words = str(draw.choice(["random", "random", "slow", "equal", "extreme"]))
     few, most = int(draw.integers(1, 4)), min(1.0, MOST_SPEAK / skin.nodes)
     kinds = (

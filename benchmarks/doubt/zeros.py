@@ -37,7 +37,7 @@ KNEE_KPA, END_KPA, VREF_V = 50.0, 140.0, 3.3
 
 @dataclass(frozen=True)
 class Tared(Talk):
-    """Puts nodes under loads, of which the first is tared.
+    """Nodes under loads, of which the first is tared.
 
     loads_kpa: on the pressed nodes, one after the other; below 0: torn by as much. all_pressed: all
     nodes are; else one, drawn for each recording. rest_v: voltage of a sensor without load.
@@ -67,7 +67,7 @@ class Tared(Talk):
 
 @dataclass(frozen=True)
 class ZeroCondition:
-    """Says what presses, and what the user sets and does.
+    """What presses, and what the user sets and does.
 
     v0_v: the parameter. is_tared: with force, after the first load. rough: see Condition.
     """
@@ -118,7 +118,7 @@ LIGHT = Tared(loads_kpa=(0, 4, 2.5, 5), all_pressed=True, rest_v=3.2)
 
 
 def every(talk: Tared) -> Tared:
-    """Return the same load on all nodes."""
+    """Have a talk press all nodes."""
     return replace(talk, all_pressed=True)
 
 
@@ -147,6 +147,6 @@ CASES = (
 
 
 def conditions() -> Iterator[ZeroCondition]:
-    """Yield all conditions."""
+    """All conditions."""
     for condition in CASES:
         yield replace(condition, name=f"zeros: {condition.name}")

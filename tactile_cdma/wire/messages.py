@@ -108,7 +108,7 @@ class FrameLayout(Message):
 
     @classmethod
     def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
-        """The layout of a spec. Raises SpecError where the wire's integers cannot express it."""
+        """Make a spec's layout. Raises SpecError where the wire's integers cannot express it."""
         seeded = Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
         return cls(
             chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
@@ -354,7 +354,7 @@ class Quiet(Stretch):
 
     @classmethod
     def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
-        """The packet that replaces these samples, (m,) int16. marks: sync, overrun."""
+        """Make the packet that replaces these samples, (m,) int16. marks: sync, overrun."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
         return cls(device_time_us, first_index, counts.size, total, squares, **marks)
