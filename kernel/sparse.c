@@ -163,7 +163,6 @@ static void judge(const struct sparse *sparse, const struct detector *detector, 
     double crowd = (double)count / (double)(sparse->sparse.capacity + 1);
     certificate->value[CLAUSE_WORDS] = detector->settled ? fmax(faint, crowd) : 2;
     certificate->understood = detector->settled && crowd < 1;
-    certificate->crowded = detector->settled && !(crowd < 1);
     if (certificate->understood) {
         double chance = by_chance(sparse, code->order) * view->noise / (swing * swing);
         certificate->crowded = !are_told_apart(sparse, found, chance);
@@ -241,8 +240,8 @@ static void tell_words(struct sparse *sparse, const struct detector *detector, d
         size_t node = (size_t)detector->nodes[found->codes[i]];
         words->active[node] = words->amplitude[node] > code->active_share * sparse->expected[node];
     }
-    words_decide(&sparse->measures, code->nodes, (unsigned)code->bits, code->parity, sparse->expected, code->sign_mask,
-                 (float)(1 / fmax(noise, 1e-12)), &limits->words, words);
+    const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
+    words_decide(&sparse->measures, &sent, sparse->expected, (float)(1 / fmax(noise, 1e-12)), &limits->words, words);
     double chance = certificate_chance(bits, limits->faint_deviations) * noise * noise;
     float most = (float)(bits * fmax(faint * faint, chance));
     for (size_t i = 0; i < code->nodes; i++) {
@@ -298,6 +297,5 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     if (!detector->settled) {
         double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
         certificate->speakers = (size_t)fmax(0, round(power));
-        certificate->crowded = certificate->speakers > sparse->sparse.capacity;
     }
 }
