@@ -5,18 +5,17 @@
 import importlib.util
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.driver import pipeline
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.wire import packets
-from tactile_cdma.wire.packets import Scanner
+from tactile_cdma.wire.messages import Received
+from tactile_cdma.wire.packets import PacketParser
 from torture.fuzz import bombs, campaign, corpus, garbage, streams
 from torture.fuzz.harnesses import FIRMWARE
 from torture.fuzz.search import search
@@ -138,12 +137,6 @@ def test_crashes_slowness_and_bad_messages_are_found(monkeypatch: pytest.MonkeyP
     assert kinds_of(planted(len), 1) == {SLOW}
 
 
-def without_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Packets are found, and followed, in Python."""
-    for module in (packets, pipeline):
-        monkeypatch.setattr(module, "kernel", SimpleNamespace(compiled=None))
-
-
 def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     feed = Pipeline.feed
 
@@ -157,8 +150,10 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    without_kernel(monkeypatch)
-    monkeypatch.setattr(Scanner, "_count_step", lambda self, *packet: True)
+    counters = PacketParser.counters.fget
+    assert counters is not None
+    forgetful = property(lambda parser: replace(counters(parser), lost_packets=0))
+    monkeypatch.setattr(PacketParser, "counters", forgetful)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 
@@ -175,14 +170,12 @@ def test_a_decoder_that_depends_on_the_split_is_found(monkeypatch: pytest.Monkey
 
 
 def test_a_parser_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    feed = Scanner.feed
+    feed = PacketParser.feed
 
-    def forgetful(self: Scanner, data: bytes) -> list:
-        self._partial.clear()
-        return feed(self, data)
+    def forgetful(self: PacketParser, data: bytes) -> list[Received]:
+        return feed(self, data + b"\0")
 
-    without_kernel(monkeypatch)
-    monkeypatch.setattr(Scanner, "feed", forgetful)
+    monkeypatch.setattr(PacketParser, "feed", forgetful)
     assert kinds_of(TARGETS["packets"]) == {WRONG}
 
 
