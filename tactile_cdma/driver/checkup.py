@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.text import listed
 from ..framing.frames import Clause
-from ..framing.limits import LIMITS
+from ..words.limits import LIMITS
 from ..readings.status import Status as TaxelStatus
 from ..readings.taxels import Readings
 from ..wire.messages import Status

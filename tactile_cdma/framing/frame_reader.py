@@ -20,7 +20,7 @@ from ..code.twins import TWIN, twins
 from ..wire._protocol import TAIL_CHIPS
 from ..words.words import words_memory, words_of
 from .frames import Certificate, LineFrame, Rejections
-from .limits import LIMITS
+from ..words.limits import LIMITS
 from .sparse import SPARSE_LIMITS, sparse_code
 
 REACHES = np.array([0.5, 0.5, 0.25, 0.12])
@@ -38,14 +38,15 @@ a chip at the end of a frame of 32."""
 BLIND_RHO = 2.5
 """ρ below which words are not found, so that their absence says nothing: at ρ = 3 one frame in
 5,000 is missed at order 20 (make bench-error)."""
-CLIPPED, DEAFENED = 0.5, 0.25
+CLIPPED = 0.5
+DEAFENED = CLIPPED / 2
 """Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
 which a lone node has half of its amplitude, where silence begins, halved."""
 KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, 0.1, 0.5
 """Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
 again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
 timings are searched for; and that nothing explains."""
-SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
+SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count

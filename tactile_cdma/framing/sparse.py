@@ -13,7 +13,7 @@ from ..base import kernel
 from ..code.frame import FrameSpec
 from ..code.sparse import code_places
 from ..code.transform import CompiledTransform
-from .limits import LIMITS
+from ..words.limits import LIMITS
 from .load import ALIKE_BELOW, capacity
 
 SLOPE, SPAN = 0.75, 8.0

@@ -11,14 +11,18 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from ...base import kernel
 from ...base.arrays import Floats32
 from ...base.errors import SpecError
+from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
+from ...words.words import silent
 from ..frame_reader import FrameReader, rejections_of
-from ..frames import LineFrame, Rejections
+from ..frames import Certificate, LineFrame, Rejections
 from ..raster import Raster
 from .search import Burst, Gap, GapSearch
 
@@ -30,12 +34,6 @@ SETTLING = 1.5
 """Chips after a frame in which the line comes to rest, and before it: low-passes, late nodes."""
 SCATTERS = 4.0
 """Standard deviations by which frames may be off the raster that places them (6e-5)."""
-LEAST_REST = 16
-"""Gap samples that an estimate of level and noise takes: their variance is right to a third."""
-GAP_WEIGHT = 0.25
-"""Weight of the newest gap in the running noise estimate: averages about seven gaps."""
-MOST_RISE = 4.0
-"""Times that the noise may rise from gap to gap: a burst in one must not excuse the next frame."""
 SURE_NOISE = 0.3
 """Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
 LOST_AGAIN = 3
@@ -77,7 +75,7 @@ class GapTiming:
         self._begin = self._cursor = self._end = self.due = 0
         self._raster = Raster(search.period, spec.span_chips)
         self._next = 0.0  # start of the next slot
-        self._heard_one = self._fresh = False
+        self._heard_one = self._fresh = self._is_placed = False
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
         self._failures = 0
@@ -144,14 +142,18 @@ class GapTiming:
     def _schedule(self) -> None:
         """Set when the next decision is due."""
         self._expected = None
+        expected = self._raster.expect(self._next)
         if self._level is None:  # a whole gap must be in view
             self.due = self._cursor + math.ceil(self._search.period) + self._reach
-            return
-        self.due = max(math.ceil(self._next), self._cursor) + self._reach
-        expected = self._raster.expect(self._next)
-        if expected is not None and expected.sure and expected.start >= self._cursor:
-            self._expected = expected
-            self.due = math.ceil(expected.start + self._reader.due_chips * expected.chip)
+        else:
+            self.due = max(math.ceil(self._next), self._cursor) + self._reach
+            if expected is not None and expected.sure and expected.start >= self._cursor:
+                self._expected = expected
+                self.due = math.ceil(expected.start + self._reader.due_chips * expected.chip)
+        if (self._expected is not None) != self._is_placed:
+            self._is_placed = self._expected is not None
+            told = "places frames" if self._is_placed else "is lost"
+            _log.debug("raster %s at sample %d", told, self._cursor)
 
     def _take(self, begin: int, end: int) -> Floats32:
         """Return samples begin…end − 1, as far as they are kept."""
@@ -217,8 +219,8 @@ class GapTiming:
         volts = _without_impulses(volts)
         gaps = search.gaps(volts, self._level)
         why, seen = lib.FRAME_INCOMPLETE, None
-        for gap in gaps:
-            burst = search.first_burst(volts, gap)
+        for gap, moves in product(gaps, search.views):
+            burst = search.first_burst(volts, gap, moves)
             if burst is None:
                 continue
             seen = seen or (gap, burst)
@@ -308,39 +310,44 @@ class GapTiming:
         return frames
 
     def _idle_slots(self, until: float) -> list[LineFrame]:
-        """Return silent slots that begin up to an index; where noise hides words, none."""
+        """Return silent slots that begin up to an index; where a rail or noise hides words, none."""
         frames = []
         while self._next <= until:
-            look = self._silent_slot(self._next)
-            if look > kernel.compiled.FRAME_READ:
-                self._counts[look] += 1
+            look, is_sure = self._silent_slot(self._next)
+            if look == kernel.compiled.FRAME_SILENT:
+                frame = self._reader.taken(round(self._next))
+                frames.append(frame if is_sure else self._doubted(frame))
             else:
-                frames.append(self._reader.taken(round(self._next)))
+                self._counts[look] += 1
             self._next += self._search.period
         return frames
 
-    def _silent_slot(self, slot: float) -> int:
-        """Return the kernel's verdict on a slot in which no burst is seen.
+    def _silent_slot(self, slot: float) -> tuple[int, bool]:
+        """Return the kernel's verdict on a slot in which no burst is seen, and whether it is sure.
 
-        A word that is too faint for one shows in the power of the whole slot.
+        A word that is too faint for a burst shows in the power of the whole slot.
         """
-        lib, search = kernel.compiled, self._search
+        lib, search, reader = kernel.compiled, self._search, self._reader
         before = (search.period - search.shortest) / 2
         volts = self._take(math.floor(slot - before), math.ceil(slot - before + search.period))
         if self._level is None or volts.size < search.shortest:
-            return int(lib.FRAME_INCOMPLETE)
+            return lib.FRAME_INCOMPLETE, False
+        if reader.is_deaf(volts):
+            return lib.FRAME_AT_RAIL, False
         mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
-        if self._reader.is_deaf(volts):
-            return int(lib.FRAME_AT_RAIL)
-        look = self._reader.sum_up(mean, variance)
-        if (
-            look == lib.FRAME_SILENT
-            and more * search.period > self._reader.silent_power * search.shortest
-        ):
-            return int(lib.FRAME_NOISY)
-        return look
+        is_sure = more * search.period <= reader.silent_power * search.shortest
+        return reader.sum_up(mean, variance), is_sure
+
+    def _doubted(self, frame: LineFrame) -> LineFrame:
+        """Return a silent slot in which any node may have spoken faintly."""
+        nodes, noise_v = self._spec.nodes, frame.noise_rms_v
+        words = silent(nodes, noise_v).doubted(np.ones(nodes, np.bool_))
+        row_noise_v = noise_v / math.sqrt(self._spec.order)
+        swing_v = self._reader.swing_v or math.nan
+        nothing = Certificate(noise_v**2, row_noise_v, swing_v, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return replace(frame, words=words, certificate=nothing)
 
 
 def _without_impulses(volts: Floats32) -> Floats32:
