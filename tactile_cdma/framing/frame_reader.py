@@ -18,9 +18,9 @@ from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from ..code.transform import CompiledTransform
 from ..code.twins import TWIN, twins
 from ..wire._protocol import TAIL_CHIPS
+from ..words.limits import LIMITS
 from ..words.words import words_memory, words_of
 from .frames import Certificate, LineFrame, Rejections
-from ..words.limits import LIMITS
 from .sparse import SPARSE_LIMITS, sparse_code
 
 REACHES = np.array([0.5, 0.5, 0.25, 0.12])

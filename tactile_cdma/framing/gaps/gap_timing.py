@@ -237,16 +237,20 @@ class GapTiming:
                 if frame.speakers:
                     return self._emit(frame)
                 why = lib.FRAME_NOISY  # of silence, the place is not known
-        if seen is None:
-            if gaps and not final:
-                self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
-            return [] if final else self._pass_idle(end)
+        if seen is not None:
+            return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
+        if gaps and not final:
+            self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
+        return [] if final else self._pass_idle(end)
+
+    def _reject(self, why: int, until: int) -> list[LineFrame]:
+        """Count samples up to an index that hold no frame, but something that was sent."""
         self._counts[why] += 1
         self._failures += 1
-        _log.debug("no frame at sample %d", begin)
+        _log.debug("no frame up to sample %d", until)
         if self._failures == LOST_AGAIN:
             self._level, self._noise, self._failures = None, 0.0, 0
-        self._skip_to(begin + max(search.bit, search.quiet_after(volts, *seen)))
+        self._skip_to(until)
         return []
 
     def _noise_of(self, gap: Gap) -> float:
@@ -310,7 +314,7 @@ class GapTiming:
         return frames
 
     def _idle_slots(self, until: float) -> list[LineFrame]:
-        """Return silent slots that begin up to an index; where a rail or noise hides words, none."""
+        """Return silent slots that begin up to an index; none where a rail or noise hides words."""
         frames = []
         while self._next <= until:
             look, is_sure = self._silent_slot(self._next)
