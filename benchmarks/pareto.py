@@ -267,8 +267,8 @@ class DenseFrame:
 class Cost:
     """A skin whose frames are timed, with its parameters.
 
-    frames: that are rendered, of which the first `warm_up` are not measured. stretch: of the
-    frames, up to this share.
+    frames: that are rendered, of which the first `warm_up` are not measured. stretch: of frames
+        that the waveform alone shows, up to this share; else others put frames in doubt.
     """
 
     name: str
@@ -279,15 +279,16 @@ class Cost:
     stretch: float = 0.0
 
     def lines(self) -> dict[str, Line]:
-        """The lines that are measured: one that is sound, and those that put frames in doubt."""
-        skin = self.skin
-        noise_v = skin.amplitude_v * skin.order**0.5 / DOUBT_RHO
-        faults = {} if self.stretch else {
-            f"ρ {DOUBT_RHO:g}": Line(noise_v=noise_v),
-            "hum of 2 A": Line(hum_v=2 * skin.amplitude_v),
+        """The lines that are measured: a sound one, and those beside it."""
+        amplitude_v, order = self.skin.amplitude_v, self.skin.order
+        if self.stretch:
+            return {SURE: Line(stretch=self.stretch), "chips of one duration": Line()}
+        return {
+            SURE: Line(),
+            f"ρ {DOUBT_RHO:g}": Line(noise_v=amplitude_v * order**0.5 / DOUBT_RHO),
+            "hum of 2 A": Line(hum_v=2 * amplitude_v),
             "a node 0.6 chip late": Line(late=((2, 0.6),)),
-        }  # fmt: skip
-        return {SURE: Line(stretch=self.stretch)} | faults
+        }
 
 
 SURE = "sound"
@@ -396,12 +397,11 @@ def costs(report: Report, rendered: dict[tuple[str, str], Chunks]) -> dict[str, 
             found = pool.apply(timed, (streams,))
         rows += [[cost.name, line, 1e6 * took_s, share] for line, (took_s, share) in found.items()]
         sure_us = 1e6 * found.pop(SURE)[0]
-        if found:
-            figures[f"us_sure_{cost.name}"] = sure_us
-            doubt_s = statistics.median(took_s for took_s, _ in found.values())
-            figures[f"us_doubt_{cost.name}"] = 1e6 * doubt_s
-        else:
+        if cost.stretch:
             figures[f"us_{cost.name}"] = sure_us
+        else:
+            doubt_s = statistics.median(took_s for took_s, _ in found.values())
+            figures |= {f"us_sure_{cost.name}": sure_us, f"us_doubt_{cost.name}": 1e6 * doubt_s}
     report.table(["skin", "line", "µs/frame", "in doubt"], rows)
     return figures
 
