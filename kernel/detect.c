@@ -99,11 +99,16 @@ VECTORS static size_t list_above(size_t rows, const float *restrict values, floa
     return count;
 }
 
-/* The soft words of one bit. straight, squares: by how many levels they follow, and those of the bits. */
-VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise, float swing,
-                        const float *restrict belief, float *restrict words, float *restrict straight,
-                        float *restrict squares)
+/* The soft words of one bit of those that will be taken off, by levels that rise to ±1 and the amplitude of a node, V. In
+ * the detector's `straight` and `squares`: by how many levels they follow, and those of the bits. */
+VECTORS static void say(const struct detector *detector, const float *restrict sums, float rise, float swing,
+                        float *restrict words)
 {
+    const size_t count = detector->next.count;
+    const int32_t *restrict codes = detector->next.codes;
+    const float *restrict belief = detector->belief;
+    float *restrict straight = detector->straight, *restrict squares = detector->squares;
+
     for (size_t i = 0; i < count; i++) {
         float said = rise * sums[codes[i]];
         said = said < -1 ? -1 : said > 1 ? 1 : said;
@@ -279,8 +284,7 @@ static double soften(struct detector *detector, double noise, double odds, float
         straight[i] = squares[i] = 0;
     }
     for (size_t bit = 0; bit < detector->code.bits; bit++)
-        say(next->count, next->codes, detector_sums(detector, bit), rise, (float)swing, belief,
-            next->words + bit * book->rows, straight, squares);
+        say(detector, detector_sums(detector, bit), rise, (float)swing, next->words + bit * book->rows);
     for (size_t i = 0; i < next->count; i++) {
         slopes += (double)belief[i] * (double)straight[i] * rules->slope;
         slopes += belief[i] > 0 && belief[i] < 1 ? (double)squares[i] / rules->span : 0;

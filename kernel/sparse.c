@@ -16,9 +16,10 @@ struct sparse {
     struct detector *detectors[2]; /* of a frame, and of another try of it */
     float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these */
     double *triangle;              /* (most that are told apart)² */
-    int32_t *heard, *masks;        /* (n) nodes that were heard, and of these: as code.sign_mask; */
-    float *swings, *levels;        /* (n) as expected, (k, n) V; */
+    float *levels, *swings;        /* (k, n), (n) V, of those who were heard, side by side: theirs, and as expected */
+    int32_t *masks;                /* (n) of these, as code.sign_mask */
     struct words_measures measures;
+    uint8_t *memory;               /* of what they said: */
     struct words said;
 };
 
@@ -44,27 +45,21 @@ static bool make_products(struct sparse *sparse)
 static bool make_words(struct sparse *sparse)
 {
     struct words_measures *measures = &sparse->measures;
-    struct words *said = &sparse->said;
     const size_t nodes = sparse->code.nodes;
-    float **floats[] = {&sparse->swings, &measures->amplitude, &measures->weakest, &measures->strongest,
-                        &measures->squares, &said->rho, &said->margin, &sparse->levels};
-    int32_t **ints[] = {&sparse->heard, &sparse->masks, &measures->signs, &measures->weakest_bit, &said->codes};
-    uint8_t **flags[] = {&said->active, &said->doubtful, &said->doubled, &said->odd, &said->faint};
-    const size_t float_count = sizeof floats / sizeof *floats, int_count = sizeof ints / sizeof *ints;
-    const size_t flag_count = sizeof flags / sizeof *flags;
 
-    sparse->swings = malloc((float_count - 1 + sparse->code.bits) * nodes * sizeof **floats[0]);
-    sparse->heard = malloc(int_count * nodes * sizeof **ints[0]);
-    said->active = malloc(flag_count * nodes);
-    if (!(sparse->swings && sparse->heard && said->active))
+    sparse->memory = malloc(WORDS_BYTES * nodes);
+    sparse->levels = malloc((sparse->code.bits + 4) * nodes * sizeof *sparse->levels);
+    sparse->masks = malloc(3 * nodes * sizeof *sparse->masks);
+    if (!(sparse->memory && sparse->levels && sparse->masks))
         return false;
-    for (size_t i = 1; i < float_count; i++)
-        *floats[i] = sparse->swings + i * nodes;
-    for (size_t i = 1; i < int_count; i++)
-        *ints[i] = sparse->heard + i * nodes;
-    for (size_t i = 1; i < flag_count; i++)
-        *flags[i] = said->active + i * nodes;
-    said->amplitude = measures->amplitude;
+    sparse->said = words_in(sparse->memory, nodes);
+    measures->amplitude = sparse->said.amplitude;
+    sparse->swings = sparse->levels + sparse->code.bits * nodes;
+    measures->weakest = sparse->swings + nodes;
+    measures->strongest = measures->weakest + nodes;
+    measures->squares = measures->strongest + nodes;
+    measures->signs = sparse->masks + nodes;
+    measures->weakest_bit = measures->signs + nodes;
     return true;
 }
 
@@ -83,8 +78,7 @@ struct sparse *sparse_new(const struct code *code, const struct certificate_limi
     sparse->expected = expected;
     for (size_t i = 0; i < 2; i++)
         sparse->detectors[i] = detector_new(code, &code->sparse->book);
-    if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) &&
-        make_products(sparse))
+    if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) && make_products(sparse))
         return sparse;
     sparse_free(sparse);
     return NULL;
@@ -98,9 +92,9 @@ void sparse_free(struct sparse *sparse)
     detector_free(sparse->detectors[1]);
     free(sparse->alike);
     free(sparse->triangle);
-    free(sparse->swings);
-    free(sparse->heard);
-    free(sparse->said.active);
+    free(sparse->levels);
+    free(sparse->masks);
+    free(sparse->memory);
     free(sparse);
 }
 
@@ -241,15 +235,15 @@ static void tell_words(struct sparse *sparse, const struct detector *detector, d
             *levels++ = detector_sums(detector, bit)[found->codes[i]] / (float)code->order;
     words_measure(sparse->levels, found->count, code->bits, found->count, &sparse->measures);
     for (size_t i = 0; i < found->count; i++) {
-        int32_t node = sparse->heard[i] = detector->nodes[found->codes[i]];
+        int32_t node = detector->nodes[found->codes[i]];
         sparse->swings[i] = sparse->expected[node];
         sparse->masks[i] = code->sign_mask[node];
         said->active[i] = said->amplitude[i] > code->active_share * sparse->swings[i];
     }
-    words_decide(&sparse->measures, found->count, (unsigned)code->bits, code->parity, sparse->swings, sparse->masks,
-                 (float)(1 / fmax(noise, 1e-12)), &sparse->limits.words, said);
+    const struct words_code sent = {found->count, (unsigned)code->bits, code->parity, sparse->masks};
+    words_decide(&sparse->measures, &sent, sparse->swings, (float)(1 / fmax(noise, 1e-12)), &sparse->limits.words, said);
     for (size_t i = 0; i < found->count; i++) {
-        int32_t node = sparse->heard[i];
+        int32_t node = detector->nodes[found->codes[i]];
         words->active[node] = said->active[i];
         words->doubtful[node] = said->doubtful[i];
         words->doubled[node] = said->doubled[i];

@@ -13,7 +13,15 @@ from ..base.errors import PortError
 from ..base.text import listed
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import CLIPPED_SHARE, DOUBTED_FOR, DOUBTED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
+from ..driver.checkup import (
+    CLIPPED_SHARE,
+    DOUBTED_FOR,
+    DOUBTED_SHARE,
+    REJECTED_FOR,
+    REJECTED_SHARE,
+    UNSOUND,
+    decibels,
+)
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
@@ -135,8 +143,8 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
     active_share = config.active_share if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, active_share=active_share))
     if swing_v is not None:
-        # Frames are read by it, though the configuration has none: what the digitizer leaves out was
-        # set by another amplitude, and a pipeline refuses a stream that does not fit its own.
+        # Frames are read by it, though the configuration has none: what the digitizer leaves out
+        # was set by another one, and a pipeline refuses a stream that does not fit its own.
         unipolar = config.spec.drive == UNIPOLAR
         measured = replace(spec, amplitude_v=2 * swing_v if unipolar else swing_v)
         pipeline.health = NodeHealth(measured)

@@ -192,8 +192,8 @@ def nodes(
     if rho < LIMITS.low_rho:
         text = (
             f"node {node} is only {decibels(rho):.0f} dB above the noise, "
-            f"{decibels(LIMITS.low_rho):.0f} dB are needed: look for what disturbs the line, or raise the "
-            "amplitude"
+            f"{decibels(LIMITS.low_rho):.0f} dB are needed: look for what disturbs the line, or "
+            "raise the amplitude"
         )
         yield Finding(text, key="snr")
 

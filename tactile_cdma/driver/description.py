@@ -52,9 +52,7 @@ class Description:
         self.pace = Pace(info, spec)
         is_marked = config.timing != GAP
         side_chips = MARKED_SIDE_CHIPS if is_marked else SIDE_CHIPS
-        self.reader = FrameReader(
-            spec, rate_hz, rails_v, config.active_share, swing_v, side_chips
-        )
+        self.reader = FrameReader(spec, rate_hz, rails_v, config.active_share, swing_v, side_chips)
         self.proposer = Proposer(spec, self.reader.chip)
         self.gaps = None if is_marked else GapTiming(self.reader, rate_hz)
 

@@ -17,8 +17,8 @@ from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from ..code.transform import CompiledTransform
 from ..code.twins import TWIN, twins
-from ..words.words import words_memory, words_of
 from ..wire._protocol import TAIL_CHIPS
+from ..words.words import words_memory, words_of
 from .frames import Certificate, LineFrame, Rejections
 from .limits import LIMITS
 from .sparse import SPARSE_LIMITS, sparse_code
@@ -89,7 +89,9 @@ class FrameReader:
         self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
         self.broken = np.zeros(spec.nodes, np.uint8)
         self._side_chips = side_chips
-        self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
+        self.size = math.ceil(
+            (spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5
+        )
         code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
         limits = kernel.struct(
@@ -175,7 +177,10 @@ class FrameReader:
         """
         powers = np.empty(count)
         fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        samples, out = kernel.pointer(volts, volts.size), kernel.pointer(powers, count, written=True)
+        samples, out = (
+            kernel.pointer(volts, volts.size),
+            kernel.pointer(powers, count, written=True),
+        )
         kernel.compiled.frame_reader_explained(
             self.at, samples, volts.size, self._rest.level, fit, count, out
         )
@@ -233,9 +238,7 @@ class FrameReader:
 
     def taken(self, first_index: int) -> LineFrame:
         """Return the frame that was read last; first_index: of its samples in the stream."""
-        return line_frame(
-            self._found, self._has_words, self._memory, first_index, self.spec.nodes
-        )
+        return line_frame(self._found, self._has_words, self._memory, first_index, self.spec.nodes)
 
     def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
         """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.

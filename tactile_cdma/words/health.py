@@ -6,7 +6,6 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
@@ -116,4 +115,3 @@ class NodeHealth:
                 self.swing_v = swing_v
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
         self.sums[:5, due] *= 0.5
-

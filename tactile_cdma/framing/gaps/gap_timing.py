@@ -38,8 +38,6 @@ MOST_RISE = 4.0
 """Times that the noise may rise from gap to gap: a burst in one must not excuse the next frame."""
 SURE_NOISE = 0.3
 """Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
-MEASURED = 8
-"""Frames that the raster places until a start is measured again: a crystal drifts by less."""
 LOST_AGAIN = 3
 """Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
@@ -82,7 +80,7 @@ class GapTiming:
         self._heard_one = self._fresh = False
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
-        self._failures = self._placed_ones = 0
+        self._failures = 0
         self.reset()
 
     @property
@@ -180,8 +178,8 @@ class GapTiming:
         first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
         self._learn_rest(expected.start)
         scatter = SCATTERS * expected.scatter
-        self._placed_ones += 1
-        measures = self._placed_ones % MEASURED == 0
+        after = self._raster.expect(expected.start + 1.5 * self._search.period)
+        measures = not (after and after.sure)  # else the raster would be lost
         self._reader.expect(expected.start - first, expected.chip, scatter, measures)
         look = self._reader.look(self._take(first, end), final, searches=True)
         if look == lib.FRAME_NEEDS_MORE:
@@ -293,7 +291,8 @@ class GapTiming:
         else:
             self._level = frame.level_v
             self._heard_one, self._failures = True, 0
-            is_measured = self._expected is None or self._placed_ones % MEASURED == 0
+            told = math.nan if self._expected is None else self._expected.start
+            is_measured = not abs(start - told) < 1e-6  # else it is the raster's own
             if is_measured and frame.certificate is not None and frame.certificate.rivals < 1:
                 self._raster.learn(start, chip)
         self._next = start + search.period
@@ -336,7 +335,10 @@ class GapTiming:
         if self._reader.is_deaf(volts):
             return int(lib.FRAME_AT_RAIL)
         look = self._reader.sum_up(mean, variance)
-        if look == lib.FRAME_SILENT and more * search.period > self._reader.silent_power * search.shortest:
+        if (
+            look == lib.FRAME_SILENT
+            and more * search.period > self._reader.silent_power * search.shortest
+        ):
             return int(lib.FRAME_NOISY)
         return look
 
