@@ -35,15 +35,13 @@ def hug(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
 class Robot:
     """A driver and its digitizer, in steps of a frame."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, compiled: bool, **changes: int | float
-    ) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **changes: int | float) -> None:
         monkeypatch.setitem(SCENES, "press", hug)
         self.now_s = 0.0
         options = "sim://?scene=press&seed=1&noise=0.01"
         self.digitizer = VirtualDigitizer(SimOptions.from_url(options), lambda: self.now_s)
         self.config = SkinConfig.of({**SKIN, **changes})
-        self.pipeline = Pipeline(self.config, compiled=compiled)
+        self.pipeline = Pipeline(self.config)
         self.session = Session(self.config)
         self.digitizer.receive(self.session.open())
 
@@ -57,11 +55,10 @@ class Robot:
         return frames
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 def test_all_are_heard_within_a_round_and_none_is_told_wrong(
-    monkeypatch: pytest.MonkeyPatch, compiled: bool
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    robot = Robot(monkeypatch, compiled)
+    robot = Robot(monkeypatch)
     frames = robot.frames(3.0)
     spec, truth = robot.config.spec, Truth(robot.digitizer)
     by_turns = [frame for frame in frames if truth[frame.sequence].turn]

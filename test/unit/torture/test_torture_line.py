@@ -226,7 +226,7 @@ def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch
 
     class Failing(Pipeline):
         def __init__(self, *given: Any, **named: Any) -> None:
-            super().__init__(*given, compiled=False, **named)  # counts bytes when they are read
+            super().__init__(*given, **named)  # counts bytes when they are read
 
         def take(self, event: Event) -> TactileFrame | None:
             frame = super().take(event)
