@@ -22,7 +22,9 @@ from test.support.programs import run_python
 def test_without_the_kernel_one_sentence_says_how_to_build_it() -> None:
     """Of every command, and of those who import what needs it."""
     program = "import sys; sys.modules['tactile_cdma._kernel'] = None\n"
-    command = program + "from tactile_cdma.__main__ import main; exit(main(['read', 'sim://']))"
+    command = (
+        program + "from tactile_cdma.__main__ import main; sys.argv[1:] = ['read']; exit(main())"
+    )
     told = run_python("-c", command)
     assert told.returncode == 1
     assert told.stderr.startswith("tactile-cdma: the compiled kernel does not load (")
