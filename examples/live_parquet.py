@@ -28,7 +28,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tactile_cdma import Frame, PortError, Skin
-from tactile_cdma.datasets.parquet_table import ParquetTable
+from tactile_cdma.datasets.parquet_table import parquet_table
 
 PICTURES_HZ = 10
 FULL_SCALE_KPA = 50
@@ -44,7 +44,7 @@ def log(skin: Skin, output: Path, newest: deque[Frame], stop: threading.Event) -
         "status": ("u1", taxels),
     }
     about = {"port": skin.port, "digitizer": skin.source.digitizer}
-    with ParquetTable(output, columns, about) as table:
+    with parquet_table(output, columns, about) as table:
         try:
             for frame in skin:  # until a recording ends
                 row = {

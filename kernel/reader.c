@@ -24,6 +24,19 @@ static long now_ms(void)
     return (long)(now_s() * 1e3);
 }
 
+/* Waits until there is something to read, as poll tells; 0 once the time is over. waited: it was there
+ * before. */
+static int wait_for(struct pollfd *port, long end_ms, bool *waited)
+{
+    int ready = poll(port, 1, 0);
+    long left_ms = end_ms - now_ms();
+
+    *waited = ready > 0;
+    if (left_ms < 0)
+        return 0;
+    return ready ? ready : poll(port, 1, (int)left_ms);
+}
+
 ptrdiff_t reader_read(struct reader *reader, int file, int timeout_ms)
 {
     struct pollfd port = {.fd = file, .events = POLLIN};
@@ -33,13 +46,8 @@ ptrdiff_t reader_read(struct reader *reader, int file, int timeout_ms)
     reader->backlog = false;
     reader->failure = 0;
     while (filled < READER_SIZE) {
-        int ready = poll(&port, 1, 0);
-        bool waited = ready > 0;
-        long left_ms = end_ms - now_ms();
-        if (left_ms < 0)
-            break;
-        if (!ready)
-            ready = poll(&port, 1, (int)left_ms);
+        bool waited;
+        int ready = wait_for(&port, end_ms, &waited);
         if (!ready)
             break;
         ssize_t got = ready < 0 ? -1 : read(file, reader->bytes + filled, READER_SIZE - filled);

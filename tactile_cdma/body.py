@@ -178,7 +178,7 @@ class Body:
         return None
 
     def _round(self, now_s: float) -> BodyFrame | None:
-        """What the patches have delivered; None as long as a patch may not have begun."""
+        """Combine what the patches have delivered; None while a patch may not have begun."""
         self._rounds.end()
         there = set(self._rounds.present(self.skins, now_s))
         missing = tuple(name for name in self.skins if name not in there)

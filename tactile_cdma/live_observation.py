@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a policy was trained on, live: the features of an exported dataset, from running skins."""
+"""Gives a policy what it was trained on: features of an exported dataset, from running skins."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LAG_S = 0.1
 """An observation is as of the moment that every stream has passed, but at most this old, s, or two
 frame periods of the slowest skin. Chosen: above what a frame takes from its middle on the wire."""
 ROWS_HZ = 30
-"""Of LiveObservation.of, rows per s: with more than 2, nothing depends on it."""
+"""Rows per s of LiveObservation.of: with more than 2, nothing depends on it."""
 _READING = (
     *FRAME_PARAMETERS, "chip_us", "sign_seed", "amplitude_mv", "timing", "vref_v", "active_share",
     *sorted(CURVE_PARAMETERS - {"calibration_file"}), "stale_after_s", "drift_pa_per_min",

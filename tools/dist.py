@@ -4,8 +4,8 @@
 
 From an archive of the tracked files, or a checkout without git: the sdist, and from it the wheel of
 this processor, which serves every Python from 3.11 on (limited API) and the distributions that
-auditwheel finds. Each is then installed for every Python there is, and decodes a simulated skin. The
-last line counts; dist/ has the files.
+auditwheel finds. Each is then installed for every Python there is, and decodes a simulated skin.
+The last line counts; dist/ has the files.
 """
 
 import os

@@ -82,7 +82,7 @@ def all_scenes(frame: int) -> Codes:
 
 
 class Nodes:
-    """Tells when nodes speak: while their code is off its rest or what was sent last, and in turn."""
+    """Tells when nodes speak: while a code is off its rest, or off what was sent, and in turn."""
 
     def __init__(self) -> None:
         self.last = np.full(NODES, REST)

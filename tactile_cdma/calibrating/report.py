@@ -19,8 +19,6 @@ from ..base.text import listed
 from ..readings.calibration import Curves, PressureCurve
 from .skin_fit import POWER_LAW, SkinFit, fit_skin
 
-WORST = 5
-"""Most nodes that a warning names."""
 BENT = 0.3
 """Von Neumann's ratio, halved, below which a curve is too simple: 3 σ below the 1 of independent
 residuals of 20 points, where σ is 1/√20."""
@@ -101,18 +99,15 @@ def describe(fit: SkinFit) -> str:
         f"expect errors, rms, of {', '.join(parts)}; in all {rms_pa(fit) / 1e3:.3g} kPa, "
         f"{rms_pa(fit) / float(fit.points.pressure_pa.max()):.1%} of the largest load"
     )
-    if widest := _widest_loop(fit):
+    loops = [(share, node) for node, share in fit.loop.items() if math.isfinite(share)]
+    if loops:
+        share, node = max(loops)
         lines.append(
-            f"loop between loading and unloading: up to {widest[0]:.1%} of the change "
-            f"(node {widest[1]}); the curve is in its middle"
+            f"loop between loading and unloading: up to {share:.1%} of the change (node {node}); "
+            "the curve is in its middle"
         )
     else:
         lines.append("no falling loads: neither hysteresis nor creep shows")
-    worst = sorted(fit.sigma_v, key=lambda node: -fit.sigma_v[node])[:WORST]
-    lines.append(
-        "farthest off: "
-        + ", ".join(f"node {node} ({fit.sigma_v[node] / fit.adc.lsb_v:.2f} LSB)" for node in worst)
-    )
     if fit.outlier.any():
         lines.append(f"outliers: {fit.points.source}, {fit.points.lines(fit.outlier)}")
     return "\n".join(lines)
@@ -275,10 +270,6 @@ def results(fit: SkinFit) -> dict[str, str]:
     }
     for number, stage in enumerate(stages(fit), 1):
         values[f"residual{number}_over_quantisation"] = f"{stage.rms_pa / stage.limit_pa:.3f}"
-    for number, knees in enumerate(_knees_pa(fit).T, 1):
-        values[f"knee{number}_kpa"] = f"{np.median(knees) / 1e3:.3f}"
-    if widest := _widest_loop(fit):
-        values["loop"] = f"{widest[0]:.4f}"
     return values
 
 
@@ -336,8 +327,3 @@ def _knees_pa(fit: SkinFit) -> Floats:
     """Return all curves' knees, (n, pieces − 1) Pa; a power law has none."""
     inner = slice(1, -1) if fit.pieces else slice(0)
     return np.array([curve.pressure_pa[inner] for curve in fit.curves.values()])
-
-
-def _widest_loop(fit: SkinFit) -> tuple[float, int] | None:
-    """Return the largest of the loops, and its node; None where no loads fell."""
-    return max(((v, node) for node, v in fit.loop.items() if math.isfinite(v)), default=None)

@@ -39,6 +39,8 @@ from ..recording.recording_file import capture_notes
 
 NODE_ORDER: dict[str, Value] = {"calibration_file": "", "layout_file": "", "rows": 0, "columns": 0}
 """Parameters under which taxel i is node i + 1, and no earlier calibration takes part."""
+WORST = 5
+"""Most nodes whose differences are printed."""
 LONGEST_MS = 1e5
 """Frame period for tables of points, which have no frames, ms: long enough for any skin."""
 OPTIONS_OF = {"port": ("steps", "seconds", "append"), "capture": ("offset", "settle")}
@@ -163,7 +165,7 @@ def _compare(path: Path, other_path: Path) -> int:
     }
     if not off_pa:
         raise CalibrationError(f"{path} and {other_path}: no node has a curve in both")
-    for node in sorted(off_pa, key=lambda node: -off_pa[node])[: report.WORST]:
+    for node in sorted(off_pa, key=lambda node: -off_pa[node])[:WORST]:
         print(f"node {node}: up to {off_pa[node] / 1e3:.3g} kPa")
     only = len(one.curves.keys() ^ other.curves.keys())
     median_pa, most_pa = np.median(list(off_pa.values())), max(off_pa.values())

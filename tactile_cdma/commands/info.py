@@ -18,8 +18,9 @@ from ..datasets.samples import NANO, SkinFrame, patches_of
 from ..datasets.sources.opening import Wanted, is_bag, open_source
 from ..datasets.sources.recording_source import skin_frame
 from ..datasets.survey import FrameSurvey
+from ..recording.container import RecordingParser
 from ..recording.offline import RawCapture
-from ..recording.recording_file import Survey, describe, is_recording, survey
+from ..recording.recording_file import describe, is_recording, survey
 
 Lines = Iterator[tuple[str, str]]
 """Names and texts."""
@@ -38,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines = _bag_lines(path, asked)
     elif is_recording(path):
         found = survey(path)
-        lines, damage = _recording_lines(path, asked, found), found.notes
+        lines, damage = _recording_lines(path, asked, found), found.losses
     else:
         raise CaptureError(
             f"{path}: no recording or bag; what export wrote says where it comes from: `about` of "
@@ -90,7 +91,7 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _recording_lines(path: Path, asked: dict[str, Value], found: Survey) -> Lines:
+def _recording_lines(path: Path, asked: dict[str, Value], found: RecordingParser) -> Lines:
     """Yield what a recording says of itself, and what decoding finds."""
     description = describe(path)
     begun = datetime.fromtimestamp(description.wall_ns * 1e-9, UTC)
@@ -99,14 +100,14 @@ def _recording_lines(path: Path, asked: dict[str, Value], found: Survey) -> Line
     yield "port", f"{description.port} at {description.baud} baud"
     yield "recorded by", f"tactile_cdma {description.package_version}"
     yield "asked for", asked_for or "nothing, the digitizer was taken as it was"
-    yield "length", f"{found.length_s:.3f} s, {found.bytes} bytes in {found.chunks} pieces"
+    yield "length", f"{found.time_ns * 1e-9:.3f} s, {found.bytes} bytes in {found.chunks} pieces"
     try:
         capture = RawCapture(path, asked)
     except TactileError as error:
         yield "frames", f"none, {error}"
     else:
         yield from _frame_lines(capture)
-    yield "checksum", "; ".join(found.notes) or "right"
+    yield "checksum", "; ".join(found.losses) or "right"
 
 
 def _frame_lines(capture: RawCapture) -> Lines:

@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -32,84 +32,76 @@ def pyarrow() -> ModuleType:
     return library  # type: ignore[no-any-return]
 
 
-class ParquetTable:
-    """A Parquet file that grows by rows of numbers, arrays of a fixed size, and images.
+@contextmanager
+def parquet_table(
+    path: Path,
+    columns: Mapping[str, tuple[str, tuple[int, ...]]],
+    metadata: Mapping[str, Any] | None = None,
+) -> Iterator[ParquetTable]:
+    """Open a Parquet file for rows of numbers, arrays of a fixed size, and images.
 
-    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. size: bytes written so far.
-    Use as a context manager: the file appears when that ends; after an exception nothing has
-    changed. Raises MissingPackageError without pyarrow.
+    columns: name → numpy type (or PNG_OR_JPEG) and shape of a cell. The file appears when the
+    context ends; after an exception nothing has changed. Raises MissingPackageError.
     """
+    library = pyarrow()
+    schema = library.schema([(name, _type(library, *it)) for name, it in columns.items()])
+    if metadata is not None:
+        schema = schema.with_metadata({METADATA: json.dumps(metadata).encode()})
+    with replacing(path) as file, library.parquet.ParquetWriter(file, schema) as writer:
+        table = ParquetTable(file, writer, columns)
+        yield table
+        table.flush()
+
+
+class ParquetTable:
+    """Takes the rows of an open Parquet file."""
 
     def __init__(
-        self,
-        path: Path,
-        columns: Mapping[str, tuple[str, tuple[int, ...]]],
-        metadata: Mapping[str, Any] | None = None,
+        self, file: BinaryIO, writer: Any, columns: Mapping[str, tuple[str, tuple[int, ...]]]
     ) -> None:
-        self._library, self._columns, self._path = pyarrow(), columns, path
-        schema = self._library.schema([(name, self._type(*it)) for name, it in columns.items()])
-        if metadata is not None:
-            schema = schema.with_metadata({METADATA: json.dumps(metadata).encode()})
-        self._schema = schema
+        self._file, self._writer, self._columns = file, writer, columns
         self._rows: list[Mapping[str, Any]] = []
         self._held_bytes = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._file.tell()
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row. Arrays are copied when their group is written: hand over such that stay."""
         self._rows.append(row)
         self._held_bytes += sum(np.asarray(cell).nbytes for cell in row.values())
         if len(self._rows) >= GROUP_ROWS or self._held_bytes >= GROUP_BYTES:
-            self._flush()
+            self.flush()
 
-    @property
-    def size(self) -> int:
-        return self._file.tell()
-
-    def __enter__(self) -> ParquetTable:
-        with ExitStack() as stack:
-            self._file = stack.enter_context(replacing(self._path))
-            self._writer = self._library.parquet.ParquetWriter(self._file, self._schema)
-            stack.push(self._finish)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(self, *problem: Any) -> None:
-        self._stack.__exit__(*problem)
-
-    def _finish(self, kind: Any, *_: Any) -> None:
-        try:
-            if kind is None:
-                self._flush()
-                self._writer.close()
-        finally:
-            with suppress(Exception):  # the exception that is on its way is the one to tell
-                self._writer.close()  # before the file: what is left open writes to it later
-
-    def _flush(self) -> None:
+    def flush(self) -> None:
+        """Write the group of rows that are held."""
         if self._rows:
+            library, schema = pyarrow(), self._writer.schema
             arrays = [
-                self._library.array(_cells([row[name] for row in self._rows], *kind), field.type)
-                for (name, kind), field in zip(self._columns.items(), self._schema, strict=True)
+                library.array(_cells([row[name] for row in self._rows], *kind), field.type)
+                for (name, kind), field in zip(self._columns.items(), schema, strict=True)
             ]
-            self._writer.write_table(self._library.Table.from_arrays(arrays, schema=self._schema))
+            self._writer.write_table(library.Table.from_arrays(arrays, schema=schema))
             self._rows, self._held_bytes = [], 0
 
-    def _type(self, dtype: str, shape: tuple[int, ...]) -> Any:
-        """Return the type of a column of arrays or images; cells of () and (1,) are plain numbers.
 
-        Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
-        """
-        library = self._library
-        if dtype == PNG_OR_JPEG:
-            return library.struct([("bytes", library.binary()), ("path", library.string())])
-        kind = library.from_numpy_dtype(np.dtype(dtype))
-        if shape in ((), (1,)):
-            return kind
-        if len(shape) == 1:
-            return library.list_(kind, shape[0])
-        for _ in shape:
-            kind = library.list_(kind)
+def _type(library: ModuleType, dtype: str, shape: tuple[int, ...]) -> Any:
+    """Return the type of a column of arrays or images; cells of () and (1,) are plain numbers.
+
+    Vectors have a fixed size, matrices are lists of lists, as the library datasets stores them.
+    """
+    if dtype == PNG_OR_JPEG:
+        return library.struct([("bytes", library.binary()), ("path", library.string())])
+    kind = library.from_numpy_dtype(np.dtype(dtype))
+    if shape in ((), (1,)):
         return kind
+    if len(shape) == 1:
+        return library.list_(kind, shape[0])
+    for _ in shape:
+        kind = library.list_(kind)
+    return kind
 
 
 def _cells(cells: Sequence[Any], dtype: str, shape: tuple[int, ...]) -> Any:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..base.whole_file import replace_file, replacing
 from .episodes import Episode, number_at, samples_of
-from .parquet_table import ParquetTable
+from .parquet_table import parquet_table
 from .progress import Progress
 from .samples import (
     NANO,
@@ -177,7 +177,7 @@ def write_parquet(path: Path, frames: Rows, patch: PatchInfo, about: Mapping[str
         name: (dtype, (len(patch),) if name in PER_TAXEL else ()) for name, dtype in COLUMNS.items()
     }
     constants = {name: known(array) for name, array in _places(patch).items()}
-    with ParquetTable(path, kinds, {"about": about} | constants) as table:
+    with parquet_table(path, kinds, {"about": about} | constants) as table:
         for episode, frame in frames:
             table.add(_row(episode, frame))
 

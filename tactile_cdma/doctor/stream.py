@@ -17,6 +17,7 @@ from ..config.skin_config import SkinConfig
 from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
 from ..driver.compiled_stream import GAP_TIMING
 from ..driver.pipeline import Pipeline, TactileFrame
+from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
 from ..framing.timing import silence_hidden
 from ..wire.messages import Status
@@ -80,9 +81,13 @@ def judge(
     """
     yield from _link(chunks)
     if no_frames:
-        yield problem("frames", no_frames)
+        other = mismatch(config, chunks)
+        yield problem("scramble", other) if other else problem("frames", no_frames)
         return
     decoded = _decoded(chunks, config, None)
+    if not any(map(is_understood, decoded.frames)) and (other := mismatch(config, chunks)):
+        yield problem("scramble", other)
+        return
     yield from _rate(decoded, config)
     clipped = float(np.mean([frame.clipped for frame in decoded.frames]))
     if clipped:
@@ -150,7 +155,9 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
             frames += new
             arrived_s.append(t_host)
     if not frames:
-        raise PortError(pipeline.problem or "no frame fits: check chip_us, order and bits")
+        raise PortError(
+            pipeline.problem or "no frame fits: check chip_us, order, bits and scramble"
+        )
     pipeline.health.judge(least_words=1)  # a node at rest speaks once a second only
     active = np.array([frame.words.active & (frame.words.rho > LOW_RHO) for frame in frames])
     return DecodedStream(frames, (arrived_s[0], arrived_s[-1]), active, pipeline)

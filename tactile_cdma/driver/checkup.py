@@ -36,8 +36,8 @@ REJECTED_FOR = {
     "lower its gain (make amplifier)",
     NOISY: "with noise that would hide words: look for what disturbs the line, or raise the "
     "amplitude",
-    MISFIT: "explained by no words: check chip_us, order and bits, noise on the line, and whether "
-    "nodes' clocks are off",
+    MISFIT: "explained by no words: check chip_us, order, bits and scramble, noise on the line, "
+    "and whether nodes' clocks are off",
     NOT_AT_REST: "with a line that is not silent around them: check bits and frame_period_ms, hum "
     "and noise, and whether nodes' clocks are off",
 }
@@ -123,8 +123,16 @@ def stream(pipeline: Pipeline, window: Window, latest: TactileFrame | None) -> I
         yield from off_rest(pipeline, latest.readings)
 
 
-def nodes(pipeline: Pipeline, stuck: list[int], window: Window) -> Iterator[Finding]:
-    """Judge the nodes, one by one. stuck: numbers of those that do not move."""
+def nodes(
+    pipeline: Pipeline, stuck: list[int], window: Window, mismatch: str | None = None
+) -> Iterator[Finding]:
+    """Judge the nodes, one by one. stuck: numbers of those that do not move.
+
+    mismatch: that they scramble otherwise than the parameters say.
+    """
+    if mismatch:
+        yield Finding(mismatch, Level.ERROR, event=True)
+        return
     taxels, health = pipeline.taxels, pipeline.health
     dead, stale = taxels.dead, taxels.stale
     if 0 < taxels.in_service == len(dead) + len(stale):

@@ -26,6 +26,7 @@ from ..wire.port_failures import is_remote
 from ..wire.reader import NO_FILE
 from .checkup import REJECTED_FOR
 from .pipeline import Pipeline, TactileFrame
+from .scrambling import ScrambleWatch
 from .session import Session
 from .vitals import Vitals
 
@@ -62,7 +63,8 @@ class Driver:
 
     url: of the port. port: while one is open. connections: how often it was opened.
     problem: as told by on_problem. vitals: what the thread measures of itself.
-    stuck: finds nodes that do not move.
+    stuck: finds nodes that do not move. scrambling: finds nodes that scramble otherwise, on the
+    present connection.
     ended: a recording was replayed to its end, and no more frames will come.
     """
 
@@ -84,6 +86,7 @@ class Driver:
         self.ended = False
         self.vitals = Vitals()
         self.stuck = StuckNodes(config.layout)
+        self.scrambling = ScrambleWatch(config)
         self._first_port: Port | None = None
         self.port: Port | None = None
         self.url, self._baud = url, baud
@@ -199,6 +202,7 @@ class Driver:
         """Start the digitizer and decode until stopped; raises PortError when the port is lost."""
         pipeline = self.pipeline
         session = Session(pipeline.config, port.stepped)
+        self.scrambling = ScrambleWatch(pipeline.config)
         _tell_of_sensors(port, pipeline.config)
         with self._busy:
             pipeline.reconnected()
@@ -218,19 +222,25 @@ class Driver:
                     if t_host < look_s:
                         continue
                 if t_host >= look_s:
-                    waiting_bytes = port.waiting
-                    self.vitals.note_read(waiting_bytes)
                     look_s = t_host + LOOK_S
-                    if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
-                        self._catch_up(port, t_host)
+                    self._look(port, backlog, age_s, t_host)
                 if request := session.watch(pipeline, t_host, heard_s):
                     port.write(request)
-                    self._report(session.problem or self.problem)
+                    self._report(self.scrambling.problem or session.problem or self.problem)
                 left_ms = math.ceil(1e3 * max(0.0, session.deadline_s - t_host))
                 timeout_ms = min(left_ms or READ_TIMEOUT_MS, READ_TIMEOUT_MS)
         finally:
             if self._stop.is_set():
                 port.write(session.close())
+
+    def _look(self, port: Port, backlog: Backlog, age_s: float, t_host: float) -> None:
+        """See to what need not be seen to with every frame. age_s: of the newest one."""
+        waiting_bytes = port.waiting
+        self.vitals.note_read(waiting_bytes)
+        if not self.scrambling.is_over and self.scrambling.look(self.pipeline):
+            _log.error("%s: %s", port.url, self.scrambling.problem)
+        if port.over_network and backlog.observe(waiting_bytes, age_s, t_host):
+            self._catch_up(port, t_host)
 
     def _catch_up(self, port: Port, t_host: float) -> None:
         """Decode what was read, and skip what waits at the port."""
@@ -244,7 +254,9 @@ class Driver:
 
         file: see Port.file. timeout_ms: most that is waited for bytes there.
         """
-        pipeline = self.pipeline
+        pipeline, listens = self.pipeline, self.scrambling.listens
+        if listens:
+            file = NO_FILE
         try:
             event = pipeline.stream.next(file, timeout_ms)
         except OSError as error:
@@ -262,6 +274,8 @@ class Driver:
                 pipeline.stream.end()
                 return None, time.monotonic()
             data, t_host = port.read()
+            if listens:
+                self.scrambling.note(data, t_host)
             self._may_end = bool(data) and port.stepped and self._fills
             pipeline.stream.give(data, t_host, port.had_waited)
         return None, time.monotonic()
@@ -270,6 +284,8 @@ class Driver:
         """Pass a decoded frame to whoever uses it. t_host: when its bytes were read."""
         t_decoded = time.monotonic()
         self._on_frame(frame)
+        if not self.scrambling.is_over:
+            self.scrambling.hear(frame)
         done = t_host, t_decoded, time.monotonic(), frame.clipped, frame.words.noise_rms_v
         self.vitals.handed_on.append((frame.t_host, *done))
         if not 0 <= frame.t_middle - self.stuck.looked_s < STUCK_LOOK_S:

@@ -174,7 +174,7 @@ class Session:
         if pipeline.counters.implausible_packets > self._before.implausible_packets + 1:
             return "the digitizer's clock and its count of samples contradict each other"
         if pipeline.rejections.total:
-            return "samples arrive, but no frame fits: check chip_us, order and bits"
+            return "samples arrive, but no frame fits: check chip_us, order, bits and scramble"
         return "the digitizer answers but sends no frames; is the skin connected and powered?"
 
     def encoded(self, *packets: Packet) -> bytes:

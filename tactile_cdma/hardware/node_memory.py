@@ -269,7 +269,8 @@ def _check_chip(chip_ns: int, mcu: str, spec: FrameSpec) -> None:
     if spec.scramble and chip_ns < board.scrambled_chip_ns:
         raise SpecError(
             f"chip_us is {chip_us:g}; an {mcu} that scrambles takes "
-            f"{board.scrambled_chip_ns / 1e3:g} or more: set scramble to false or use longer chips"
+            f"{board.scrambled_chip_ns / 1e3:g} or more, and {board.chip_ns / 1e3:g} if it does "
+            "not: set scramble to false or use longer chips"
         )
     if odd := chip_ns % board.chip_step_ns:
         below_us, step_us = (chip_ns - odd) / 1e3, board.chip_step_ns / 1e3

@@ -167,7 +167,7 @@ class CdrReader:
 
 
 class TaxelArray(NamedTuple):
-    """What a TactileArray says of its t taxels.
+    """Holds what a TactileArray says of its t taxels.
 
     pressure_pa: (t,) float32, Pa, NaN without a reading. status: (t,) uint8.
     """

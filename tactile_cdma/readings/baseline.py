@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a skin reads at rest: tare and slow drift, which are taken off its readings."""
+"""Keeps what a skin reads at rest: tare and slow drift, which are taken off its readings."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ LOOKS = 8
 
 @dataclass(frozen=True, slots=True)
 class RestRules:
-    """What counts as rest.
+    """Limits of what counts as rest.
 
     drift_pa_per_min: fastest drift that is followed, Pa/min; 0: none. contact_pa: a node that reads
     more is under load, Pa. release_pa: where a node reads more, Pa, drift is followed neither there
@@ -30,7 +30,7 @@ class RestRules:
 
 
 class Baseline:
-    """What is taken off each node's readings, and the last second, which a tare is taken from.
+    """Holds what is taken off each node's readings, and the last second, of which a tare is made.
 
     tare_pa: (n,) float32, Pa, pressure at rest (mounting, preload), subtracted from readings.
     drift_v: (n,) float32, V, added to measured voltages to undo what temperature and age do.

@@ -257,7 +257,7 @@ class Calibration:
 
     @classmethod
     def default(cls, curve: PressureCurve, nodes: int) -> Calibration:
-        """The same curve for all nodes."""
+        """Give all nodes the same curve."""
         return cls(Curves.of([curve] * nodes), np.zeros(nodes, dtype=bool))
 
     @classmethod

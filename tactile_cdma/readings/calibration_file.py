@@ -76,7 +76,7 @@ class CalibrationContent:
 
     @property
     def made_for(self) -> dict[str, str | int | float]:
-        """What a skin must agree with, by key of the file."""
+        """Values that a skin must agree with, by key of the file."""
         bits, vref_v = self.adc.bits, self.adc.vref_v
         return {"skin": self.skin, "nodes": self.nodes, "bits": bits, "vref_v": vref_v}
 

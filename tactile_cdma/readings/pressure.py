@@ -68,7 +68,7 @@ class PressureChain:
         return reading_pa, saturated, off_rest
 
     def convert(self, voltage_v: Floats32) -> tuple[Floats32, Bools, Bools]:
-        """As update, but before the tare, of voltages (…, n), V; nothing is updated."""
+        """Convert voltages (…, n), V, as update does, but without the tare; nothing is updated."""
         bounds, corrected_v = self.bounds, voltage_v + self.baseline.drift_v
         pressure_pa = self.calibration.curves.pressure(corrected_v)
         saturated = (corrected_v - bounds.end_v) * bounds.sign < 0

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is to be said of a taxel's reading."""
+"""Defines the flags of a taxel's reading."""
 
 from enum import IntFlag
 
@@ -30,10 +30,10 @@ class Status(IntFlag):
 
 
 def is_in_service(status: NDArray[np.uint8]) -> Bools:
-    """Of the same shape: taxels with a node that the layout does not mask."""
+    """Find the taxels with a node that the layout does not mask; returns the same shape."""
     return np.asarray(status & np.uint8(Status.MASKED) == 0)
 
 
 def is_certain(status: NDArray[np.uint8]) -> Bools:
-    """Of the same shape: taxels whose value, if they have one, was heard and has not changed."""
+    """Find the taxels whose value, if any, was heard and has not changed; same shape."""
     return np.asarray(status & np.uint8(Status.LOW_SNR) == 0)

@@ -49,18 +49,7 @@ class StuckNodes:
 
     def __init__(self, layout: Layout) -> None:
         taxels = len(layout)
-        self._nodes = layout.nodes
-        # Arrays of neighbours are (m, t), as numpy is quicker along rows.
-        self._beside = np.ascontiguousarray(layout.neighbours.T, np.intp)  # else cast at each use
-        self._real = self._beside != np.arange(taxels)  # False: padding
-        self._offsets = _offsets(layout)
-        self._sound = np.zeros(taxels, dtype=bool)
-        # About the neighbours of each taxel, with none of them sound yet; see _update_sound.
-        self._heard = np.zeros_like(self._real)
-        self._but_others = np.full(self._beside.shape, np.inf, dtype=np.float32)
-        self._weights = np.zeros(self._beside.shape, dtype=np.float32)
-        self._enough, self._inner = np.zeros((2, taxels), dtype=bool)
-        self._may_rest = np.zeros(taxels, dtype=np.int64)
+        self._nodes, self._around = layout.nodes, _Around(layout)
         self.looked_s = -np.inf
         self._seen: Readings | None = None
         self._voltage_v = np.full(taxels, np.nan, dtype=np.float32)
@@ -100,40 +89,24 @@ class StuckNodes:
 
     def _expected(self, readings: Readings, contact_pa: float) -> Floats32:
         """(t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
-        pressure_pa = readings.pressure_pa
-        sound = np.isfinite(pressure_pa) & (self._swings < SWINGS)
-        self._update_sound(sound)
-        around_pa = np.where(sound, pressure_pa, np.float32(0)).take(self._beside)
-        least_pa = (around_pa + self._but_others).min(axis=0)
-        most_pa = (around_pa - self._but_others).max(axis=0)
+        pressure_pa, around = readings.pressure_pa, self._around
+        around.update(sound := np.isfinite(pressure_pa) & (self._swings < SWINGS))
+        around_pa = np.where(sound, pressure_pa, np.float32(0)).take(around.beside)
+        least_pa = (around_pa + around.but_others).min(axis=0)
+        most_pa = (around_pa - around.but_others).max(axis=0)
         expected_pa = np.full(len(pressure_pa), np.nan, dtype=np.float32)
-        expected_pa[self._enough & (most_pa < contact_pa)] = 0
-        at = np.flatnonzero(self._enough & (least_pa > contact_pa))
-        unmoved = self._heard[:, at] & (self._changed_s[self._beside[:, at]] <= self._since_s[at])
-        at = at[np.count_nonzero(unmoved, axis=0) <= self._may_rest[at]]
+        expected_pa[around.enough & (most_pa < contact_pa)] = 0
+        at = np.flatnonzero(around.enough & (least_pa > contact_pa))
+        unmoved = around.sound[:, at] & (self._changed_s[around.beside[:, at]] <= self._since_s[at])
+        at = at[np.count_nonzero(unmoved, axis=0) <= np.where(around.inner[at], UNMOVED, 0)]
         low_pa, high_pa = least_pa[at], most_pa[at]
-        plane_pa = np.einsum("mt,mt->t", self._weights[:, at], around_pa[:, at])
+        plane_pa = np.einsum("mt,mt->t", around.weights[:, at], around_pa[:, at])
         border_pa = np.minimum(plane_pa - BORDER_SPREADS * (high_pa - low_pa), low_pa)
-        pressed_pa = np.maximum(np.where(self._inner[at], low_pa, border_pa), 0)
+        pressed_pa = np.maximum(np.where(around.inner[at], low_pa, border_pa), 0)
         # Beyond its range a sound node does not change either: expect no more than it reads.
         saturated = (readings.status[at] & _SATURATED) != 0
         expected_pa[at] = np.where(saturated, pressure_pa[at], pressed_pa)
         return expected_pa
-
-    def _update_sound(self, sound: Bools) -> None:
-        """Update what depends on which neighbours are sound, where this has changed."""
-        changed = sound != self._sound
-        if not changed.any():
-            return
-        self._sound = sound
-        at = np.flatnonzero((changed[self._beside] & self._real).any(axis=0))
-        heard = sound[self._beside[:, at]] & self._real[:, at]
-        count, weights = np.count_nonzero(heard, axis=0), self._plane_weights(heard, at)
-        inner = (count >= MANY_NEIGHBOURS) & ((weights > 0) | ~heard).all(axis=0)
-        self._heard[:, at], self._weights[:, at] = heard, weights
-        self._but_others[:, at] = np.where(heard, 0, np.inf)
-        self._enough[at], self._inner[at] = count >= LEAST_NEIGHBOURS, inner
-        self._may_rest[at] = np.where(inner, UNMOVED, 0)
 
     def _count(self, expected_pa: Floats32, swing_pa: np.float32) -> None:
         """Track the expectation and count its swings."""
@@ -146,6 +119,40 @@ class StuckNodes:
         self._rising ^= turned
         np.copyto(self._high_pa, expected_pa, where=up)
         np.copyto(self._low_pa, expected_pa, where=down)
+
+
+class _Around:
+    """Knows which neighbours of each taxel are sound, and what follows from that; (m, t) arrays.
+
+    beside: the neighbours, padded with the taxel itself. sound: they are, and no padding.
+    but_others: 0 where they are, else infinite. weights: of their pressures, which give the value
+    of their plane at the taxel. enough, inner: (t,) bool, there are enough of them to expect
+    something; they are all around.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        # numpy is quicker along rows of (m, t) than of (t, m).
+        self.beside = np.ascontiguousarray(layout.neighbours.T, np.intp)  # else cast at each use
+        self._real = self.beside != np.arange(len(layout))  # False: padding
+        self._offsets, self._sound = _offsets(layout), np.zeros(len(layout), dtype=bool)
+        self.sound = np.zeros_like(self._real)
+        self.but_others = np.full(self.beside.shape, np.inf, dtype=np.float32)
+        self.weights = np.zeros(self.beside.shape, dtype=np.float32)
+        self.enough, self.inner = np.zeros((2, len(layout)), dtype=bool)
+
+    def update(self, sound: Bools) -> None:
+        """Update the neighbourhoods in which a taxel has become sound, or is not any more."""
+        changed = sound != self._sound
+        if not changed.any():
+            return
+        self._sound = sound
+        at = np.flatnonzero((changed[self.beside] & self._real).any(axis=0))
+        heard = sound[self.beside[:, at]] & self._real[:, at]
+        count, weights = np.count_nonzero(heard, axis=0), self._plane_weights(heard, at)
+        self.sound[:, at], self.weights[:, at] = heard, weights
+        self.but_others[:, at] = np.where(heard, 0, np.inf)
+        self.enough[at] = count >= LEAST_NEIGHBOURS
+        self.inner[at] = (count >= MANY_NEIGHBOURS) & ((weights > 0) | ~heard).all(axis=0)
 
     def _plane_weights(self, heard: Bools, at: Indices) -> Floats32:
         """(m, k) weights of the neighbours' pressures that give the plane's value at k taxels."""

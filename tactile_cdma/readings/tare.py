@@ -3,6 +3,7 @@
 """Tare: makes what a skin reads at rest its zero, unless something touches or moves it."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base.arrays import Bools
 from ..base.errors import Refusal, RestError
@@ -14,8 +15,19 @@ from .calibration import Curves
 MOVING_LSB = 2.5
 """A node moves if its voltage changed by more within the last second, LSB: codes that flicker
 between neighbours differ by 1 or 2."""
+_Numbers = NDArray[np.floating]
 _NAMED = 8
 """Nodes named in a refusal: as many as a person reads."""
+_OTHERWISE = ", or, if this is how the skin rests, tare with force: true"
+_CAUSES = {
+    Refusal.MOVING: ("moving: {}; wait until nothing moves them", 1e3, "mV"),
+    Refusal.LOADED: ("under load: {}; take away what touches them" + _OTHERWISE, 1e-3, "kPa"),
+    Refusal.SENSOR: (
+        "before where their curves begin: {}; check their sensors" + _OTHERWISE,
+        *(1e3, "mV"),
+    ),
+}
+"""Text with a place for nodes, factor and unit of what is told of each."""
 
 
 def take_tare(
@@ -54,34 +66,17 @@ def take_tare(
     begin_v, rest_v = curves.begin_v, np.median(voltages_v, axis=0) + baseline.drift_v
     before_v = np.where(valid, np.maximum(curves.sign * (rest_v - begin_v), 0), np.float32(0))
     if not force:
-        awaited = ~valid & (may_yet_speak | valids.any(axis=0))
-        if early := (np.flatnonzero(awaited) + 1).tolist():
-            raise RestError(  # they would be left with another zero
-                f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
-                "try again, or tare the others with force: true",
-                Refusal.EARLY,
-            )
+        _check_heard(~valid & (may_yet_speak | valids.any(axis=0)))
         above_pa, moved_v = pressure_pa - baseline.least_pa, np.ptp(voltages_v, axis=0)
         moving = valid & (moved_v > MOVING_LSB * lsb_v)
         loaded = valid & (above_pa > contact_pa)
         torn = before_v > curves.pull_v(contact_pa)
-        otherwise = ", or, if this is how the skin rests, tare with force: true"
+        # Where something moves over the skin, the nodes that it has left need no naming.
+        moving = moving & loaded if (moving & loaded).any() else moving
         # By voltage: a pressure does not move where it is clamped to 0.
-        for state, reason, nodes, amounts, unit, ranks, remedy in (
-            # Where something moves over the skin, the nodes that it has left need no naming.
-            ("moving", Refusal.MOVING, moving & loaded if (moving & loaded).any() else moving,
-             1e3 * moved_v, "mV", above_pa, "wait until nothing moves them"),
-            ("under load", Refusal.LOADED, loaded,
-             above_pa / 1e3, "kPa", above_pa, "take away what touches them" + otherwise),
-            ("before where their curves begin", Refusal.SENSOR, torn,
-             1e3 * before_v, "mV", before_v, "check their sensors" + otherwise),
-        ):  # fmt: skip
-            if nodes.any():
-                own = np.flatnonzero(nodes)
-                worst = own[np.argsort(-ranks[own], kind="stable")].tolist()
-                said = {i: f"{_name(i, layout)} {amounts[i]:.2f} {unit}" for i in worst[:_NAMED]}
-                names = listed(worst, most=_NAMED, show=said.__getitem__)
-                raise RestError(f"not tared, {state}: {names}; {remedy}", reason)
+        _refuse(Refusal.MOVING, layout, moving, moved_v, above_pa)
+        _refuse(Refusal.LOADED, layout, loaded, above_pa, above_pa)
+        _refuse(Refusal.SENSOR, layout, torn, before_v, before_v)
     excess_v, last_v = curves.sign * before_v, baseline.rest_v
     baseline.drift_v = baseline.drift_v - excess_v
     if force or not baseline.tared:
@@ -92,6 +87,30 @@ def take_tare(
     baseline.rest_v = np.where(valid, rest_v - excess_v, begin_v if last_v is None else last_v)
     unheard: list[int] = (np.flatnonzero(~valid) + 1).tolist()
     return unheard
+
+
+def _check_heard(awaited: Bools) -> None:
+    """Refuse the tare if nodes are awaited: they would be left with another zero."""
+    if early := (np.flatnonzero(awaited) + 1).tolist():
+        raise RestError(
+            f"not tared: not yet heard for {LOOKS * LOOK_S:g} s: {listed(early, 'node')}; "
+            "try again, or tare the others with force: true",
+            Refusal.EARLY,
+        )
+
+
+def _refuse(
+    reason: Refusal, layout: Layout, nodes: Bools, amounts: _Numbers, ranks: _Numbers
+) -> None:
+    """Refuse the tare for these nodes, if there are any. amounts: (n,), V or Pa; ranks: (n,)."""
+    own, (text, per_unit, unit) = np.flatnonzero(nodes), _CAUSES[reason]
+    if own.size:
+        worst = own[np.argsort(-ranks[own], kind="stable")].tolist()
+        shown = {
+            i: f"{_name(i, layout)} {amounts[i] * per_unit:.2f} {unit}" for i in worst[:_NAMED]
+        }
+        names = listed(worst, most=_NAMED, show=shown.__getitem__)
+        raise RestError(f"not tared, {text.format(names)}", reason)
 
 
 def _name(index: int, layout: Layout) -> str:

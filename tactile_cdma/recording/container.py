@@ -129,7 +129,7 @@ class RecordingParser:
     description, end_ns, the recording's length: None until they are read. identity: that of the
     first record. damaged: places in the file that hold something other than records, not counting
     the end of a file that was cut. lost_bytes: of the stream, missing before the last record that
-    was read. chunks, bytes: found.
+    was read. chunks, bytes: found. time_ns: that of the last record.
     """
 
     def __init__(self, identity: int | None = None) -> None:
@@ -143,8 +143,23 @@ class RecordingParser:
         resumed = identity is not None
         self._expects_magic, self._in_damage = not resumed, resumed
         self._offset: int | None = None if resumed else 0
-        self._time_ns = 0
+        self.time_ns = 0
         self._passed = self._vain = 0  # bytes of the file before _held; see _LEAST_VAIN
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What a recording, parsed to its end, lacks, one sentence each."""
+        notes = []
+        if self.end_ns is None:
+            notes.append(
+                "the recording is cut short, or damaged at its end: what came before is there"
+            )
+        if self.damaged or self.lost_bytes:
+            notes.append(
+                f"the file is damaged in {self.damaged} places; {self.lost_bytes} bytes of the "
+                "port are known to be lost"
+            )
+        return tuple(notes)
 
     def feed(self, data: bytes) -> list[Chunk]:
         """Return the chunks that these bytes complete.
@@ -215,7 +230,7 @@ class RecordingParser:
         _, kind, identity, length, time_ns, offset = _HEAD.unpack(head)
         if self._offset is None:
             self._offset = offset
-        if offset < self._offset or time_ns < self._time_ns or self.end_ns is not None:
+        if offset < self._offset or time_ns < self.time_ns or self.end_ns is not None:
             return False
         if kind != _CHUNK:
             try:
@@ -225,26 +240,13 @@ class RecordingParser:
             self.end_ns = time_ns if kind == _END else None
         self.identity = identity
         self.lost_bytes += offset - self._offset
-        self._offset, self._time_ns = offset, time_ns
+        self._offset, self.time_ns = offset, time_ns
         if kind == _CHUNK:
             self._offset += length
             self.chunks += 1
             self.bytes += length
             found.append(Chunk(time_ns, content))
         return True
-
-
-def losses(parser: RecordingParser) -> tuple[str, ...]:
-    """Return what a recording, parsed to its end, lacks, one sentence each."""
-    notes = []
-    if parser.end_ns is None:
-        notes.append("the recording is cut short, or damaged at its end: what came before is there")
-    if parser.damaged or parser.lost_bytes:
-        notes.append(
-            f"the file is damaged in {parser.damaged} places; {parser.lost_bytes} bytes of the "
-            "port are known to be lost"
-        )
-    return tuple(notes)
 
 
 def _description(said: Any) -> Description:

@@ -9,7 +9,6 @@ import secrets
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
@@ -25,7 +24,6 @@ from .container import (
     Description,
     RecordingEncoder,
     RecordingParser,
-    losses,
 )
 
 _log = logging.getLogger(__name__)
@@ -90,22 +88,6 @@ class Recorder:
             self.close()
 
 
-@dataclass(frozen=True, slots=True)
-class Survey:
-    """Summary of a whole recording.
-
-    length_s: from its beginning to its end, or to its last chunk where the end is missing.
-    bytes: of the port. lost_bytes: see RecordingParser. notes: what is wrong with it, one sentence
-    each.
-    """
-
-    length_s: float
-    chunks: int
-    bytes: int
-    lost_bytes: int
-    notes: tuple[str, ...]
-
-
 def is_recording(path: Path) -> bool:
     """Tell whether a file begins or is named as a recording; raises CaptureError if unreadable."""
     with naming(path, CaptureError), open_named(path) as file:
@@ -143,7 +125,7 @@ def read_chunks(path: Path, parser: RecordingParser, position: int = 0) -> Itera
             while data := file.read(_READ_BYTES):
                 yield from parser.feed(data)
         yield from parser.finish()
-        for loss in losses(parser):
+        for loss in parser.losses:
             _log.debug("%s: %s", path, loss)
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
@@ -182,19 +164,13 @@ def _end(path: Path) -> RecordingParser:
     return parser
 
 
-def survey(path: Path) -> Survey:
+def survey(path: Path) -> RecordingParser:
     """Read a recording from beginning to end; raises CaptureError where it is none."""
     describe(path)
-    parser, last_ns = RecordingParser(), 0
-    for chunk in read_chunks(path, parser):
-        last_ns = chunk.time_ns
-    return Survey(
-        length_s=(last_ns if parser.end_ns is None else parser.end_ns) * 1e-9,
-        chunks=parser.chunks,
-        bytes=parser.bytes,
-        lost_bytes=parser.lost_bytes,
-        notes=losses(parser),
-    )
+    parser = RecordingParser()
+    for _ in read_chunks(path, parser):
+        pass
+    return parser
 
 
 def is_text(path: Path) -> bool:
@@ -235,4 +211,4 @@ def read_bytes(path: Path) -> Iterator[tuple[bytes, float]]:
 
 def capture_notes(path: Path) -> tuple[str, ...]:
     """Return what is wrong with a file that read_bytes reads, one sentence each."""
-    return survey(path).notes if is_recording(path) else ()
+    return survey(path).losses if is_recording(path) else ()

@@ -17,7 +17,7 @@ from ..base.errors import CaptureError, SpecError
 from ..config.parameters import REPLAY, Parameter
 from ..config.skin_config import user_path
 from ..config.url_options import parse_options
-from ..recording.container import Chunk, RecordingParser, losses
+from ..recording.container import Chunk, RecordingParser
 from ..recording.recording_file import describe, is_recording, read_chunks, seek
 from ..wire.messages import Info
 from ..wire.packets import PacketParser, PacketWriter
@@ -154,7 +154,7 @@ class Player:
                     told = True
                     yield Chunk(chunk.time_ns, self._described())
                 yield chunk
-        self._notes = losses(parser)
+        self._notes = parser.losses
 
     def _described(self) -> bytes:
         """Find the digitizer's description of itself, which comes at a stream's beginning."""

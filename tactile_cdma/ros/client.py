@@ -52,7 +52,7 @@ TRANSITIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """What a skin feels.
+    """Holds what a skin feels.
 
     problem: why nothing is to be concluded from it, in words; empty if every taxel in service has a
         certain reading, and every amount is known.
@@ -166,7 +166,7 @@ class SkinClient:
 
     @property
     def touch(self) -> Touch:
-        """What the skin feels now."""
+        """Return what the skin feels now."""
         silent_s, found = time.monotonic() - self._heard_s, self._contacts
         if found is None or silent_s > self._silent_after_s:
             return Touch(self._silence(silent_s), None)
@@ -214,11 +214,11 @@ class SkinClient:
         return self._call(self._tare, _tare_request(force, wait_s), wait_s)
 
     def tare_async(self, force: bool = False, wait_s: float = 0.0) -> Future:
-        """The same, for callbacks: a future of the answer, which is not done without a driver."""
+        """Tare without waiting, for callbacks: the future is not done without a driver."""
         return self._tare.call_async(_tare_request(force, wait_s))
 
     def state(self) -> str:
-        """Of the driver's lifecycle: unconfigured, inactive, active, …; raises PortError."""
+        """Ask for the driver's lifecycle state: inactive, active, …; raises PortError."""
         return str(self._call(self._get_state, GetState.Request()).current_state.label)
 
     def change(self, transition: str) -> bool:

@@ -23,7 +23,7 @@ MAX_JITTER = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What the line does to the chips.
+    """Models what the line does to the chips.
 
     offset_v: level of silence, V. noise_rms_v: of one sample, V. stretch: the chips of a frame
     last up to this share longer, drawn per frame, the same for all nodes. jitter: largest

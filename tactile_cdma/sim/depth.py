@@ -24,7 +24,7 @@ DEEPEST_M = 0.02
 MOST_STEPS, SOUGHT_M = 20, 1e-8
 """Newton's steps on a curved skin end where they are this short, m, or so many; about 5 suffice."""
 _LIMIT_M = 1e-4
-"""As close to DEEPEST_M there is no end in sight, m; chosen: where eight halvings come."""
+"""A shift this close to DEEPEST_M has found no end, m; chosen: where eight halvings come."""
 Press = tuple[Indenter, float, Sequence[float]]
 """An object, its force, N, and the direction in which it is moved, as at_force takes them."""
 _LEAST_SHARE = 0.05

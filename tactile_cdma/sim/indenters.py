@@ -82,13 +82,13 @@ class Indenter(ABC):
         return Pose.of_quaternion(self.position_m, self.orientation_xyzw)
 
     def moved(self, by_m: Floats) -> Self:
-        """The same object elsewhere, (3,), m; not checked again."""
+        """Copy the object to another place, by_m away, (3,), m; not checked again."""
         thing, pose = copy(self), Pose(self.pose.rotation, self.pose.translation_m + by_m)
         vars(thing).update(position_m=tuple(pose.translation_m.tolist()), pose=pose)
         return thing
 
     def placed(self, pose: Pose) -> Self:
-        """The same object in another pose; not checked again."""
+        """Copy the object in another pose; not checked again."""
         thing, turned = copy(self), tuple(pose.quaternion.tolist())
         place_m = tuple(pose.translation_m.tolist())
         vars(thing).update(position_m=place_m, orientation_xyzw=turned, pose=pose)
@@ -302,7 +302,7 @@ class Foundation:
         self.is_flat = bool((self._normals == self._normals[0]).all())
 
     def near(self, indenter: Indenter, moves_m: float = 0.0) -> "Near":
-        """What an object may reach that moves as far as moves_m, m, sideways of the normals."""
+        """Find what an object may reach that moves up to moves_m, m, sideways of the normals."""
         around_m = self._corners_m + moves_m
         mask = indenter.may_touch(self._positions_m, self._normals, around_m)
         taxels = slice(None) if mask.all() else mask  # a slice is quicker to take
@@ -322,7 +322,7 @@ class Foundation:
         return self.mean_pa(pressed)
 
     def mean_pa(self, pressed: Sequence[tuple["Near", Floats]]) -> Floats:
-        """As pressure_pa, of what presses on the points that are near each object, (m,), Pa."""
+        """Average over every taxel what presses on the points near each object, (m,), Pa."""
         pressure_pa = np.zeros(self.points_m.shape[:2])
         for near, point_pa in pressed:
             so_far_pa = pressure_pa[near.taxels]
@@ -331,7 +331,7 @@ class Foundation:
 
 
 class Near(NamedTuple):
-    """What an object may reach of a cover.
+    """Holds what an object may reach of a cover.
 
     taxels: a mask, (t,), or all. points_m: (m, 3), m, of these taxels, one after the other.
     normals: (m, 3) there; (1, 3) if the skin is flat. areas_m2: (m,), m², of the points.
@@ -349,9 +349,10 @@ def _dot(one: Floats, other: Floats) -> Floats:
 
 
 def _round(radius_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
-    """Of a ball about the origin, or of an endless cylinder about the axis that is not given.
+    """Cross a ball about the origin, or an endless cylinder about the axis that is not given.
 
-    Where a·s² + 2·b·s + c ≤ 0: |p + s·n|² ≤ R², with n shorter than 1 along a cylinder's axis.
+    Lines are inside where a·s² + 2·b·s + c ≤ 0: |p + s·n|² ≤ R², with n shorter than 1 along a
+    cylinder's axis.
     """
     a, b = sum(n * n for _, n in axes), sum(p * n for p, n in axes)
     c = sum(p * p for p, _ in axes) - radius_m**2
@@ -368,13 +369,13 @@ def _ever(inside: Any, like: Any, xp: Any) -> Any:
 
 
 def _pipe(radius_m: float, length_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
-    """Of a cylinder about z."""
+    """Cross a cylinder about z."""
     length = _slab(length_m / 2, axes[2], xp)
     return _within_all(_round(radius_m, axes[:2], xp), length, xp=xp)
 
 
 def _slab(half_m: float, axis: Axis, xp: Any) -> Spans:
-    """Between two planes at ±half_m on one axis."""
+    """Cross the space between two planes at ±half_m on one axis."""
     place_m, direction = axis
     along = direction == 0
     safe = xp.where(along, 1.0, direction)

@@ -38,7 +38,7 @@ def truth(
     turns: Turns | None = None,
     scene: Scene | None = None,
 ) -> Iterator[NodeFrame]:
-    """What the nodes measure and send in every frame since START, endlessly.
+    """Yield what the nodes measure and send in every frame since START, endlessly.
 
     The same arguments give the same frames. turns: may be asked for while frames are drawn.
     scene: instead of the options', whose "external" is idle.

@@ -94,7 +94,7 @@ class NodeRules:
 
 
 def rest_codes(sensors: SensorModel, adc: AdcScale, nodes: int) -> NDArray[np.int64]:
-    """What the nodes measure at power-up, before anything touches the skin, (n,)."""
+    """Compute what the nodes measure at power-up, before anything touches the skin, (n,)."""
     rest = adc.code(Sensor(sensors, nodes).rest_v)
     stuck = sensors.indices(sensors.stuck, nodes)
     rest[stuck] = np.random.default_rng([sensors.seed, 3]).integers(1 << adc.bits, size=len(stuck))

@@ -43,7 +43,7 @@ class Serial(VirtualPort[VirtualDigitizer]):
         return curve == own and adc == AdcScale(adc.bits)
 
     def press(self, objects: Sequence[Indenter], frames: int) -> None:
-        """As VirtualDigitizer.press; for any thread."""
+        """Press as VirtualDigitizer.press does; any thread may call it."""
         with self._changed:
             self._opened().press(objects, frames)
             self._changed.notify_all()

@@ -24,7 +24,7 @@ _STOP_POLL_S = 0.1
 
 
 class Digitizer(Protocol):
-    """What a pseudo-terminal can stand for: VirtualDigitizer, or firmware in an emulator."""
+    """Stands behind a pseudo-terminal: VirtualDigitizer, or firmware in an emulator."""
 
     def receive(self, data: bytes) -> None:
         """Take bytes of the host."""

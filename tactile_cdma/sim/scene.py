@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What touches the skin: pressure fields over time, or whatever a program presses on it."""
+"""Plays what touches the skin: pressure fields over time, or what a program presses on it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TURN_S = 2.0
 
 @dataclass(frozen=True)
 class SkinGeometry:
-    """What a scene presses on: the nodes under a skin, unrolled.
+    """Places the nodes that a scene presses on: those under a skin, unrolled.
 
     positions_m: (n, 2) float64, place of every node about the centre of the skin, m.
     pitch_m: distance of neighbouring taxels, m. seed: places the contacts of random scenes.
@@ -78,7 +78,7 @@ class SkinGeometry:
 
     @cached_property
     def contacts(self) -> list[tuple[Floats, float, float, float, float]]:
-        """Of the scene "presses": three, and more on a large skin.
+        """Draw the contacts of the scene "presses": three, and more on a large skin.
 
         Each has a centre, (2,), m, a radius, m, a peak, Pa, a period, s, and a phase, in periods.
         """

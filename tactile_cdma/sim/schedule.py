@@ -76,7 +76,7 @@ class Schedule:
         self.report_s = max(self.report_s, self.now_s)
 
     def take(self) -> Block | None:
-        """What is due next of the stream: a packet, or nothing but computing the next ones.
+        """Take what is due next of the stream: a packet, or None after computing the next ones.
 
         With a block that waits comes the one that it waits for. Where packets are made as they are
         asked for nothing waits: no frame is computed before.

@@ -24,7 +24,7 @@ from ..readings.calibration import Curves, PressureCurve
 
 IDEAL, PAPER, FSR = "ideal", "paper", "fsr"
 FSR_CURVE = PressureCurve.power_law(half_pa=40e3, exponent=0.9, range_pa=140e3, supply_v=3.3)
-"""Of a force sensing resistor; chosen: its voltage rises to three quarters of the supply."""
+"""Curve of a force sensing resistor; chosen: the voltage rises to 3/4 of the supply."""
 MOST_HYSTERESIS = 7.0
 """Largest option `hysteresis`: 6.69 gives the paper's figure at 55 kPa (docs/paper.md)."""
 MOST_MISMATCH = 0.1
@@ -83,7 +83,7 @@ class SensorModel:
 
     @property
     def curve(self) -> PressureCurve:
-        """Of a taxel without mismatch."""
+        """Curve of a taxel without mismatch."""
         return FSR_CURVE if self.kind == FSR else PressureCurve.two_stage()
 
     @property
@@ -104,7 +104,7 @@ class SensorModel:
 
     @staticmethod
     def indices(numbers: Sequence[int], nodes: int) -> Indices:
-        """Of the nodes with these numbers, without those beyond the skin."""
+        """Convert node numbers to indices; those beyond the skin are left out."""
         return np.array([number - 1 for number in numbers if number <= nodes], dtype=np.intp)
 
     def curves(self, nodes: int) -> Curves:

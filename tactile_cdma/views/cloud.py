@@ -19,13 +19,16 @@ _PACKED_RGB = SCALE_RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype
 """(513,) uint32 0x00RRGGBB, the colours of SCALE_RGB."""
 
 
+Places = NDArray[np.floating]
+
+
 class Cloud:
     """The points of one skin, alone or as a patch of a body.
 
     positions_m: (t, 3) float64, of all taxels in the skin's frame, m.
     """
 
-    def __init__(self, positions_m: Floats32, normals: Floats32, patch: int | None = None) -> None:
+    def __init__(self, positions_m: Places, normals: Places, patch: int | None = None) -> None:
         """positions_m, normals: (t, 3), m and unit vectors. patch: its index in a body."""
         self.positions_m, self._normals = positions_m.astype(np.float64), normals.astype(np.float64)
         self._points = np.zeros(len(positions_m), dtype=POINT if patch is None else BODY_POINT)
@@ -53,7 +56,7 @@ class Cloud:
         plain = self._points.view(np.dtype((np.void, self._points.itemsize)))
         return plain[np.isfinite(pressure_pa)].view(self._points.dtype)
 
-    def _fill(self, positions_m: NDArray[np.floating], normals: NDArray[np.floating]) -> None:
+    def _fill(self, positions_m: Places, normals: Places) -> None:
         for axis, letter in enumerate("xyz"):
             self._points[letter] = positions_m[:, axis]
             self._points[f"normal_{letter}"] = normals[:, axis]

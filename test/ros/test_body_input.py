@@ -208,7 +208,9 @@ def test_a_bag_that_is_played_in_a_loop_goes_on_and_no_clock_is_blamed() -> None
         for _ in range(2):
             turn_back(100)
             # The last message of the loop before comes late, and after the first report.
-            wait_for(lambda: world.goes_on() and not world.body._feeds["/a/skin"]._settles)
+            wait_for(
+                lambda: world.goes_on() and not world.body.patches.arrivals["/a/skin"]._settles
+            )
             play(130)
             begin = len(world.contacts)
             for sec in range(101, 131, 5):

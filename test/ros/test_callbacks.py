@@ -40,9 +40,10 @@ def skin() -> SkinNode:
 def body() -> BodyNode:
     """Subscribed to all that it needs where everything of it is asked for."""
     node = node_with(BodyNode, patches=["/palm/skin"])
-    [feed] = node._feeds.values()
-    feed.follow(True, True, True)
-    node._transforms.follow(True)
+    for output in node.outputs:
+        for following in output.followings:
+            following.follow(True)
+    node.patches.follow_transforms(True)
     return node
 
 
@@ -121,8 +122,8 @@ def test_whatever_calls_back_may_raise(
         ]
 
         def all_raised() -> bool:
-            for feed in getattr(node, "_feeds", {}).values():
-                feed.poll_points()
+            if isinstance(node, BodyNode):
+                node.outputs[-1].poll()
             return raised == every
 
         wait_sending(sent, all_raised)

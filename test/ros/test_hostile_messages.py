@@ -130,20 +130,28 @@ def test_the_lines_of_a_body_are_printable_whatever_they_are_of() -> None:
 
 def test_a_body_goes_on_and_never_claims_touched_and_untouched() -> None:
     body = node_with(BodyNode, patches=["palm/skin"])
-    [feed] = body._feeds.values()
+    contacts, taxels, points = body.outputs
+    name = "/palm/skin"
+
+    def taking(take: Callable[..., object]) -> Callable[[Any], object]:
+        return lambda message: take(name, serialize_message(message), RECEIVED)
+
     taken: list[tuple[Callable[[Any], object], Any]] = [
-        (lambda message: feed._take_contacts(serialize_message(message), RECEIVED), CONTACTS),
-        (lambda message: feed._take_array(serialize_message(message), RECEIVED), ARRAY),
-        (feed._take_info, info()),
-        (body._transforms._take, POSES),
+        (taking(contacts.take), CONTACTS),
+        (taking(taxels.take), ARRAY),
+        (taking(points._take), ARRAY),
+        (lambda message: taxels._places._take_info(name, message), info()),
+        (lambda message: points._places._take_info(name, message), info()),
+        (body.patches._transforms._take, POSES),
     ]
     for _ in told_lies(taken, 300):
-        body._publish_contacts(0.0)
-        body._ask_for_points()
-        body._publish_names()
+        for output in (contacts, taxels):
+            output.publish({name}, 0.0)
+        points._become_due()
+        points._publish_names()
         body._report()
-        if feed.contacts:
-            assert not (feed.contacts.untouched and feed.contacts.touched)
+        if latest := contacts.latest.get(name):
+            assert not (latest.untouched and latest.touched)
     body.destroy_node()
 
 

@@ -181,13 +181,6 @@ def test_a_leak_is_found() -> None:
     assert soak.outcome_of(3600.0, Tally(), watch, "", 0, 0).crashes == 1
 
 
-def test_what_is_found_is_in_the_outcome() -> None:
-    tally = Tally(wrong_values=2, uncounted_losses=3)
-    outcome = soak.outcome_of(60.0, tally, Watch(1), "", 4, 5)
-    assert (outcome.wrong_values, outcome.uncounted_losses) == (2, 3)
-    assert (outcome.crashes, outcome.hangs) == (4, 5)
-
-
 def test_a_driver_whose_frames_stop_is_found(tmp_path: Path) -> None:
     with LoadedSkin(tmp_path, 1, 30.0, setting=SOAKED) as skin:
         assert skin.streams_on()

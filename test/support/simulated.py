@@ -3,6 +3,7 @@
 """What simulated skins send: raw captures, an oscilloscope's view of the line, streams of bytes."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.line import truth
 from tactile_cdma.sim.nodes import NodeFrame, Turns
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire._protocol import SyncMode
+from tactile_cdma.wire._protocol import Result, Signs, SyncMode
 from tactile_cdma.wire.messages import Configure, FrameLayout, GetInfo, Info, Samples, Start
 from tactile_cdma.wire.packets import PacketParser, PacketWriter
 
@@ -52,6 +53,20 @@ def _told(options: SimOptions, seconds: float) -> Iterator[tuple[bytes, float]]:
         digitizer.advance()
         yield digitizer.take(1 << 20), now_s
     assert digitizer.packets_dropped == 0
+
+
+class OtherwiseScrambled(VirtualDigitizer):
+    """A digitizer that repeats what the host set it to, while its nodes scramble otherwise."""
+
+    def _configure(self, command: Configure) -> Result:
+        scrambled = command.frame.signs == Signs.SCRAMBLED
+        self.options = replace(self.options, scramble=not scrambled)
+        return super()._configure(command)
+
+    def info(self) -> Info:
+        info = super().info()
+        told = {Signs.SEEDED: Signs.SCRAMBLED, Signs.SCRAMBLED: Signs.SEEDED}[info.frame.signs]
+        return replace(info, frame=replace(info.frame, signs=told))
 
 
 class Truth:

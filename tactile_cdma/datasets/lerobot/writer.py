@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ..parquet_table import PNG_OR_JPEG, ParquetTable, pyarrow
+from ..parquet_table import PNG_OR_JPEG, ParquetTable, parquet_table, pyarrow
 from ..sources.images import decoded
 from . import INFO
 from .features import Feature
@@ -168,7 +168,7 @@ class DatasetWriter:
         path = self._folder / DATA.format(chunk_index=chunk, file_index=file)
         path.parent.mkdir(parents=True, exist_ok=True)
         columns = {feature.name: (feature.dtype, feature.shape) for feature in self._features}
-        self._table = self._open.enter_context(ParquetTable(path, columns))
+        self._table = self._open.enter_context(parquet_table(path, columns))
 
     def _write_tasks(self) -> None:
         """Write the tasks as pandas writes a table whose index is the task."""

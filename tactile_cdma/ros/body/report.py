@@ -3,14 +3,13 @@
 """The body node's entry in /diagnostics: the state of its patches."""
 
 import math
-from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from ...base.text import listed
 from ..common.convert import diagnostic
 from ..common.failures import FAILED, FAILURES
-from .patch_feed import PatchFeed
+from .patches import Arrivals, Patches
 
 STAMPS_OFF_S = 0.5
 """A frame whose stamp is off by this, s, is not from now; chosen above what frames take to come."""
@@ -23,29 +22,30 @@ quickest message of a second on a sound Wi-Fi, a few ms."""
 
 
 def body_report(
-    name: str,
-    feeds: Mapping[str, PatchFeed],
-    faults: Mapping[str, str],
-    stale_after_s: float,
-    now_s: float,
+    name: str, patches: Patches, is_followed: bool, now_s: float
 ) -> list[DiagnosticStatus]:
-    """The entries `<node>: patches` and `<node>: host`.
+    """Make the entries `<node>: patches` and `<node>: host`.
 
-    name: fully qualified name of the body node. faults: why a patch's frame is unknown in the
-    body's, by patch.
+    name: fully qualified name of the body node. is_followed: messages are subscribed to.
     """
-    judged = {
-        patch: _judged(feed, faults.get(patch, ""), stale_after_s, now_s)
-        for patch, feed in feeds.items()
-    }
-    wrong = {patch: complaint for patch, (complaint, _) in judged.items() if complaint}
-    level, text = DiagnosticStatus.OK, f"all {len(feeds)} patches are there"
-    if wrong:
-        level = DiagnosticStatus.ERROR if len(wrong) == len(feeds) else DiagnosticStatus.WARN
-        text = f"{listed(list(wrong))}: {next(iter(wrong.values()))}"
-    elif not any(feed.is_followed for feed in feeds.values()):
+    stale_after_s = patches.values["stale_after_s"]
+    complaints, values = dict[str, str](), dict[str, str]()
+    for patch, arrivals in patches.arrivals.items():
+        if is_followed:
+            fault = patches.faults.get(patch, "")
+            complaint, values[patch] = _judged(arrivals, fault, stale_after_s, now_s)
+            if complaint:
+                complaints[patch] = values[patch] = complaint
+        else:
+            seen = "is there" if arrivals.has_driver else "was not seen yet"
+            values[patch] = f"its driver {seen}"
+    level, text = DiagnosticStatus.OK, f"all {len(values)} patches are there"
+    if complaints:
+        is_all = len(complaints) == len(values)
+        level = DiagnosticStatus.ERROR if is_all else DiagnosticStatus.WARN
+        text = f"{listed(list(complaints))}: {next(iter(complaints.values()))}"
+    elif not is_followed:
         text = "nobody subscribes to the body's topics"
-    values = {patch: complaint or state for patch, (complaint, state) in judged.items()}
     prefix, failed = name.lstrip("/"), {FAILED: FAILURES.count}
     return [
         diagnostic(f"{prefix}: patches", level, text, values),
@@ -53,18 +53,22 @@ def body_report(
     ]
 
 
-def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
-    """What is wrong and what to do, empty if nothing is; and what a patch in order shows."""
-    if not feed.is_followed:
-        return "", "its driver is there" if feed.has_driver else "its driver was not seen yet"
-    coverage, rate_hz, underway_s = feed.coverage, feed.rate_hz(now_s), feed.underway_s()
-    silent_s, late_s = feed.silent_s(now_s), feed.late_s()
-    silent = silent_s > stale_after_s
-    since = f" for {silent_s:.0f} s" if silent_s < math.inf else ""
-    in_service = coverage.in_service if coverage else 0
-    wrongs = (
+def _judged(arrivals: Arrivals, fault: str, stale_after_s: float, now_s: float) -> tuple[str, str]:
+    """Say what is wrong with a patch and what to do, empty if nothing is; and how it arrives.
+
+    fault: why its frame is unknown in the body's.
+    """
+    silent_s, coverage = arrivals.silent_s(now_s), arrivals.coverage
+    late_s, underway_s = arrivals.late_s(), arrivals.underway_s()
+    state = f"{arrivals.rate_hz(now_s):.1f} Hz"
+    if math.isfinite(underway_s):
+        state += f", {underway_s * 1e3:.0f} ms on the way"
+    if coverage and not coverage.is_whole:
+        state += f", {coverage.valid} of {coverage.in_service} taxels valid"
+    silent, since = silent_s > stale_after_s, f" for {silent_s:.0f} s" * math.isfinite(silent_s)
+    complaints = (
         (
-            silent and not feed.has_driver,
+            silent and not arrivals.has_driver,
             "no driver: does it run, in this ROS domain, on a computer that is discovered?",
         ),
         (
@@ -72,11 +76,11 @@ def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> 
             f"its driver is there, but silent{since}: its own entries here say why; if those stay "
             "away, too, the network to its computer is cut",
         ),
-        (bool(fault), fault),
+        (fault, fault),
         (
-            coverage is not None and not coverage.valid,
-            f"none of its {in_service} taxels in service has a valid reading: its own entry "
-            "'nodes' here says why",
+            coverage and not coverage.valid,
+            f"none of its {coverage and coverage.in_service} taxels in service has a valid "
+            "reading: its own entry 'nodes' here says why",
         ),
         (
             underway_s < -AHEAD_S,
@@ -94,10 +98,4 @@ def _judged(feed: PatchFeed, fault: str, stale_after_s: float, now_s: float) -> 
             "for both, or is a computer too busy?",
         ),
     )
-    complaint = next((text for is_wrong, text in wrongs if is_wrong), "")
-    state = f"{rate_hz:.1f} Hz"
-    if math.isfinite(underway_s):
-        state += f", {underway_s * 1e3:.0f} ms on the way"
-    if coverage and not coverage.is_whole:
-        state += f", {coverage.valid} of {coverage.in_service} taxels valid"
-    return complaint, state
+    return next((text for applies, text in complaints if applies), ""), state

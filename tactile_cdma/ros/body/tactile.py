@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from struct import Struct
 from typing import Any
 
@@ -18,6 +19,7 @@ from ...base.arrays import Floats32
 from ...messages.cdr import CdrWriter, Heading, TaxelArray
 from ...places.poses import Pose
 from ...readings.status import Status
+from ...views.cloud import Cloud
 from ..common.convert import places_of
 
 _SEQUENCE = Struct("<Q")
@@ -27,22 +29,28 @@ _NOWHERE = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
 class Places:
     """Where the taxels of a patch are, by its info; where they are in the body, by the last pose.
 
-    positions_m, normals: (t, 3) float32. areas_m2: (t,) float32. MessageError: see places_of.
+    positions_m: (t, 3) float64, m, in the patch's frame. areas_m2: (t,) float32.
+    MessageError: see places_of.
     """
 
     def __init__(self, info: TactileSkinInfo) -> None:
         self.info_id = info.info_id
-        self._positions_m, self._normals, self.areas_m2 = places_of(info)
+        self.positions_m, self._normals, self.areas_m2 = places_of(info)
         self._placed: tuple[Pose, Floats32, Floats32] | None = None
 
     def __len__(self) -> int:
         return len(self.areas_m2)
 
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Makes the taxels' points, of patch 0."""
+        return Cloud(self.positions_m, self._normals, 0)
+
     def placed(self, pose: Pose | None) -> tuple[Floats32, Floats32]:
         """Positions and normals in the body's frame; NaN without a pose."""
         pose = pose or _NOWHERE
         if self._placed is None or self._placed[0] is not pose:
-            positions_m = pose.apply(self._positions_m).astype(np.float32)
+            positions_m = pose.apply(self.positions_m).astype(np.float32)
             normals = pose.rotate(self._normals).astype(np.float32)
             self._placed = pose, positions_m, normals
         return self._placed[1:]

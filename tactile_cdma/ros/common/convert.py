@@ -71,7 +71,7 @@ def is_known(force_n: Floats, torque_nm: Floats) -> bool:
 def skin_info(
     config: SkinConfig, source: Source, baseline: Baseline, heading: Heading, info_id: int
 ) -> TactileSkinInfo:
-    """What frames are read with: their source, layout, nodes, calibration, tare and drift."""
+    """Describe what frames are read with: source, layout, nodes, calibration, tare and drift."""
     fields = info_fields(config, source, info_id, ros_array, Point32)
     message = TactileSkinInfo(header=header(heading), **fields)
     if baseline.tared:

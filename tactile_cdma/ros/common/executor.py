@@ -7,7 +7,7 @@ more after it, as every callback wakes the executor. A message to a node of 10 s
 publishers and 10 subscriptions takes 0.78 ms of CPU by its SingleThreadedExecutor, 0.14 by its
 EventsExecutor and 0.09 to 0.13 by this one (rclpy 7.1.5, 1,000 messages at 200 Hz).
 
-rclpy.experimental.EventsExecutor costs as little as this one, but in Jazzy's rclpy (7.1.5) it calls
+rclpy.experimental.EventsExecutor costs little more than this one, but in Jazzy's rclpy it calls
 nobody while it waits without a time limit, fails where a callback wants what the middleware knows
 of a message, waits for what is only Polled, too, and ends where a callback raises. By later
 sources the last three hold on.

@@ -55,7 +55,7 @@ class Failures:
 
 
 def _name(entity: Any) -> str:
-    """Of a topic or service, or what else has called back."""
+    """Name the topic or service, or what else has called back."""
     for name in ("topic_name", "srv_name"):
         with suppress(AttributeError, InvalidHandle):  # its own callback may have destroyed it
             return str(getattr(entity, name))
@@ -63,4 +63,4 @@ def _name(entity: Any) -> str:
 
 
 FAILURES = Failures()
-"""Those of this process, which is one node."""
+"""Failures of this process, which is one node."""

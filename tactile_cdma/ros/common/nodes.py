@@ -102,7 +102,7 @@ class ManagedNode(LifecycleNode):
 
 
 def changing(node: Node, parameters: Sequence[Parameter]) -> list[Parameter]:
-    """Those to set: all but read-only ones that have their values already.
+    """Return the parameters to set: all but read-only ones that have their values already.
 
     So `ros2 param load` takes what `ros2 param dump` wrote.
     """

@@ -99,7 +99,7 @@ class SkinReport:
             return self._entries(judged, values)
         found = {
             STREAM: checkup.stream(pipeline, window, latest),
-            NODES: checkup.nodes(pipeline, driver.stuck.nodes, window),
+            NODES: checkup.nodes(pipeline, driver.stuck.nodes, window, driver.scrambling.problem),
             LINK: checkup.link(pipeline, window),
             SOURCE: checkup.source(watch),
             HOST: checkup.host(window, drivers),

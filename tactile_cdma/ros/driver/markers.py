@@ -191,7 +191,7 @@ def _blind(coverage: Coverage) -> str:
 
 
 class _Marker(NamedTuple):
-    """What differs between our markers; of those that are deleted only the first two count.
+    """Holds what differs between our markers; a deleted one needs only the first two fields.
 
     points_m: (m, 3) float64. rgba: (m, 4) float32, of every point. look: colour of all else.
     """

@@ -30,7 +30,7 @@ _SHAPES: dict[int, tuple[str, Any, tuple[str, ...]]] = {
     SimObject.CAPSULE: ("a capsule", Capsule, ("radius", "length")),
     SimObject.ELLIPSOID: ("an ellipsoid", Ellipsoid, _EDGES),
 }
-"""What a shape is called, its class, and the numbers of its size."""
+"""Name, class, and numbers of the size of each shape."""
 
 
 class ObjectsInput:

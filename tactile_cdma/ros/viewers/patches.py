@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What viewers know about a patch: the names of its topics, and its layout from ~/info."""
+"""Tells viewers about a patch: the names of its topics, and its layout from ~/info."""
 
 import numpy as np
 

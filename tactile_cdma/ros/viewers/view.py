@@ -87,7 +87,7 @@ class Viewer(Node):
 
     @property
     def other_topics(self) -> list[str]:
-        """Those of other skins that are seen."""
+        """Topics of other skins that are seen."""
         kind, topics = "tactile_cdma/msg/TactileArray", self.get_topic_names_and_types()
         others = (name for name, kinds in topics if kind in kinds and name != self._topic)
         return sorted(map(plain, others))
@@ -224,7 +224,7 @@ def live(program: Running[Viewer], look: Look) -> None:
 
 
 def _obey(key: str, look: Look, of_force: bool) -> tuple[Look, bool]:
-    """What is shown, and whether the force's history, after a key."""
+    """Return what a key changes: the look, and whether the force's history is shown."""
     if key == "n":
         after = {None: Numbers.TAXELS, Numbers.TAXELS: Numbers.NODES, Numbers.NODES: None}
         return replace(look, numbers=after[look.numbers]), of_force
@@ -300,7 +300,7 @@ def main() -> int:
 
 
 def look_for(encoding: str, max_pa: float) -> Look:
-    """What the terminal can show, and its user wants: NO_COLOR, see no-color.org."""
+    """Find what the terminal can show, and its user wants: NO_COLOR, see no-color.org."""
     unicode = encoding.lower().replace("-", "").startswith("utf")
     return Look(max_pa, coloured=not os.environ.get("NO_COLOR"), unicode=unicode)
 

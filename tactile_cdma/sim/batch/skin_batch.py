@@ -63,7 +63,7 @@ class BatchFrame(NamedTuple):
 
 
 class BatchState(NamedTuple):
-    """What e skins remember from frame to frame; a tuple, so that JAX can pass it through jit.
+    """Holds what e skins remember from frame to frame; a tuple, which JAX can pass through jit.
 
     number: (e, 1) integers, frames since the start. codes: (e, t) integers, sent last. heard:
     (e, t) integers, the frame in which that was. lagged_pa: (e, t), Pa, behind the lag. plays: each
@@ -79,7 +79,7 @@ class BatchState(NamedTuple):
 
 
 class SkinBatch:
-    """As many equal skins as there are environments, each with a driver, without the line.
+    """Simulates an equal skin in each environment, each with a driver, without the line.
 
     docs/simulation.md has an example.
 
@@ -197,7 +197,7 @@ class SkinBatch:
         return BatchState(*chosen(tuple(fresh), tuple(state)))
 
     def _measured(self, pressure_pa: Array, deviates: Array | None) -> Array:
-        """What the converters read, (e, t) integers."""
+        """Convert pressures to what the converters read, (e, t) integers."""
         xp, here, noise_v = self._xp, self._here, self._sensors.noise_v
         voltage_v = here.rest_v
         for low_pa, high_pa, width_pa, rise_v in here.pieces:
@@ -213,7 +213,7 @@ class SkinBatch:
         return xp.where(here.is_stuck, here.rest, codes) if self._sensors.stuck else codes
 
     def _published(self, number: Array, codes: Array, active: Array, heard: Array) -> BatchFrame:
-        """What Taxels makes of these words."""
+        """Look up what Taxels makes of these words."""
         xp, here = self._xp, self._here
         place = xp.reshape(codes * self.taxels + here.column, (-1,))
         stale = number - heard > self._stale_frames
@@ -252,7 +252,7 @@ class SkinBatch:
 
 
 class _Tables(NamedTuple):
-    """What does not change, for every taxel, (t,): of its node and of the readings of its codes.
+    """Holds what does not change, for every taxel, (t,): its node, and the readings of its codes.
 
     rest: code of the untouched sensor. beat: as NodeRules.beat. dies: the frame from which the node
     is dead. is_stuck: bool. rest_v: V; pieces: start, end and width, Pa, and rise, V, of the
@@ -278,7 +278,7 @@ class _Tables(NamedTuple):
 
     @classmethod
     def of(cls, config: SkinConfig, options: SimOptions, tared: bool) -> _Tables:
-        """As arrays of numpy."""
+        """Make the tables as arrays of numpy."""
         spec, sensors, rules = config.spec, options.sensors, options.rules(config.spec)
         node = np.maximum(config.layout.nodes - 1, 0)  # of what has none nothing is seen
         curves = sensors.curves(spec.nodes)
@@ -304,7 +304,7 @@ class _Tables(NamedTuple):
         )  # fmt: skip
 
     def moved(self, xp: Any, like: Array) -> _Tables:
-        """As arrays of the kind and on the device of `like`, whose type the floating ones take."""
+        """Move the arrays to the kind and device of `like`, whose type the floating ones take."""
         where = array_api().device(like)
         kinds = {"i": xp.arange(1).dtype, "f": like.dtype}
 
@@ -341,7 +341,7 @@ def _check(config: SkinConfig, options: SimOptions) -> None:
 def _readings(
     config: SkinConfig,
 ) -> tuple[Floats32, NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-    """What a driver publishes, by its own code: of every code, and of silence.
+    """Have a driver's own code tell what it publishes of every code, and of silence.
 
     Returns pressures, Pa, and status of every code, (codes, t) each; (t,) the bits that silence
     adds, and (t,) the status of taxels whose nodes were unheard for too long.

@@ -9,7 +9,7 @@ from ...base.errors import ParameterError, needed_for
 from ...config.python_arguments import unmasked
 
 Array = Any
-"""Of a library that follows the standard."""
+"""An array of a library that follows the standard."""
 
 
 def array_api() -> Any:

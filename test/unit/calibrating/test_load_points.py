@@ -40,6 +40,7 @@ def path(tmp_path: Path) -> Path:
         ("node\tpressure_mpa\tvoltage_v\n3\t0\t3,2\n3\t0.05\t1.65\n", None),
         ("node,force_n,voltage_v\n3,0,3.2\n3,2.5,1.65\n", 50e-6),
         ("Sensor,Weight [kg],Vout (mV)\n3,0,3200\n3,0.254929,1650\n", 50e-6),
+        ("sensor,force_g,voltage_v\n3,0,3.2\n3,254.929,1.65\n", 50e-6),
         ("taxel;Pressure (psi);Voltage V\n3;0;3,2\n3;7,25189;1,65\n", None),
         ('"node","pressure_kpa", "voltage_v"\n"3","0","3.2"\n3,50,"1.65"\n', None),
         ('"# by hand"\n;;\nnode;pressure_kpa;voltage_v\n3;0;3,2\n3;50;1,65\n', None),
@@ -142,13 +143,6 @@ def test_mistakes_are_named(path: Path, text: str, cause: str) -> None:
     with pytest.raises(CalibrationError, match=cause) as caught:
         read(path, text)
     assert str(caught.value).startswith(f"{path}: ")
-
-
-@pytest.mark.parametrize(("unit", "newtons"), [("g", 9.80665e-3), ("kg", 9.80665), ("n", 1.0)])
-def test_forces_of_a_gauge_are_read_in_its_unit(path: Path, unit: str, newtons: float) -> None:
-    path.write_text(f"node,force_{unit},voltage_v\n1,0,3.2\n1,{5 / newtons:.6f},1.1\n")
-    points = read_points(path, 16, 3.3, area_m2=50e-6)
-    assert points.pressure_pa.tolist() == pytest.approx([0, 100e3], rel=1e-6)
 
 
 def test_grams_that_are_called_newtons_are_told(path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tactile_cdma.datasets.parquet_table import GROUP_ROWS, ParquetTable
+from tactile_cdma.datasets.parquet_table import GROUP_ROWS, parquet_table
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra [datasets] is not installed")
 COLUMNS = {"number": ("f8", ())}
@@ -24,7 +24,7 @@ def test_what_ends_early_leaves_nothing(
     monkeypatch.setattr(sys, "unraisablehook", told.append)  # of writers that are cleared away
     with (
         pytest.raises((KeyboardInterrupt, OSError, ValueError)),
-        ParquetTable(tmp_path / "out.parquet", COLUMNS, {}) as table,
+        parquet_table(tmp_path / "out.parquet", COLUMNS, {}) as table,
     ):
         for number in range(rows):
             table.add({"number": number})
@@ -38,7 +38,7 @@ def test_what_ends_early_leaves_nothing(
 
 def test_what_ends_well_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "out.parquet"
-    with ParquetTable(path, COLUMNS, {}) as table:
+    with parquet_table(path, COLUMNS, {}) as table:
         for number in range(GROUP_ROWS + 10):
             table.add({"number": number})
     found = parquet.read_table(path).column("number").to_pylist()

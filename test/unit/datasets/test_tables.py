@@ -96,16 +96,25 @@ def test_csv_and_parquet_hold_the_same_as_npz(bag: Path, tmp_path: Path, printed
     expected = read(tmp_path / "out.npz")
     with (tmp_path / "out.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    cells = [[row[f"pressure_pa_{i}"] or "nan" for i in range(TAXELS)] for row in rows]
-    assert np.array(cells, dtype=np.float32).tobytes() == expected["pressure_pa"].tobytes()
-    pandas = pytest.importorskip("pandas")
-    pytest.importorskip("pyarrow")
+    kinds = {name: array.dtype for name, array in expected.items()}
+    taxels = ("pressure_pa", "voltage_v", "status")
+    for name in taxels:
+        cells = [[row[f"{name}_{i}"] or "nan" for i in range(TAXELS)] for row in rows]
+        assert np.array(cells, dtype=kinds[name]).tobytes() == expected[name].tobytes()
+    assert rows[0]["pressure_pa_2"] == "", "NaN"
+    frame = ("sequence", "device_time_s", "wall_time_s", "noise_v", "episode")
+    for name in frame:
+        cells = [row[name] for row in rows]
+        assert np.array(cells, dtype=kinds[name]).tobytes() == expected[name].tobytes()
+    with (tmp_path / "out.taxels.csv").open(newline="") as file:
+        x_m = [np.float32(row["x_m"]) for row in csv.DictReader(file)]
+    assert x_m == expected["position_m"][:, 0].tolist()
+    parquet = pytest.importorskip("pyarrow.parquet")
     printed(*words, tmp_path / "out.parquet")
-    frames = pandas.read_parquet(tmp_path / "out.parquet")
-    for name in ("pressure_pa", "status"):
-        assert np.stack(frames[name].to_numpy()).tobytes() == expected[name].tobytes()
-    for name in ("sequence", "device_time_s", "wall_time_s", "episode"):
-        assert frames[name].to_numpy().tobytes() == expected[name].tobytes()
+    found = parquet.read_table(tmp_path / "out.parquet")
+    for name in (*frame, *taxels):
+        cells = np.array(found.column(name).to_pylist(), dtype=kinds[name])
+        assert cells.tobytes() == expected[name].tobytes()
 
 
 def test_a_patch_without_info_has_unknown_places(tmp_path: Path, printed: Printed) -> None:

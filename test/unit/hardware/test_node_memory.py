@@ -195,7 +195,7 @@ def test_heartbeat_is_a_second_unless_told_otherwise(frame_period_s: float, hear
         (
             {"chip_s": 1e-6, "scramble": True},
             {"mcu": FAST},
-            "chip_us is 1; an atmega328p-fast that scrambles takes 1.75 or more",
+            "chip_us is 1; an atmega328p-fast that scrambles takes 1.75 or more, and 0.5 if it ",
         ),
         (
             {"chip_s": 2e-6, "order": 1, "nodes": 1, "first_row": 0},

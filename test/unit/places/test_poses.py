@@ -64,13 +64,18 @@ def test_poses_chain_and_invert(one: Pose, other: Pose) -> None:
     assert np.allclose(one.rotate(points), turned)
 
 
-@pytest.mark.parametrize("xyzw", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (0, math.inf, 0, 1)])
-def test_a_quaternion_without_a_direction_is_refused(xyzw: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="not a rotation"):
-        Pose.of_quaternion((0, 0, 0), xyzw)
-
-
-@pytest.mark.parametrize("xyz_m", [(math.nan, 0, 0), (0, 0, -math.inf)])
-def test_a_place_that_is_not_finite_is_refused(xyz_m: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="not a translation"):
-        Pose.of_quaternion(xyz_m, (0, 0, 0, 1))
+@pytest.mark.parametrize(
+    ("xyz_m", "xyzw", "said"),
+    [
+        ((0, 0, 0), (0, 0, 0, 0), "not a rotation"),
+        ((0, 0, 0), (math.nan, 0, 0, 1), "not a rotation"),
+        ((0, 0, 0), (0, math.inf, 0, 1), "not a rotation"),
+        ((math.nan, 0, 0), (0, 0, 0, 1), "not a translation"),
+        ((0, 0, -math.inf), (0, 0, 0, 1), "not a translation"),
+    ],
+)
+def test_what_is_no_pose_is_refused(
+    xyz_m: tuple[float, ...], xyzw: tuple[float, ...], said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        Pose.of_quaternion(xyz_m, xyzw)

@@ -145,19 +145,6 @@ def test_a_skin_that_is_read_is_touched_or_untouched() -> None:
     assert {len(contacts) for _, contacts in felt("?scene=press")} == {0, 1}
 
 
-def test_of_a_dead_skin_that_is_pressed_nothing_is_claimed() -> None:
-    dead = ",".join(str(node) for node in range(1, 17))
-    course = felt(f"?scene=press&dead={dead}")
-    assert all(claims_nothing(contacts) for _, contacts in course)
-    assert {contacts.coverage for _, contacts in course} == {Coverage(0, 16)}
-
-
-def test_where_only_the_pressed_taxel_is_dead_no_touch_is_not_claimed() -> None:
-    course = felt("?scene=press&dead=6")
-    assert all(claims_nothing(contacts) for _, contacts in course)
-    assert course[-1][1].coverage == Coverage(15, 16)
-
-
 def test_a_touch_is_unknown_once_the_touched_nodes_have_died() -> None:
     dead_s, stale_s = 2.0, 0.5
     dead = ",".join(str(node) for node in range(1, 17))

@@ -317,12 +317,6 @@ def test_a_device_clock_that_starts_again_moves_nothing_by_itself() -> None:
     assert rig.baseline.drift_v[0] == pytest.approx(ADC.lsb_v, rel=0.02)
 
 
-def test_nothing_is_followed_at_a_limit_of_nothing() -> None:
-    rig = Rig(1, RestRules(0.0, 1000.0, 500.0))
-    rig.run(600, 0.0, -ADC.lsb_v)
-    assert (rig.baseline.drift_v == 0).all()
-
-
 def test_strays_are_named_after_a_minute_with_how_far_they_are_off() -> None:
     rig = Rig(3)
     offset_v = np.array([0.0, -4.0, 3.0]) * ADC.lsb_v

@@ -2,7 +2,6 @@
 
 """Exported recordings: other programs load the values that the decoder found."""
 
-import csv
 import json
 import sys
 from collections.abc import Iterator
@@ -71,25 +70,6 @@ def test_numpy_arrays_are_the_decoder_s(skin: Recorded, tmp_path: Path) -> None:
     assert np.allclose(np.linalg.norm(table["normal"], axis=1), 1)
     about = json.loads(str(table["about"]))
     assert about["parameters"]["nodes"] == TAXELS and about["parameters"]["frame_id"] == "palm"
-
-
-def test_csv_holds_the_same_numbers(skin: Recorded, tmp_path: Path) -> None:
-    path, frames = skin
-    output = exported(path, tmp_path / "out.csv")
-    with output.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == len(frames)
-    for row, frame in zip(rows, frames, strict=True):
-        assert float(row["device_time_s"]) == frame.t_middle
-        for name in ("pressure_pa", "voltage_v"):
-            cells = [np.float32(row[f"{name}_{i}"] or "nan") for i in range(TAXELS)]
-            assert np.array(cells).tobytes() == getattr(frame.readings, name).tobytes()
-        assert [int(row[f"status_{i}"]) for i in range(TAXELS)] == frame.readings.status.tolist()
-        assert row["pressure_pa_4"] == ""
-    with (tmp_path / "out.taxels.csv").open(newline="") as file:
-        taxels = list(csv.DictReader(file))
-    assert [int(taxel["node"]) for taxel in taxels] == list(range(1, TAXELS + 1))
-    assert float(taxels[1]["x_m"]) - float(taxels[0]["x_m"]) == pytest.approx(7e-3, rel=1e-6)
 
 
 def test_a_bag_holds_the_same_and_its_definitions(skin: Recorded, tmp_path: Path) -> None:

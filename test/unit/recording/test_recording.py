@@ -232,8 +232,8 @@ def file(tmp_path: Path) -> Path:
 
 def test_a_file_says_what_it_is(file: Path) -> None:
     found = survey(file)
-    assert (found.chunks, found.bytes, found.lost_bytes, found.notes) == (50, 5000, 0, ())
-    assert found.length_s == pytest.approx(4.9, abs=1e-6)
+    assert (found.chunks, found.bytes, found.lost_bytes, found.losses) == (50, 5000, 0, ())
+    assert found.time_ns * 1e-9 == pytest.approx(4.9, abs=1e-6)
     about = describe(file)
     assert (about.port, about.baud, about.parameters) == ("sim://", 9600, {"nodes": 4})
     times = [c.time_ns * 1e-9 for c in read_chunks(file, RecordingParser())]
@@ -245,7 +245,7 @@ def test_damage_anywhere_is_told(file: Path) -> None:
     for place in range(0, len(raw), 61):
         file.write_bytes(raw[:place] + bytes([raw[place] ^ 1]) + raw[place + 1 :])
         found = survey(file)
-        assert found.notes
+        assert found.losses
         assert found.bytes >= 4900
         assert describe(file).port == "sim://"
 
@@ -254,7 +254,7 @@ def test_a_file_that_was_cut_is_read_and_said_to_be(file: Path) -> None:
     raw = file.read_bytes()
     file.write_bytes(raw[: len(raw) // 2])
     found = survey(file)
-    assert "cut short" in found.notes[0]
+    assert "cut short" in found.losses[0]
     assert 1500 < found.bytes < 2600 and found.bytes % 100 == 0
     assert length_ns(file) is None
 

@@ -289,14 +289,6 @@ def test_handshake() -> None:
     assert samples(bench.read())[0].first_index == 0
 
 
-def test_pinned_layout_is_reported() -> None:
-    bench = Bench("nodes=9&drive=unipolar")
-    bench.send(Configure(FrameLayout.of(FrameSpec(nodes=16), 4)))
-    ack, info = of_kind(bench.read(), Ack, Info)[-2:]
-    assert ack.result == Result.OK
-    assert (info.frame.nodes, info.frame.spec().drive) == (9, "unipolar")
-
-
 def test_impossible_requests_are_refused_and_change_nothing() -> None:
     bench = Bench("rows=4&columns=4&stretch=0.1")
     before = bench.digitizer.info()
@@ -405,14 +397,6 @@ def test_at_speed_0_nothing_is_dropped_and_only_what_is_read_is_made() -> None:
     bench.read()
     bench.now_s += 2.0
     assert [type(packet) for packet in bench.read()] == [Info, Status] * 2
-
-
-def test_noise_between_commands_is_harmless() -> None:
-    bench = Bench()
-    bench.read()
-    bench.digitizer.receive(np.random.default_rng(0).bytes(5000) + b"\0")
-    bench.send(GetInfo())
-    assert Ack(GetInfo.TYPE, 0) in bench.read()
 
 
 @pytest.mark.parametrize("query", ["samples_per_chip=8", "integrated=1&samples_per_chip=8"])

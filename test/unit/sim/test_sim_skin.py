@@ -110,10 +110,6 @@ def test_heartbeats_take_turns(heartbeat: int) -> None:
     assert np.array_equal(talked, np.tile(first, (3, 1)))
 
 
-def test_threshold_zero_lets_every_node_talk_always() -> None:
-    assert all(f.active.all() for f in frames_of({}, 5, threshold=0, heartbeat=0))
-
-
 def shipped_skins() -> Iterator[tuple[str, dict[str, Value]]]:
     """What every skin in the parameter and body files of config/ is called and set to."""
     for path in sorted(CONFIG.glob("*.yaml")):

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from tactile_cdma import Decoder, ParameterError, PortError, Refusal, RestError, Skin
+from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim import Sphere
 from tactile_cdma.skin import LATEST_S
+from test.support.simulated import stream
 from test.support.waiting import PATIENCE_S
 
 STEPPED = "sim://?scene=external&speed=0&threshold=0"  # every node speaks in every frame
@@ -129,6 +131,11 @@ def test_a_tare_waits_for_what_passes_and_no_longer() -> None:
 
 
 def test_a_decoder_finds_the_contacts_of_every_frame() -> None:
-    with pytest.raises(TypeError):
-        Decoder(True)  # type: ignore[misc]
-    assert Decoder(nodes=16, contacts=True).feed(b"noise", 0.0) == []
+    """The fingertip of the scene comes and goes."""
+    config = SkinConfig.of({"nodes": 16})
+    data = stream(config, "sim://?scene=press&threshold=0", 200)
+    frames = Decoder(nodes=16, contacts=True).feed(data, 0.0)
+    assert {frame.touched for frame in frames} == {False, True}
+    for frame in frames[1:-1]:
+        assert frame.touched != frame.untouched
+        assert frame.wrench[2] == pytest.approx(-sum(frame.contacts.load_n))

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+
+"""The patches of a body: where they are, and how their messages arrive."""
+
+import math
+import time
+from collections.abc import Iterable
+
+from rclpy.node import Node
+
+from ...base.errors import TransformError
+from ...config.parameters import Values
+from ...messages.cdr import Heading, TaxelArray
+from ...places.poses import Pose
+from ...readings.taxels import Coverage
+from ..common.touches import Touches
+from ..common.transforms import TransformListener
+
+MessageInfo = dict[str, int]
+"""What the middleware knows of a message: source_timestamp, received_timestamp, ns."""
+
+
+class Arrivals:
+    """Measures how the messages of one patch arrive.
+
+    latest: the newest message; None before the first one.
+    """
+
+    def __init__(self, node: Node, node_name: str) -> None:
+        """node_name: fully qualified name of the patch's driver."""
+        self.latest: Touches | TaxelArray | None = None
+        self._node, self._node_name = node, node_name
+        self._heard_s, self._stamp_ns = -math.inf, 0
+        self._late_s = self._underway_s = math.inf
+        self._settles = False  # ROS time has just stepped back
+        self._counted, self._reported_s = 0, -math.inf
+
+    def add(self, message: Touches | TaxelArray, info: MessageInfo) -> None:
+        """Take note of a message that has just come."""
+        self.latest, stamp_ns = message, message.heading.stamp_ns
+        self._counted += stamp_ns > self._stamp_ns  # once per frame, not per topic
+        self._heard_s, self._stamp_ns = time.monotonic(), stamp_ns
+        age_ns = self._node.get_clock().now().nanoseconds - stamp_ns
+        self._late_s = min(self._late_s, age_ns * 1e-9)
+        sent_ns, received_ns = info["source_timestamp"], info["received_timestamp"]
+        if sent_ns and received_ns:  # 0 where the middleware does not tell
+            self._underway_s = min(self._underway_s, (received_ns - sent_ns) * 1e-9)
+
+    def silent_s(self, now_s: float) -> float:
+        """Time since the last message, s; infinite if there was none."""
+        return now_s - self._heard_s
+
+    def late_s(self) -> float:
+        """Least age of a message on arrival since the last call, s; 0 if none arrived.
+
+        The least, because a busy computer takes some messages late, but not all.
+        """
+        late_s, self._late_s = self._late_s, math.nan if self._settles else math.inf
+        self._settles = False
+        return late_s if late_s < math.inf else 0.0
+
+    def step_back(self) -> None:
+        """ROS time has stepped back, as where a bag begins anew: no stamp counts as off for now.
+
+        Until late_s was asked twice: messages of before may still come after the first time.
+        """
+        self._late_s, self._stamp_ns, self._settles = math.nan, 0, True
+
+    def underway_s(self) -> float:
+        """Least time that a message took since the last call, s; NaN if that is not known.
+
+        From its sending, by the clock of its driver's computer, to its arrival, by the clock of
+        this one: delay of the network plus offset of the clocks. The least, because the network
+        delays some messages more than others.
+        """
+        underway_s, self._underway_s = self._underway_s, math.inf
+        return underway_s if underway_s < math.inf else math.nan
+
+    def rate_hz(self, now_s: float) -> float:
+        """Rate of the frames received since the last call."""
+        rate_hz = self._counted / (now_s - self._reported_s)
+        self._counted, self._reported_s = 0, now_s
+        return rate_hz
+
+    @property
+    def coverage(self) -> Coverage | None:
+        """How much of the patch its latest message is of; None without any."""
+        if isinstance(self.latest, Touches):
+            return Coverage(self.latest.taxels_valid, self.latest.taxels_in_service)
+        return self.latest and Coverage.of(self.latest.pressure_pa, self.latest.status)
+
+    @property
+    def has_driver(self) -> bool:
+        """Whether anybody publishes its topics.
+
+        With a discovery server, only topics that are subscribed to are known.
+        """
+        topics = (f"{self._node_name}/{topic}" for topic in ("contacts", "tactile"))
+        return any(map(self._node.count_publishers, topics))
+
+
+class Patches:
+    """The patches of a body, by the fully qualified names of their drivers.
+
+    faults: why a patch's frame is not known in the body's.
+    """
+
+    def __init__(self, node: Node, names: Iterable[str], values: Values) -> None:
+        self.values = values
+        self.arrivals = {name: Arrivals(node, name) for name in names}
+        self.faults: dict[str, str] = {}
+        self.node, self._transforms = node, TransformListener(node)
+        self.follow_transforms = self._transforms.follow
+
+    def pose(self, name: str, message: Touches | TaxelArray | None) -> Pose | None:
+        """The pose in the body's frame of what a patch sent; None, noting the fault, if unknown."""
+        if message is None:
+            return None
+        try:
+            pose = self._transforms.tree.pose(self.values["frame_id"], message.heading.frame_id)
+        except TransformError as error:
+            self.faults[name] = str(error)
+            return None
+        self.faults.pop(name, None)
+        return pose
+
+    def heading(self, messages: Iterable[Touches | TaxelArray]) -> Heading:
+        """A heading with the newest stamp; with the present time if there is none."""
+        stamps_ns = [message.heading.stamp_ns for message in messages]
+        newest_ns = max(stamps_ns) if stamps_ns else self.node.get_clock().now().nanoseconds
+        return Heading(newest_ns, self.values["frame_id"])
