@@ -126,7 +126,7 @@ class CompiledStream:
         code = {"transform": transform.at, "flips": flips}
         rules, rows = _rules(description, frames), pointer(self._rows, *shape)
         self._answer("stream_describe", rules.at, kernel.ffi.new("struct frame_code *", code), rows)
-        self._used = {"transform": transform, "flips": flips, "rows": rows}
+        self._used |= {"transform": transform, "flips": flips, "rows": rows}
         if self._sparse is not None:
             self._spoke = np.empty(spec.nodes, np.int32)
             sparse, spoke = self._sparse.detector.kernel, pointer(self._spoke, spec.nodes)

@@ -536,3 +536,20 @@ def test_answers_that_nobody_asked_for_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=f"{answer}: not asked for"):
             made._answer(answer, *arguments)
+
+
+def test_bytes_that_were_given_are_kept_until_they_are_used_up() -> None:
+    """Though nobody else keeps them, and the digitizer describes itself in their midst."""
+    config, data = SkinConfig.of(SMALL), sent((), "sim://?seed=1&scene=moving")[:40_000]
+    expected = Pipeline(config).feed(data, 1.0)
+    pipeline = Pipeline(config)
+    pipeline.stream.give(bytes(bytearray(data)), 1.0, False)
+    others = []
+    frames, needs_bytes = [], False
+    while not needs_bytes:
+        event = pipeline.stream.next()
+        frames += [frame for frame in [pipeline.take(event)] if frame is not None]
+        others += [bytes(len(data) + number) for number in range(8)]  # where they may have lain
+        needs_bytes = event.needs_bytes
+    assert not pipeline.packet_counts.lost_packets and not pipeline.packet_counts.framing_errors
+    assert_same(frames, expected)
