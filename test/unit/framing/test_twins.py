@@ -66,7 +66,7 @@ def test_refined_timing(line: dict, off: float, longer: float, bounded: bool) ->
     if bounded:
         assert bounds[0] <= found.start <= bounds[1]
     else:
-        # A sample tells on which side of an edge it is: of chips of whole samples all tell the same.
+        # A sample tells its side of an edge only; of chips of whole samples all tell the same.
         end = sent.start + wire.spec.span_chips * sent.chip
         assert found.start == pytest.approx(sent.start, abs=0.55)
         assert found.end(wire.spec) == pytest.approx(end, abs=0.55)
