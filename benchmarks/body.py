@@ -119,7 +119,7 @@ def measure(load: str, contacts: bool, taxels: int) -> Result:
 
 
 def one_process() -> tuple[float, float, float]:
-    """Of a process of MANY drivers: percent of a core, RSS, MB, frames of a patch per s."""
+    """Measure a process of MANY drivers: percent of a core, RSS, MB, frames of a patch per s."""
     with ExitStack() as ends:
         folder = Path(ends.enter_context(tempfile.TemporaryDirectory()))
         stop = multiprocessing.get_context("spawn").Event()

@@ -125,7 +125,7 @@ class Feeling:
 
 @dataclass(frozen=True)
 class Errors:
-    """Of m presses: of_force as a share, of_centre in pitches, (m,) both."""
+    """Errors of m presses: of_force as a share, of_centre in pitches, (m,) both."""
 
     of_force: Floats
     of_centre: Floats

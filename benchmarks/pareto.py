@@ -249,7 +249,7 @@ class DenseWords:
 
 @dataclass(frozen=True)
 class DenseFrame:
-    """As TactileFrame, of which it has start and words."""
+    """Has start and words of a TactileFrame."""
 
     t_start: float
     words: DenseWords

@@ -82,7 +82,7 @@ CASES: dict[int, dict[str, Value]] = {
 }
 """Parameters of the driver for each number of nodes; all nodes talk in every frame."""
 PRESSED = {4000: 0.08}
-"""Of sparse codes this share of the nodes talks: always the same ones, and of others none."""
+"""Share of the nodes that talk where codes are sparse: always the same ones, and no others."""
 SIZES = (16, 4096) if QUICK else (16, 256, 1024, 4096)
 TURNS, SECONDS = (1, 2.5) if QUICK else (3, 10.0)
 """How often floor and driver are measured by turns, since a machine's pace changes within minutes,

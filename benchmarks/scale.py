@@ -53,11 +53,11 @@ ALL = "scene=all&threshold=0&seed=1"
 SILENT = "scene=idle&heartbeat=0&seed=1"
 PAPER_NODES = 16
 FRAME_S, PERIOD_S = 18.4e-3, 20e-3
-"""Of skins larger than the paper's: their chips are as long as this allows."""
+"""Times of skins larger than the paper's: their chips are as long as this allows."""
 WARM_UP_S = 0.7 if QUICK else 2.0
 MEASURED_S = 1.5 if QUICK else 10.0
 FLOOR_S = 1.0 if QUICK else 5.0
-"""Of each half."""
+"""Time of each half, s."""
 SIZES = (16, 4096) if QUICK else (16, 64, 256, 1024, 4096, 8192)
 SKINS = [(n, ALL) for n in SIZES] + [(16, SILENT), (4096, SILENT)]
 GROWTH = (16, 64, 256, 1024, 4096, 16_384)

@@ -36,7 +36,7 @@ GUESS = np.array([0.02, 0.01, 1e-4])
 GRIPS = (2e-3, 8000.0, 0.02), (5e-3, 1500.0, 0.015), (7e-3, 5000.0, 0.025)
 """In MuJoCo: gap, m, stiffness, N/m, and radius, m."""
 SPREAD = 0.7
-"""Of the logarithms of the three, at first."""
+"""Spread of the logarithms of the three, at first."""
 
 
 @dataclass(frozen=True)

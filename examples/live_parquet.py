@@ -3,12 +3,12 @@
 """Logs every frame of a skin to Parquet while a live picture shows it.
 
     python examples/live_parquet.py sim:// touch.parquet --seconds 10
-    python examples/live_parquet.py /dev/ttyACM0 touch.parquet       # Ctrl-C ends
+    python examples/live_parquet.py /dev/ttyACM0 touch.parquet --params config/wired_skin.yaml
     python examples/live_parquet.py 'replay://a.skin?speed=0' touch.parquet
 
 Needs pyarrow (the extra [datasets]). One thread logs the frames as they come, 78 per second; the
-main thread draws the newest one, so that no frame waits for the picture. The file appears when the
-log ends, also by the end of a recording or the loss of the port. Without a screen
+main thread draws the newest one, so that no frame waits for the picture. Ctrl-C ends it. The file
+appears when the log ends, also by the end of a recording or the loss of the port. Without a screen
 (MPLBACKEND=Agg), --picture FILE keeps the last picture. Afterwards:
 
     pandas.read_parquet("touch.parquet")["pressure_pa"].iloc[-1]     # (16,) Pa; NaN: no reading
@@ -27,7 +27,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from tactile_cdma import Frame, PortError, Skin
+from tactile_cdma import Frame, PortError, Skin, read_parameters
 from tactile_cdma.datasets.parquet_table import parquet_table
 
 PICTURES_HZ = 10
@@ -71,14 +71,15 @@ def main() -> None:
     parser.add_argument("port", help="device, sim:// or replay://FILE")
     parser.add_argument("output", type=Path, help="the Parquet file")
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
-    parser.add_argument("--nodes", type=int, default=16)
+    parser.add_argument("--params", help="parameter file of the skin; else 16 plain nodes")
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--picture", type=Path, help="keep the last picture in this file")
     arguments = parser.parse_args()
     if arguments.output.exists() and not arguments.force:
         parser.error(f"{arguments.output}: exists already; --force overwrites it")
 
-    skin = Skin(arguments.port, nodes=arguments.nodes)
+    parameters = read_parameters(arguments.params) if arguments.params else {}
+    skin = Skin(**{**parameters, "port": arguments.port})
     shape = skin.layout.rows, skin.layout.columns
     figure, axes = plt.subplots()
     image = axes.imshow(np.full(shape, np.nan), vmin=0, vmax=FULL_SCALE_KPA)

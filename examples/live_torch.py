@@ -3,6 +3,7 @@
 """Feeds a torch module with the last 32 frames of a skin, at every frame (78 Hz), without copies.
 
     python examples/live_torch.py 'sim://?scene=moving' --seconds 10
+    python examples/live_torch.py /dev/ttyACM0 --params config/wired_skin.yaml
     python examples/live_torch.py replay://a.skin
 
 The frames lie in a ring that torch shares: what arrives is written once, and the module sees the
@@ -23,7 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 
-from tactile_cdma import PortError, RecordingEndError, Skin
+from tactile_cdma import PortError, RecordingEndError, Skin, read_parameters
 
 FRAMES = 32
 SCALE_PA = 50e3
@@ -80,12 +81,13 @@ def main() -> None:
     """Run the network at every frame until the time is over."""
     parser = argparse.ArgumentParser(description="runs a torch module on the last frames of a skin")
     parser.add_argument("port", help="device, sim:// or replay://FILE")
-    parser.add_argument("--nodes", type=int, default=16)
+    parser.add_argument("--params", help="parameter file of the skin; else 16 plain nodes")
     parser.add_argument("--seconds", type=float, default=10.0)
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # a network this small only waits for other threads
 
-    with Skin(arguments.port, nodes=arguments.nodes) as skin, torch.inference_mode():
+    parameters = read_parameters(arguments.params) if arguments.params else {}
+    with Skin(**{**parameters, "port": arguments.port}) as skin, torch.inference_mode():
         taxels = len(skin.layout)
         network = TouchNet(taxels).eval()
         recent = RecentFrames(FRAMES, (2, taxels))

@@ -175,7 +175,7 @@ class Controller:
         return self.ask(cell.skin.objects(cell.data), ANSWER_S)
 
     def ask(self, objects: Sequence[Indenter], patience_s: float) -> Answer | None:
-        """The same, to these touching the skin."""
+        """Tell what the controller says to these touching the skin; None if it does not answer."""
         for answers in self.answers.values():
             answers.clear()
         self.objects.publish(sim_objects(objects))
@@ -211,7 +211,7 @@ class Controller:
 
 
 class InProcess:
-    """The same rule on what SkinBatch says that the driver would publish, for training."""
+    """Applies the controller's rule to what SkinBatch says a driver would publish, for training."""
 
     def __init__(self, slip_m_s: float, dead_after_s: float | None) -> None:
         config = SkinConfig.of({"nodes": 16, "stale_after_s": 0.3})

@@ -34,7 +34,7 @@ from tactile_cdma.sim import (
 from tactile_cdma.sim.indenters import STIFFNESS_PA_PER_M
 
 CELL_M, MOST_RAYS, BELOW_M = 1e-3, 1024, 0.03
-"""Of meshes rays find the face that touches: a grid of CELL_M, coarser for a skin that takes more
+"""Rays find the face of a mesh that touches: a grid of CELL_M, coarser for a skin that takes more
 than MOST_RAYS, from BELOW_M under the skin. Chosen: 0.5 ms of rays."""
 AT_HOME = Pose(np.eye(3), np.zeros(3))
 PLANE_M = (100.0, 100.0, 1.0)

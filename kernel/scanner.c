@@ -20,10 +20,10 @@ enum past { NEVER, RECEIVED, MISSING };
 
 /* ---- CRC-32 ------------------------------------------------------------------------------------ */
 
-/* Of IEEE 802.3, as zlib's: every byte of the stream passes through it. By carry-less multiplication
+/* CRC-32 of IEEE 802.3, as zlib's: every byte of the stream passes through it. By carry-less multiplication
  * where the processor has it, else by tables of eight bytes at a time. */
 
-/* Of bytes in a row of 8, from the last to the first (Kounavis and Berry 2005, "slicing by 8"). */
+/* CRC-32 of bytes in a row of 8, from the last to the first (Kounavis and Berry 2005, "slicing by 8"). */
 static uint32_t table[8][256];
 
 static void prepare_crc(void)

@@ -39,7 +39,7 @@ void scanner_skip(struct scanner *scanner);
 /* Bytes of an incomplete packet. */
 size_t scanner_held(const struct scanner *scanner);
 void scanner_counts(const struct scanner *scanner, struct scanner_counts *counts);
-/* Those of the last scanner_tell: another thread may ask for them while this one scans. */
+/* Keeps the counts for other threads, which may ask scanner_told for them while this one scans. */
 void scanner_tell(struct scanner *scanner);
 const struct scanner_counts *scanner_told(const struct scanner *scanner);
 

@@ -259,7 +259,7 @@ TARGET static void NAMED(multiply_some)(const struct transform *transform, const
     }
 }
 
-/* As many vectors at once as stay in the nearest cache. */
+/* Multiplies as many vectors at once as stay in the nearest cache. */
 TARGET static void NAMED(multiply_product)(const struct transform *transform, const float *from,
                                            float *to, size_t count)
 {

@@ -40,8 +40,8 @@ from .wire.port import Port
 BUFFER_S = 1.0
 """Frames that wait for the program span at most this long; chosen to outlast a pause of a plot."""
 TIMEOUT_S = 5.0
-"""Without a frame for longer, s, something is wrong: a port opens and its digitizer starts within
-2 s (driver.RETRY_S)."""
+"""Time without a frame, s, after which something is wrong: a port opens and its digitizer starts
+within 2 s (driver.RETRY_S)."""
 LATEST_S = 0.5
 """A frame that arrived longer ago, s, and two frame periods at least, is not the present one unless
 the program says so; chosen as datasets.alignment.STALE_S."""

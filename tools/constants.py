@@ -27,7 +27,7 @@ PACKAGE = "tactile_cdma"
 HEART = ("framing", "words", "code", "clocks")
 """Folders of the package that decide what was sent."""
 CHOSEN = "Chosen"
-"""What a docstring says of a value that was found by trying, not derived."""
+"""Word by which a docstring tells of a value that was found by trying, not derived."""
 MOST, MOST_CHOSEN = 90, 30
 """Goals: constants, and those of them that are CHOSEN."""
 FIELDS = re.compile(r"^ *((?:[a-z]\w*, )*[a-z]\w*): ", re.MULTILINE)

@@ -79,7 +79,7 @@ def main() -> int:
         frames = [run(config, data) for config, data in zip(configurations, raw, strict=True)]
         arguments.file.write_bytes(pickle.dumps((raw, frames, values, transforms(values))))
         return 0
-    # Of our own making, a minute ago.
+    # This program has made it, a minute ago.
     raw, expected, values, products = pickle.loads(arguments.file.read_bytes())  # noqa: S301
     differ = [order for order, found in transforms(values).items() if found != products[order]]
     for order in differ:

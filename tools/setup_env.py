@@ -36,7 +36,7 @@ SUPPORTED = ((3, 12), (3, 11), (3, 13), (3, 14))  # the ROS wheels exist for the
 LAYOUT = "2"  # raise when this script changes so that older venvs will not do
 
 CORE_REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
-# Of the ROS 2 distributions that PyPI has.
+# Requirements of the ROS 2 distributions that PyPI has.
 ROS_REQUIREMENTS = {"jazzy": "requirements-jazzy.txt", "kilted": "requirements-kilted.txt"}
 DEFAULT_DISTRO = "jazzy"
 NO_ROS = "none"
@@ -93,7 +93,7 @@ def set_up(venv: Path, wanted_distro: str) -> None:
         [CHECKOUT / name for name in requirements],
         [CHECKOUT / "tools" / "venv_startup.py"],
     )
-    # Of launch files and configuration only the names: .venv holds links to them.
+    # Launch files and configuration count by their names: .venv holds links to them.
     installed = [*CHECKOUT.glob("launch/*.py"), *CHECKOUT.glob("config/**/*")]
     message_key = digest(
         sorted(str(path.relative_to(CHECKOUT)) for path in installed),

@@ -56,7 +56,7 @@ class Watch:
 
     @property
     def rss_mb(self) -> float:
-        """Of the last sample."""
+        """Return the RSS of the last sample, MB."""
         return self.rss_kb[-1] / 1024 if self.rss_kb else np.nan
 
     @property

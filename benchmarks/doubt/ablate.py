@@ -138,7 +138,7 @@ class Bench:
 
 
 def price(before: Run, after: Run) -> Price:
-    """Of one condition."""
+    """Compute the price in one condition."""
     is_sound, was, now = not before.rough, before.tally, after.tally
     return Price(
         now.false - was.false,
@@ -149,7 +149,7 @@ def price(before: Run, after: Run) -> Price:
 
 
 def summed(prices: Iterable[Price]) -> Price:
-    """Of several conditions."""
+    """Add up the prices in several conditions."""
     return Price(*map(sum, zip(*prices, strict=True)))
 
 
@@ -168,7 +168,7 @@ def kind(name: str) -> str:
 
 
 def values(constant: Constant) -> list[float]:
-    """Those that take a constant away; none of what is no rule."""
+    """Return values that take a constant away; none of what is no rule."""
     if constant.title.startswith(NO_RULES):
         return []
     if constant.title in OFF:

@@ -77,11 +77,11 @@ class Mixture(LineCondition):
         return max(WEAKEST, LEAST_RHO / rho)
 
     def with_line(self, **changes: Any) -> Mixture:
-        """The same with another line."""
+        """Return this mixture with another line."""
         return replace(self, line=replace(self.line, **changes))
 
     def with_digitizer(self, **changes: Any) -> Mixture:
-        """The same with another digitizer."""
+        """Return this mixture with another digitizer."""
         return replace(self, digitizer=replace(self.digitizer, **changes))
 
     def some(self, draw: Draw) -> list[int]:
@@ -91,7 +91,7 @@ class Mixture(LineCondition):
 
 
 def between(draw: Draw, low: float, high: float) -> float:
-    """Of numbers that span several octaves, each of which is as likely."""
+    """Draw from numbers that span several octaves, each of which is as likely."""
     return float(math.exp(draw.uniform(math.log(low), math.log(high))))
 
 

@@ -17,7 +17,7 @@ FRAMES = 25
 """Frames here for each of a line's, which take longer to decode."""
 STEPS_MS = (-45, -20, -5, -2, 2, 5, 20, 45)
 ERRORS = (-0.05, -0.009, -0.003, 0.003, 0.009)
-"""Of the clock's rate: ceramic resonators, and worse."""
+"""Errors of the clock's rate: ceramic resonators, and worse."""
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class LineCondition:
         return seeded and skin.drive == "bipolar" and skin.order >= LEAST_SCRAMBLED
 
     def scrambled(self) -> Self:
-        """The same condition with a scrambled skin; its recordings are drawn anew."""
+        """Return this condition with a scrambled skin; its recordings are drawn anew."""
         return replace(self, name=f"{self.name}, scrambled", skin=replace(self.skin, scramble=True))
 
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:

@@ -118,7 +118,7 @@ LIGHT = Tared(loads_kpa=(0, 4, 2.5, 5), all_pressed=True, rest_v=3.2)
 
 
 def every(talk: Tared) -> Tared:
-    """The same of all nodes."""
+    """Have a talk press all nodes."""
     return replace(talk, all_pressed=True)
 
 

@@ -26,7 +26,7 @@ BITS = 10
 LIMIT_S = 0.02
 """The paper's: below 20 ms into the thousands of nodes."""
 SAMPLE_BYTES = 1.5
-"""Of PACKED; its head, and that of USB, are in the links' rates."""
+"""Bytes of a sample in PACKED; its head, and that of USB, are in the links' rates."""
 USB, UART, HIGH_SPEED = 1e6, 180e3, 30e6
 """Bytes of samples per second; `make firmware-figures`: 0.99 MB/s by USB without loss."""
 SIXTEEN = Mcu("", 4096, 250, 16_000, 125, bits_restart=True, restart_s=80e-6)
@@ -35,7 +35,7 @@ SIXTEEN = Mcu("", 4096, 250, 16_000, 125, bits_restart=True, restart_s=80e-6)
 Pair = tuple[Mcu, float, float]
 """A node, samples per second of the converter, bytes per second of the link."""
 BEST = "fast ATmega328P; RP2040"
-"""Of those for which there is firmware."""
+"""The best pair for which there is firmware."""
 PAIRS: dict[str, Pair] = {
     "ATtiny85; RP2040": (MCUS["attiny85"], 500e3, USB),
     "ATmega328P; RP2040": (MCUS["atmega328p"], 500e3, USB),

@@ -25,14 +25,14 @@ from .claims import Claim, at_most, equals
 COMMAND = "`make paper`"
 SKIN = Path(__file__).resolve().parents[2] / "config" / "paper_skin.yaml"
 WARM_UP_FRAMES = 20
-"""Until nodes have learnt their code at rest and the period."""
+"""Frames until nodes have learnt their code at rest and the period."""
 CLOCK_ERROR = 0.02
-"""Of the slowest and the fastest of the nodes' clocks."""
+"""Error of the slowest and of the fastest of the nodes' clocks."""
 FRAMES = 3
 SHOWN = 10
 """The node, counted from 0, that is drawn: 11, as in figure 8."""
 EXAMPLE_NODE, EXAMPLE_BITS = 6, "10"
-"""Of eight nodes, counted from 1, and the two bits that it sends. Chosen: a row of many edges."""
+"""Number of one of eight nodes, and the two bits that it sends. Chosen: a row of many edges."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ PRESSED = {
 """Liu et al., section IV.C: words and V by node, counted from 1."""
 ROWS, COLUMNS = 4, 4
 FRAMES, RATE_HZ = 2, 100e3
-"""Of each, in the capture."""
+"""Frames of each word, and samples per second, in the capture."""
 LINE = Channel(offset_v=0.02, noise_rms_v=0.01, stretch=0.10, adc_bits=8)
 """The scope's offset, noise and converter; the nodes' frames of 8 to 8.8 ms."""
 

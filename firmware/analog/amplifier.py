@@ -141,7 +141,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Attenuator:
-    """What a node of the paper's circuit has before its follower: R1 and Rb, Ω."""
+    """Holds what a node of the paper's circuit has before its follower: R1 and Rb, Ω."""
 
     series_ohm: float
     bias_ohm: float

@@ -44,7 +44,7 @@ STEP_CHIPS = 8
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What SPICE says of a skin. A: as computed.
+    """Holds what SPICE says of a skin. A: as computed.
 
     amplitude_v: of one node. unsettled: share of a step that is left at a chip's first sample.
     overshoot: of a step, share. noise_v: RMS at the converter. headroom_v: from the frame's

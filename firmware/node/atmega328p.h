@@ -116,7 +116,7 @@ static BOARD_INLINE void board_matches_off(void)
     TIMSK1 &= (uint8_t)~_BV(OCIE1A);
 }
 
-/* Of TCCR1B: the timer counts cycles, and a capture takes a level that lasts for 4 of them, so that a spike
+/* TCCR1B has the timer count cycles, and a capture take a level that lasts for 4 of them, so that a spike
  * in a pulse does not end it. */
 #define BOARD_COUNTING (_BV(ICNC1) | _BV(CS10))
 #define BOARD_CANCELLER_CYCLES 4u

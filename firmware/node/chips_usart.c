@@ -122,7 +122,7 @@ static BOARD_INLINE void send(uint8_t chips)
     UDR0 = chips;
 }
 
-/* Of a bit whose first two octets are under way, the `left` - 1 others. */
+/* Sends the `left` - 1 other octets of a bit whose first two are under way. */
 static BOARD_INLINE void send_row(uint16_t left)
 {
     const uint8_t *octet = row + 2;
@@ -143,7 +143,7 @@ static BOARD_INLINE void send_row(uint16_t left)
     }
 }
 
-/* The same of a sparse code. What makes its octets is in registers, so that one takes some 100 cycles of the
+/* Sends those of a sparse code. What makes its octets is in registers, so that one takes some 100 cycles of the
  * 128 that there are. */
 static BOARD_INLINE void send_sparse(uint16_t left)
 {

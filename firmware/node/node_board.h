@@ -29,7 +29,7 @@ void board_led(bool on);
 uint8_t board_memory_byte(uint16_t address);
 /* Begins to change it; takes 3.4 ms, for which the next one waits. */
 void board_memory_write(uint16_t address, uint8_t byte);
-/* Of the table in the node's flash (protocol.yaml), for BOARD_LARGE only. */
+/* Returns a byte of the table in the node's flash (protocol.yaml); for BOARD_LARGE only. */
 uint8_t board_flash_byte(uint16_t address);
 
 /* For talk.c; inline, interrupts are off. The microcontroller's header also defines

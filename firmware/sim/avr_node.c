@@ -413,7 +413,7 @@ static void look_ahead(struct avr_node *node)
     node->sync_cycle = edge ? cycle_at(node, edge->t_ns + node->delay_ns) : UINT64_MAX;
 }
 
-/* Of edges before power-up only the resulting level counts. */
+/* Skips edges before power-up, of which only the resulting level counts. */
 static void skip_past(struct avr_node *node)
 {
     for (const struct sync_edge *edge; (edge = next_edge(node)) && edge->t_ns + node->delay_ns <= node->start_ns;

@@ -100,7 +100,7 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the driver made of the stream.
+    """Holds what the driver made of the stream.
 
     codes, active: (16,) by the frame's number since START.
     """

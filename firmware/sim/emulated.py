@@ -115,7 +115,7 @@ class _Plan(ctypes.Structure):
 
 
 class NodeCounters(ctypes.Structure):
-    """What a node did since power-up; see struct node_counters."""
+    """Counts what a node did since power-up; see struct node_counters."""
 
     cycles_awake: int
     cycles_asleep: int

@@ -40,7 +40,7 @@ class Spread:
 
 
 CRYSTALS = Spread(clock=50e-6, supply=0.01, skew_ns=200)
-"""What fast nodes ask for (firmware/README.md)."""
+"""Parameters that fast nodes ask for (firmware/README.md)."""
 
 
 def reference_nodes(

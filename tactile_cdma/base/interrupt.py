@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""What ends a command: Ctrl-C, a service manager, a terminal that is closed."""
+"""Signals that end a command: Ctrl-C, a service manager, a terminal that is closed."""
 
 
 class Stop:

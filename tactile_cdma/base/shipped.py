@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-"""Where the package lies; only in a checkout the files lie there as well."""
+"""Folder of the package; only in a checkout the files lie there as well."""
 
 
 def shipped(name: str) -> Path | None:

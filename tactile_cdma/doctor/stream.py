@@ -47,7 +47,7 @@ IN_PYTHON_BECAUSE = {
 }
 """What it means that most of those frames were decided there for this reason."""
 DOUBTED_BECAUSE = "as where nodes stretch their frames, or with noise, hum or clipping on the line"
-"""The same for any other reason, which is a doubt about the samples."""
+"""What any other reason means: a doubt about the samples."""
 STRAY_ERRORS = 1
 """Errors of a sound link: the first bytes may be the rest of a packet."""
 

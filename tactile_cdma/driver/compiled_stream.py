@@ -130,7 +130,6 @@ class CompiledStream:
         if self._sparse is not None:
             self._spoke = np.empty(spec.nodes, np.int32)
             sparse, spoke = self._sparse.detector.kernel, pointer(self._spoke, spec.nodes)
-            assert sparse is not None
             self._answer("stream_detect_by", sparse.at, spoke)
             self._used |= {"sparse": sparse, "spoke": spoke}
         if isinstance(timing, MarkedTiming):

@@ -26,7 +26,7 @@ to be heard, and a tenth is for rounding of counts."""
 
 
 class Origin(IntEnum):
-    """Where readings come from; the same values as the constants of TactileSkinInfo."""
+    """Says where readings come from; values are those of TactileSkinInfo's constants."""
 
     UNKNOWN = 0
     BOARD = 1
@@ -137,7 +137,7 @@ class SourceWatch:
 
 @dataclass(slots=True)
 class DigitizerState:
-    """What the digitizer has said on the present connection.
+    """Holds what the digitizer has said on the present connection.
 
     info: its last description of itself, None before the first.
     status: its last STATUS.

@@ -13,7 +13,7 @@ CLEAR_REPORTS = 5
 
 
 class Level(IntEnum):
-    """How bad; the same values as the constants of diagnostic_msgs/DiagnosticStatus."""
+    """Says how bad it is; values are those of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1

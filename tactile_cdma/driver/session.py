@@ -37,7 +37,7 @@ what full-speed USB can carry; older digitizers, which refuse, are hardly ever s
 
 
 class _Progress(NamedTuple):
-    """How far decoding was when the digitizer was last asked, or sent a frame."""
+    """Notes how far decoding was when the digitizer was last asked, or sent a frame."""
 
     frames: int = -1
     implausible_packets: int = 0

@@ -41,7 +41,7 @@ host is seldom held up for longer."""
 
 
 class Step(Enum):
-    """How a packet of samples relates to the one before."""
+    """Says how a packet of samples relates to the one before."""
 
     CONTINUES = auto()
     """Nothing is missing in between."""
@@ -63,7 +63,7 @@ class Arrival:
 
 
 class Answer(IntEnum):
-    """What becomes of a packet that does not continue the stream, as enum stream_answer in C.
+    """Says what becomes of a packet that does not continue the stream: stream_answer in C.
 
     HOLD and TAKE forget the packet that was held back; TAKE_HELD takes that one first, and asks
     again.
@@ -76,7 +76,7 @@ class Answer(IntEnum):
 
 
 class Placement(NamedTuple):
-    """Where a packet belongs that does not continue the stream.
+    """Tells where a packet belongs that does not continue the stream.
 
     origin: the digitizer's index of the stream's index 0, which is that of the first sample after a
     restart: the digitizer's come near 2⁶⁴ and are no exact floats.
@@ -88,7 +88,7 @@ class Placement(NamedTuple):
 
 
 class Pace:
-    """What packets of samples may claim, by the digitizer's description of itself.
+    """Limits what packets of samples may claim, by the digitizer's description of itself.
 
     gap_s, gaps: s, and share of the time counted, by which device time may run ahead of the count
         where a gap may lie in between: of integrated samples, there are none in gaps. least_gap_s:

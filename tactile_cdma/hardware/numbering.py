@@ -24,7 +24,7 @@ FORGET_FRAMES = 40
 
 
 class Numbering:
-    """Which number is announced, and what is known of those before.
+    """Chooses the number that is announced, and keeps what is known of those before.
 
     asked: the number that a pressed node takes next; None: all have theirs. skipped: nobody's.
     """

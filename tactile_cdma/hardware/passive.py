@@ -39,7 +39,7 @@ PIN_F, WIRE_F = 10e-12, 200e-12
 SETTLED = 0.01
 """Share of a step that may be left at a chip's first sample; as firmware/analog has it."""
 FIRST_SAMPLE = 1 / 8
-"""Where in a chip that is: the first of four."""
+"""Place of the first sample in a chip: the first of four."""
 
 
 @dataclass(frozen=True, slots=True)

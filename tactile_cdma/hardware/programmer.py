@@ -31,7 +31,7 @@ AVRDUDE = "avrdude"
 EEPROM, FLASH = "eeprom", "flash"
 """Memories by its names."""
 PROGRAMS = Path(__file__).resolve().parents[2] / "firmware" / "build" / "node"
-"""Where `make firmware` puts the nodes' programs."""
+"""Folder to which `make firmware` writes the nodes' programs."""
 MOST_BYTES = 1 << 20
 """Largest file read; chosen: Intel HEX of 64 kB takes 180 kB."""
 

@@ -40,7 +40,7 @@ SLOWEST = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """What to replay and how. start_s, end_s: times since the recording began, s."""
+    """Says what to replay and how. start_s, end_s: times since the recording began, s."""
 
     path: Path
     speed: float

@@ -31,7 +31,7 @@ _HEAD = "# Written by the driver: what it takes off readings. Delete it to start
 
 @dataclass(frozen=True, eq=False)
 class RestState:
-    """What a skin reads at rest, and which skin that is.
+    """Holds what a skin reads at rest, and which skin that is.
 
     skin: its name; may be empty. simulated: it is not hardware. scene: the sim:// URL by which the
     driver simulates it, or empty. nodes: their number. calibration: identity of the calibration,

@@ -32,7 +32,7 @@ _SAVED_LSB = 0.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TareResult:
-    """What a tare did; as a string, a sentence about it.
+    """Tells what a tare did; as a string, in a sentence.
 
     tare_pa: (n,) float32, Pa, subtracted from the readings of every node from now on. unheard:
     numbers of the nodes without a valid reading, which keep the tare they had. unkept: why it is

@@ -28,8 +28,8 @@ _NO_READING = "/"
 """Shade of a taxel without a reading, which none of the others is."""
 _BARS = "▁▂▃▄▅▆▇█"
 TOUCH_PA = 1e3
-"""Where several taxels share a character, a pressure above this is shown even if one of them has no
-reading; below it the missing reading is shown. Pa; the default of contact_kpa."""
+"""Pressure, Pa, above which a character that several taxels share shows it even if one of them has
+no reading; below it the missing reading is shown. The default of contact_kpa."""
 _LABEL = 7
 """Characters of a taxel's value with two marks, as 140.0?w."""
 _STATUS_LINES = 3
@@ -44,7 +44,7 @@ _MARKS = (
 
 
 class Numbers(Enum):
-    """How taxels are numbered: by index in all arrays, or by node."""
+    """Says how taxels are numbered: by index in all arrays, or by node."""
 
     TAXELS = "taxels"
     NODES = "nodes"

@@ -20,9 +20,9 @@ _log = logging.getLogger(__name__)
 USB = "usb://"
 """Begins the URL of a port that is named by the serial number of its USB device."""
 LINK_FOLDERS = ("/dev/tactile", "/dev/serial/by-id", "/dev/serial/by-path")
-"""Where udev keeps names that survive replugging; the first is filled by our own rules."""
+"""Folders of udev with names that survive replugging; our own rules fill the first."""
 ADAPTERS = Path("/sys/bus/usb-serial/devices")
-"""Where Linux has a folder for each; FTDI's driver puts a file latency_timer into it, ms."""
+"""Folder with one per serial port; FTDI's driver puts a file latency_timer into it, ms."""
 LEAST_MS = 2
 """Latency that is not worth a word, ms; chosen: FTDI's default is 16, its least 1."""
 MEMORY = 1

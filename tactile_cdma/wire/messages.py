@@ -85,7 +85,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class FrameLayout(Message):
-    """How the nodes share the line, in the wire's integers.
+    """Tells how the nodes share the line, in the wire's integers.
 
     A layout converts to a FrameSpec and back unchanged. So does a FrameSpec whose times are whole
     nanoseconds and microseconds, except for its amplitude, which is not sent.
@@ -108,7 +108,7 @@ class FrameLayout(Message):
 
     @classmethod
     def of(cls, spec: FrameSpec, samples_per_chip: int) -> FrameLayout:
-        """The layout of a spec. Raises SpecError where the wire's integers cannot express it."""
+        """Make a spec's layout. Raises SpecError where the wire's integers cannot express it."""
         seeded = Signs.NATURAL if spec.sign_seed is None else Signs.SEEDED
         return cls(
             chip_ns=_whole("chip_s", spec.chip_s, 10**9, "nanoseconds"),
@@ -138,7 +138,7 @@ class FrameLayout(Message):
 
 @dataclass(frozen=True, slots=True)
 class Packet(Message):
-    """What one packet carries.
+    """Holds what one packet carries.
 
     TYPE: the first byte of its body; see PACKETS. sequence: filled in by the parser. PacketWriter
     ignores it, and so do comparisons.
@@ -151,7 +151,7 @@ class Packet(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Info(Packet):
-    """What the digitizer is and how it is set.
+    """Tells what the digitizer is and how it is set.
 
     sample_rate_uhz: rate of Samples.counts, µHz; in integrated mode that is the chip rate.
     volts_per_count: V, rounded to float32; counts are relative to zero_count.
@@ -354,7 +354,7 @@ class Quiet(Stretch):
 
     @classmethod
     def of(cls, device_time_us: int, first_index: int, counts: Counts, **marks: bool) -> Quiet:
-        """The packet that replaces these samples, (m,) int16. marks: sync, overrun."""
+        """Make the packet that replaces these samples, (m,) int16. marks: sync, overrun."""
         wide = counts.astype(np.int64)  # sums stay below 2⁶³ for 2³² samples of 16 bits
         total, squares = int(wide.sum()), int(np.einsum("i,i->", wide, wide))
         return cls(device_time_us, first_index, counts.size, total, squares, **marks)

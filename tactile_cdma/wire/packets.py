@@ -34,7 +34,7 @@ Found: TypeAlias = tuple[int, int, bytes | SampleBytes]
 
 @dataclass(slots=True)
 class Counters:
-    """What a parser has seen so far."""
+    """Counts what a parser has seen so far."""
 
     bytes: int = 0
     packets: int = 0

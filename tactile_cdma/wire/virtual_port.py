@@ -12,7 +12,7 @@ from serial.serialutil import PortNotOpenError, SerialBase, SerialException, to_
 
 
 class Device(Protocol):
-    """What is at the other end of a virtual port."""
+    """Stands at the other end of a virtual port."""
 
     @property
     def pending(self) -> int:

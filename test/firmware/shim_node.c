@@ -29,19 +29,17 @@ uint32_t shim_frame(const struct tp_node_record *record, const uint8_t *row, uin
     return place;
 }
 
-enum { FRAME, MISSED };
-
-/* Who talks in each of `size` frames that began like this, and whose turn they were. */
+/* Whether the node talks in each of `size` frames: whose pulse it missed, whose turn they were. */
 void shim_events(const struct tp_node_record *record, uint16_t rest, const uint16_t *codes,
-                 const uint8_t *frames, const uint8_t *turns, uint8_t *talks, size_t size)
+                 const uint8_t *missed, const uint8_t *turns, uint8_t *talks, size_t size)
 {
     struct event event;
 
     event_init(&event, record, rest);
     for (size_t i = 0; i < size; i++) {
-        bool others = frames[i] == FRAME && turn_is_others(turns[i], record->node);
+        bool others = !missed[i] && turn_is_others(turns[i], record->node);
 
-        talks[i] = frames[i] != MISSED && !others && event_talks(&event, codes[i]);
+        talks[i] = !missed[i] && !others && event_talks(&event, codes[i]);
         event_frame(&event, others, talks[i], codes[i]);
     }
 }

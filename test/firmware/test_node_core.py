@@ -4,6 +4,7 @@
 
 import ctypes
 import zlib
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -26,7 +27,6 @@ from tactile_cdma.wire.messages import WIRE
 from test.support.examples import examples
 from test.support.node_limits import BLANK, CORRUPT, GOOD, INVALID, UNFIT, Limits, limits, load
 
-FRAME, MISSED = range(2)
 ORDERS = [order for order in range(1, 421) if is_feasible(order)] + [1024, 4096]
 SPEC = FrameSpec(nodes=4, order=16)
 LIMITS = Limits(4096, 30_000, 33_000, 34_000, 900_000, 1, False, 900, 80)
@@ -185,17 +185,18 @@ def talks(
     memory: bytes,
     rest: int,
     codes: NDArray[np.int64],
-    frames: NDArray[np.int64],
-    turns: NDArray[np.int64] | None = None,
+    turns: NDArray[np.int64],
+    missed: Sequence[int] = (),
 ) -> NDArray[np.bool_]:
-    """Frames in which the node transmits."""
-    result = np.zeros(len(codes), np.uint8)
+    """Frames in which the node transmits. missed: those whose pulse it does not hear."""
+    result, deaf = np.zeros(len(codes), np.uint8), np.zeros(len(codes), np.uint8)
+    deaf[list(missed)] = True
     core.shim_events(
         memory[:RECORD_BYTES],
         rest,
         codes.astype(np.uint16).ctypes,
-        frames.astype(np.uint8).ctypes,
-        (np.zeros(len(codes)) if turns is None else turns).astype(np.uint8).ctypes,
+        deaf.ctypes,
+        turns.astype(np.uint8).ctypes,
         result.ctypes,
         ctypes.c_size_t(len(codes)),
     )
@@ -237,12 +238,11 @@ def test_rules_are_those_of_the_simulator(
         frames.append(next(coming))
     codes = np.array([frame.codes for frame in frames])
     rest = AdcScale(spec.bits).code(PressureCurve.two_stage().voltage(np.zeros(nodes)))
-    began = np.full(60, FRAME)
     turns = np.array([frame.turn for frame in frames])
     for node in range(nodes):
         memory = node_memory(spec, node + 1, threshold=threshold, heartbeat=heartbeat)
         np.testing.assert_array_equal(
-            talks(core, memory, int(rest[node]), codes[:, node], began, turns),
+            talks(core, memory, int(rest[node]), codes[:, node], turns),
             [frame.active[node] for frame in frames],
         )
 
@@ -250,17 +250,17 @@ def test_rules_are_those_of_the_simulator(
 def test_what_is_said_out_of_turn_is_said_in_turn(core: ctypes.CDLL) -> None:
     """Node 6 of 9 in four groups is of group 2: every fourth frame is its own."""
     memory = node_memory(FrameSpec(nodes=9, order=16), 6, threshold=2, heartbeat=18)  # turn 10
-    turns, began = 4 + np.arange(48) % 4, np.full(48, FRAME)
+    turns = 4 + np.arange(48) % 4
     codes = np.full(48, 500)
     codes[[3, 4, 19]] = 400, 410, 300  # 4 is not its turn any more when it could say 410
     codes[30:33] = 400, 450, 500  # said 500 is the end of it
-    heard = np.flatnonzero(talks(core, memory, 500, codes, began, turns)).tolist()
+    heard = np.flatnonzero(talks(core, memory, 500, codes, turns)).tolist()
     assert heard == [10, 30, 34, 46]  # heartbeats of 10 and 28, the press, of 46
     codes[14] = 350  # in its turn: told, and its end in the next
-    heard = np.flatnonzero(talks(core, memory, 500, codes, began, turns)).tolist()
+    heard = np.flatnonzero(talks(core, memory, 500, codes, turns)).tolist()
     assert heard == [10, 14, 18, 30, 34, 46]
-    began[46] = MISSED  # as without groups
-    assert 46 not in np.flatnonzero(talks(core, memory, 500, codes, began, turns))
+    # as without groups
+    assert 46 not in np.flatnonzero(talks(core, memory, 500, codes, turns, missed=[46]))
 
 
 def test_digits_of_a_turn_are_where_the_page_says(core: ctypes.CDLL) -> None:
@@ -275,10 +275,8 @@ def test_digits_of_a_turn_are_where_the_page_says(core: ctypes.CDLL) -> None:
 def test_missed_frames_keep_turns(core: ctypes.CDLL) -> None:
     """Heartbeats count all frames, not only those whose pulse was heard."""
     memory = node_memory(SPEC, 3, threshold=1000, heartbeat=8)  # turn 4
-    codes = np.full(40, 500)
-    began = np.full(40, FRAME)
-    began[[2, 20, 21]] = MISSED
-    heard = talks(core, memory, 500, codes, began)
+    codes, turns = np.full(40, 500), np.zeros(40, np.int64)
+    heard = talks(core, memory, 500, codes, turns, missed=[2, 20, 21])
     assert np.flatnonzero(heard).tolist() == [4, 12, 28, 36]
 
 

@@ -58,7 +58,6 @@ class Bench(EmulatedNodes):
     def frame(
         self,
         number: int,
-        units: int = FRAME,
         late_ns: int = 0,
         skip: Sequence[int] = (),
         before: Mapping[int, tuple[int, int]] | None = None,
@@ -79,7 +78,7 @@ class Bench(EmulatedNodes):
                 early_ns, length_ns = before[slot]
                 self.pulse(rise - early_ns, length_ns)
             if slot not in skip:
-                self.pulse(rise, (RESTART if slot else units) * UNIT_NS)
+                self.pulse(rise, (RESTART if slot else FRAME) * UNIT_NS)
         self.end(start)
         return start
 

@@ -32,7 +32,7 @@ SECOND = ("t", struct.pack("<Q", 1_000_000))
 SEND = ("o", struct.pack("<I", 2**32 - 1))
 REPLAY_S = 60
 TYPES = [0, 2, 0x7F, *range(0x80, PacketType.TOUCH), 0x8F, 0xFF]
-"""Of commands and others; which of TOUCH and BOOTSEL a board knows is its own affair."""
+"""Types of commands and others; which of TOUCH and BOOTSEL a board knows is its own affair."""
 CONFIGURED = Configure(FrameLayout.of(FrameSpec(), 4))
 PACKETS, SAMPLES = 200, 20_000
 """Input of one digitizer."""
@@ -155,5 +155,5 @@ def parse(data: bytes) -> list[Packet]:
 
 
 def of_kind(packets: Sequence[Packet], kind: type[T]) -> list[T]:
-    """Those of a type."""
+    """Select the packets of a type."""
     return [packet for packet in packets if isinstance(packet, kind)]

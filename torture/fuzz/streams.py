@@ -46,7 +46,7 @@ FRAMES = 5
 """True frames of an input."""
 CRC_BYTES = 4
 TICK_S = 1e-6
-"""Of the digitizer's clock, from one of whose packets a frame has its time."""
+"""Tick of the digitizer's clock, s, from one of whose packets a frame has its time."""
 
 
 def read_packets(data: bytes) -> None:

@@ -25,7 +25,7 @@ PATCHES = {name: f"/{name}/skin" for name in SIDES}
 SCENES = {LEFT: "scene=idle", RIGHT: "scene=press"}
 """Nothing touches the left patch; a finger is on the right one for 2 s, and off for 2 s."""
 PERIOD_S = 0.04
-"""Of frames: 25 a second."""
+"""Period of frames, s: 25 a second."""
 STALE_AFTER_S = 1.0
 """The body's default."""
 _TURN_S = 0.05

@@ -62,7 +62,7 @@ class LineJudge(Judge):
         return found
 
     def look_at_frames(self, frames: Sequence[TactileFrame]) -> Tally:
-        """As `look`, of the frames alone."""
+        """Judge the frames alone."""
         self.tally = Tally()
         for frame in frames:
             verdict = self.check(frame)

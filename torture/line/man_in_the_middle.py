@@ -28,7 +28,7 @@ POLL_S = 2e-3
 PEACE = (1.1, 2.1)
 """Frame periods between two faults, drawn between these: enough to recover, and to show it."""
 PEACE_WITHOUT_MARKS = (3.1, 4.1)
-"""The same for frames without marks, which take one or two more to find."""
+"""Frame periods between two faults without marks, where frames take one or two more to find."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ WARM_UP, LONGEST_WARM_UP_S = 0.5, 1800.0
 MOST_DRIFT_S = 1e-3
 """Largest drift of stamps against the true time, from the second part of the run to the last."""
 PARTS = 5
-"""Of a run; while it starts, a busy computer makes all stamps late, which nobody can know."""
+"""Parts of a run; while it starts, a busy computer makes all stamps late, which nobody can know."""
 PROMPT = 10
 """Percentage of a part's stamps that is compared, the earliest: a busy computer makes the others
 late, but drift moves them all."""

@@ -90,7 +90,7 @@ def dead(_turn: Turn) -> Waveforms:
 
 
 def stuck(turn: Turn) -> Waveforms:
-    """The same word in every frame, also when it should be silent."""
+    """Say one word in every frame, also when it should be silent."""
     return turn.says(turn.any_word(turn.life))
 
 

@@ -20,10 +20,10 @@ void nodes_stop(void);
 void nodes_begin(struct dg *dg);
 /* The next pulse on the sync line, as dg_pulse gives it. May be called from an interrupt. */
 bool nodes_pulse(struct dg *dg, struct dg_pulse *pulse);
-/* As take_samples and pulses_failed of struct dg_hardware. */
+/* These are take_samples and pulses_failed of struct dg_hardware. */
 size_t nodes_take(const uint16_t **samples, uint32_t *lost);
 bool nodes_failed(void);
-/* As command of struct dg_board. */
+/* This is command of struct dg_board. */
 enum tp_result nodes_obey(uint8_t type, const uint8_t *payload, size_t size);
 
 #endif

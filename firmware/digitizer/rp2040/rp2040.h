@@ -32,7 +32,7 @@ uint64_t time_us(void);
 void tick_every(uint32_t us);
 void tick_interrupt(void);
 
-/* The same moment on two clocks: ticks of the stream, and µs since power-up. */
+/* A moment on two clocks: ticks of the stream, and µs since power-up. */
 struct moment {
     uint32_t tick;
     uint64_t us;

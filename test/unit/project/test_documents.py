@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Documents: every link has a target, every picture a reader, every figure a source; sizes."""
+"""Documents: every link has a target, every picture a reader, every docstring a noun; sizes."""
 
 import ast
 import re
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,12 @@ from test.support.programs import run_python
 ROOT = Path(__file__).resolve().parents[3]
 MOST_WORDS = 32_000
 """Of README and docs/*.md, marks of tables included. Chosen; 30,000 is the goal."""
+BEING_REWRITTEN = (
+    *("tactile_cdma/code", "tactile_cdma/framing", "tactile_cdma/words", "tactile_cdma/readings"),
+    *("tactile_cdma/driver", "tactile_cdma/base/sums", "tactile_cdma/wire/packets"),
+    "tactile_cdma/wire/reader",
+)
+"""Files whose docstrings are not looked at until they are rewritten."""
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -85,3 +92,26 @@ def test_there_is_not_more_to_read_than_one_can() -> None:
     assert len(texts[0].splitlines()) <= 130
     assert len(pages) - 1 <= 20
     assert sum(len(text.split()) for text in texts) <= MOST_WORDS
+
+
+def docstrings(module: ast.Module) -> Iterator[str]:
+    """Every docstring of a module, those behind its constants among them."""
+    for node in ast.walk(module):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            for statement in node.body:
+                value = statement.value if isinstance(statement, ast.Expr) else None
+                if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    yield value.value
+
+
+def test_every_docstring_has_its_own_noun() -> None:
+    """None is a genitive, or needs another one to say what it is about."""
+    nameless = [
+        f"{path.relative_to(ROOT)}: {text.splitlines()[0]}"
+        for folder in ("tactile_cdma", "benchmarks", "torture", "examples", "firmware", "tools")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if not str(path.relative_to(ROOT)).startswith(BEING_REWRITTEN)
+        for text in docstrings(ast.parse(path.read_text(encoding="utf-8")))
+        if re.match(r"(Of|As|The same|Those|Likewise)\b", text)
+    ]
+    assert not nameless
