@@ -49,7 +49,7 @@ TARGET_DB = 20 * math.log10(3.0902)
 
 @dataclass(frozen=True)
 class Condition:
-    """How the line is sampled and timed.
+    """Says how the line is sampled and timed.
 
     blind: GapTiming; else the frame's first sample is marked for LineTiming, whose nodes keep to
         the digitizer's clock: no stretch.
@@ -85,7 +85,7 @@ class Job:
 
 
 class BitErrors(NamedTuple):
-    """Frames sent and lost; bits and words in those found, and how many of them were wrong."""
+    """Counts frames sent and lost, and of those found bits and words, all and wrong ones."""
 
     frames: int
     lost: int
@@ -103,7 +103,7 @@ class BitErrors(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """Frames with at least one word, and wrong words without a flag in them.
+    """Counts frames with at least one word, and wrong words without a flag in them.
 
     lost, flagged: frames that were not found, and of which a word that was sent has a flag.
     """
@@ -115,7 +115,7 @@ class Streams(NamedTuple):
 
 
 def q(rho: float) -> float:
-    """The matched-filter bound for one bit."""
+    """Return the matched-filter bound for one bit."""
     return 0.5 * math.erfc(rho / math.sqrt(2))
 
 
@@ -145,7 +145,7 @@ def run(job: Job) -> BitErrors:
 def lone_frame(
     spec: FrameSpec, condition: Condition, rho_db: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, float, np.ndarray]:
-    """A frame of random words from all nodes, with a gap on either side.
+    """Make a frame of random words from all nodes, with a gap on either side.
 
     Returns codes (n,), the frame's start in s after the first sample, and volts (m,) float32.
     """
@@ -169,7 +169,7 @@ def lone_frame(
 
 
 def blind_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float) -> Words | None:
-    """Words of the only frame in a line; None if there is not exactly one."""
+    """Return words of the only frame in a line; None if there is not exactly one."""
     timing = GapTiming(spec, rate_hz)
     frames = timing.feed(SampleBlock(0, volts)) + timing.flush()
     heard = [frame.levels for frame in frames if frame.levels is not None]
@@ -177,7 +177,7 @@ def blind_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float) -> Words | N
 
 
 def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int) -> Words | None:
-    """Words of the frame of which the first sample is known.
+    """Return words of the frame of which the first sample is known.
 
     A slot of silence comes before it, as in a stream: what the line at rest is, is known.
     """
@@ -190,7 +190,7 @@ def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int)
 
 
 def paper_stream(seed: int, frames: int = 100, samples_per_chip: int = 8) -> Streams:
-    """The paper's skin: 16 nodes, any number of which speak; edges jitter by a tenth of a chip."""
+    """Try the paper's skin: 16 nodes, any number of which speak; edges jitter by 0.1 chip."""
     rng, spec = np.random.default_rng([seed, 16]), PAPER
     rate_hz = samples_per_chip / spec.chip_s
     channel = Channel(
@@ -305,7 +305,7 @@ def main() -> None:
 
 
 def row(name: str, condition: Condition, rho_db: float, tally: BitErrors) -> list[object]:
-    """A row of the table: measured rates beside the theory."""
+    """Return a row of the table: measured rates beside the theory."""
     bound = q(10 ** (rho_db / 20))
     scatter = 1.96 * math.sqrt(max(tally.bit_errors, 1)) / max(tally.bits, 1)
     word_bound = 1 - (1 - bound) ** SPECS[name].bits

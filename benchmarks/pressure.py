@@ -60,7 +60,7 @@ RULES = RestRules(drift_pa_per_min=60.0, contact_pa=1e3, release_pa=500.0)
 
 
 def quantised(voltage_v: Floats) -> Floats:
-    """The voltage as the node's converter reads it."""
+    """Return the voltage as the node's converter reads it."""
     return ADC.voltage(ADC.code(voltage_v))
 
 
@@ -69,7 +69,7 @@ def rms(error: Floats) -> float:
 
 
 def calibrated(model: SensorModel, nodes: int = NODES) -> Calibration:
-    """A calibration of such a skin, from a staircase of settled loads."""
+    """Return a calibration of such a skin, from a staircase of settled loads."""
     voltage_v = quantised(np.array([model.curves(nodes).voltage(p) for p in CALIBRATION_PA]))
     loads, numbers = np.meshgrid(CALIBRATION_PA, np.arange(1, nodes + 1), indexing="ij")
     points = LoadPoints(
@@ -228,7 +228,7 @@ def chain_of(
     layout: Layout | None = None,
     rules: RestRules = RULES,
 ) -> PressureChain:
-    """One of the chains that are compared; each has what the ones before it have."""
+    """Return one of the chains that are compared; each has what the ones before it have."""
     nodes = len(calibration.curves)
     layout = layout or Layout.grid(nodes, 0, 0, 7e-3, 5.5e-3)
     if name == CURVE:
@@ -284,7 +284,7 @@ def chains(report: Report) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def pressed_skin() -> list[NDArray[np.float32]]:
-    """Frames of a large skin under a few contacts that come and go, (BIG,) V each."""
+    """Yield frames of a large skin under a few contacts that come and go, (BIG,) V each."""
     skin = SimOptions().skin(BIG)
     curve = PressureCurve.two_stage()
     times_s = np.arange(64) * 20e-3

@@ -68,7 +68,7 @@ BAUD = 2_000_000
 
 @dataclass(frozen=True)
 class Delivered:
-    """One frame as the driver's callback saw it; t_call, s, on the machine's monotonic clock."""
+    """Is a frame as the driver's callback saw it; t_call, s, on the machine's monotonic clock."""
 
     t_call: float
     sequence: int
@@ -79,7 +79,7 @@ class Delivered:
 
 @dataclass(frozen=True)
 class Run:
-    """What the measured process says of itself after the warm-up.
+    """Holds what the measured process says of itself after the warm-up.
 
     cpu, floor: shares of a core, of the driver and of reading alone. received: bytes. decided,
     in_python: frames that were decided, and those of them that the kernel left to Python.
@@ -123,7 +123,7 @@ def main() -> None:
 
 
 def in_python_share(rows: list[dict[str, Any]]) -> float:
-    """Share of the frames of all rows that was decided in Python."""
+    """Return the share of the frames of all rows that was decided in Python."""
     in_python, decided = (sum(row[column] for row in rows) for column in ("in Python", "decided"))
     return float(in_python / max(1, decided))
 
@@ -150,7 +150,7 @@ def grown_row(seconds: dict[int, float], nodes: int) -> tuple[float, float | str
 
 
 def parameters(nodes: int) -> dict[str, Any]:
-    """The paper's timing for its own size; one value per chip for larger skins."""
+    """Return the paper's timing for its own size; one value per chip for larger skins."""
     return {"nodes": nodes} if nodes == PAPER_NODES else long_frame(nodes)
 
 
@@ -246,7 +246,7 @@ def drive(nodes: int, path: str, results: Connection) -> None:
 
 
 def read_only(config: SkinConfig, path: str) -> float:
-    """Share of a core that it takes to wait for the digitizer's bytes and to read them."""
+    """Return the share of a core that waiting for the digitizer's bytes and reading them takes."""
     with streaming(config, path) as (port, poll):
         time.sleep(FLOOR_S / 10)  # until it streams
         begin_s, cpu_s = time.monotonic(), time.process_time()
@@ -258,7 +258,7 @@ def read_only(config: SkinConfig, path: str) -> float:
 
 @contextmanager
 def streaming(config: SkinConfig, path: str) -> Iterator[tuple[int, select.poll]]:
-    """The port of a digitizer that was set and started, and what waits for its bytes."""
+    """Open the port of a digitizer that was set and started, and what waits for its bytes."""
     writer, poll = PacketWriter(), select.poll()
     setting = configuration(config, quiet_uv(config.spec))
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
@@ -287,7 +287,7 @@ def replay(
 
 
 def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:
-    """Number of words that differ from what the simulated nodes sent, missing words included."""
+    """Return the number of words that differ from what nodes sent, missing ones included."""
     if not frames:
         return 0
     options = SimOptions.from_url(query)

@@ -84,7 +84,7 @@ POLL_S = 125e-6
 
 
 def frame_spec(nodes: int) -> FrameSpec:
-    """A frame with room for the longest stretch and a gap, and a period of whole samples."""
+    """Return a frame with room for the longest stretch and a gap, and a period of whole samples."""
     chips = 10 * FrameSpec(nodes=nodes, chip_s=1e-8, frame_period_s=1.0).order
     period_s = round(1.6 * chips) * CHIP_S
     return FrameSpec(nodes=nodes, chip_s=CHIP_S, frame_period_s=period_s)
@@ -113,7 +113,7 @@ def common_lines(
 
 
 def common_errors(spec: FrameSpec, stretch: float, jitter: float) -> dict[str, float]:
-    """Share of wrong bits of each method."""
+    """Return the share of wrong bits of each method."""
     per_chip, rng = 8, np.random.default_rng(1)
     frames = list(common_lines(spec, stretch, jitter, per_chip, rng))
     period, rate_hz = frames[0][1].size, per_chip / CHIP_S
@@ -142,7 +142,7 @@ def common_errors(spec: FrameSpec, stretch: float, jitter: float) -> dict[str, f
 
 
 def wrong(values: np.ndarray | None, bits: np.ndarray) -> float:
-    """Share of wrong bits in a frame."""
+    """Return the share of wrong bits in a frame."""
     return 0.5 if values is None else float(np.mean(np.sign(values) != bits))
 
 
@@ -169,7 +169,7 @@ def own_line(
 
 
 def own_errors(nodes: int, rate: float, delay: float) -> dict[str, float]:
-    """Share of wrong bits of each method."""
+    """Return the share of wrong bits of each method."""
     per_chip, rng = 2, np.random.default_rng(2)
     spec = frame_spec(nodes)
     resynced = replace(spec, resync_chips=RESYNC, guard_chips=GUARD)
@@ -216,7 +216,7 @@ def scrambling_costs(report: Report) -> dict[int, float]:
 
 
 def live_reads(config: SkinConfig, stretch: float) -> list[tuple[float, bytes]]:
-    """What a digitizer sends while every node speaks: time of each read, s, and its bytes."""
+    """Return what a digitizer sends while all nodes speak: time of each read, s, and its bytes."""
     now_s, reads, writer = [0.0], list[tuple[float, bytes]](), PacketWriter()
     options = SimOptions.from_url(f"sim://?scene=all&threshold=0&seed=1&stretch={stretch}")
     digitizer = VirtualDigitizer(options, lambda: now_s[0])
@@ -232,7 +232,7 @@ def live_reads(config: SkinConfig, stretch: float) -> list[tuple[float, bytes]]:
 
 
 def live_ages(config: SkinConfig, reads: list[tuple[float, bytes]]) -> list[float]:
-    """The frames' ages, s, once the raster is known."""
+    """Return the frames' ages, s, once the raster is known."""
     pipeline, ages = Pipeline(config), list[float]()
     for t_s, data in reads:
         begin_s = time.thread_time()
@@ -262,7 +262,7 @@ def live_cost(config: SkinConfig, reads: list[tuple[float, bytes]]) -> float:
 
 
 def proof_chips(nodes: int) -> float:
-    """Chips of silence after which a frame is given, in the middle."""
+    """Return chips of silence after which a frame is given, in the middle."""
     spec, per_chip, rng = frame_spec(nodes), 4, np.random.default_rng(5)
     timing, taken, chips = GapTiming(replace(spec, amplitude_v=1.0), per_chip / CHIP_S), 0, []
     lines = [
@@ -321,7 +321,7 @@ def panel(
     points: Iterable[tuple[int, float, dict[str, float]]],
     scale: float = 100.0,
 ) -> dict[str, float]:
-    """One table and one plot of points (nodes, value, errors); returns each method's worst.
+    """Report points (nodes, value, errors) by table and plot; returns each method's worst.
 
     axis: None where all curves would lie on each other.
     """

@@ -53,14 +53,14 @@ def write(path: Path) -> None:
 
 
 def decoded(path: Path) -> list[dict[str, Any]]:
-    """Frames of a capture, as `tactile-cdma decode --json` prints them."""
+    """Return frames of a capture, as `tactile-cdma decode --json` prints them."""
     with redirect_stdout(StringIO()) as printed:
         tactile_cdma(["decode", str(path), "--params", str(SKIN), "--json"])
     return [json.loads(line) for line in printed.getvalue().splitlines()]
 
 
 class Words:
-    """The decoded capture."""
+    """Holds the decoded capture."""
 
     def __init__(self, path: Path = CAPTURE) -> None:
         self.config = SkinConfig.of(read_file(SKIN))
