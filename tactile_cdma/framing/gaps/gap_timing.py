@@ -23,7 +23,7 @@ from ...words.words import silent
 from ..frame_reader import FrameReader, rejections_of
 from ..frames import Certificate, LineFrame, Rejections
 from ..raster import Raster
-from .search import Burst, Gap, GapSearch
+from .search import FAINT, Burst, Gap, GapSearch
 
 _log = logging.getLogger(__name__)
 
@@ -41,6 +41,8 @@ MOST_RISE = 4.0
 """Times that the noise may rise from gap to gap: a burst in one must not excuse the next frame."""
 SURE_NOISE = 0.3
 """Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
+FORGET = 0.999
+"""Factor on a learnt amplitude in each silent slot: halves it in 9 s at 78 Hz."""
 LOST_AGAIN = 3
 """Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
@@ -74,7 +76,9 @@ class GapTiming:
             )
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
-        self._rest_size = int(min(search.gap, spec.order * search.chip))
+        # A level that holds words on row 0 is known by all of a gap, that of hum by what is near.
+        near = math.inf if spec.first_row == 0 else spec.order * search.chip
+        self._rest_size = int(min(search.gap, near))
         self._counts = [0] * kernel.compiled.FRAME_LOOKS
         self._volts = np.empty(0, np.float32)  # from stream index _begin on
         self._begin = self._cursor = self._end = self.due = 0
@@ -84,6 +88,7 @@ class GapTiming:
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
         self._failures = 0
+        self._loudest_v = 0.0  # word, where the amplitude is not specified
         self.reset()
 
     @property
@@ -239,10 +244,12 @@ class GapTiming:
             why = self._read(self._take(begin, end), volts, gap, burst)
             if why == lib.FRAME_READ:
                 frame = self._reader.taken(begin + self._first)
-                if frame.speakers:
+                certificate = frame.certificate
+                is_sure = certificate is not None and certificate.holds
+                if frame.speakers and (is_sure or not burst.may_be_noise):
                     return self._emit(frame)
                 why = lib.FRAME_NOISY  # of silence, the place is not known
-        if seen is None:
+        if seen is None or seen[1].may_be_noise:
             if gaps and not final:
                 self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
             return [] if final else self._pass_idle(end)
@@ -287,6 +294,7 @@ class GapTiming:
     def _emit(self, frame: LineFrame) -> list[LineFrame]:
         """Return a frame, after the silent slots before it."""
         search, chip = self._search, frame.chip_samples
+        frame = self._with_learnt(frame)
         frames: list[LineFrame] = []
         # Without an earlier frame, what lies before this one may be the rest of another.
         if self._heard_one:
@@ -307,6 +315,21 @@ class GapTiming:
         self._schedule()
         return frames
 
+    def _with_learnt(self, frame: LineFrame) -> LineFrame:
+        """Return a frame as the amplitude of those before has it, where none is specified.
+
+        What is far fainter than their words, such as hum on row 0, may be silence.
+        """
+        if self._reader.swing_v is not None or frame.words is None or frame.certificate is None:
+            return frame
+        loudest_v = float(frame.words.amplitude_v.max()) if frame.speakers else 0.0
+        if loudest_v < FAINT * self._loudest_v:
+            self._loudest_v *= FORGET
+            return self._doubted(replace(frame, speakers=0))
+        if frame.certificate.holds:
+            self._loudest_v = max(loudest_v, self._loudest_v)
+        return frame
+
     def _pass_idle(self, end: int) -> list[LineFrame]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = self._idle_slots(end - self._reach)
@@ -318,6 +341,7 @@ class GapTiming:
         """Return silent slots that begin up to an index; where a rail or noise hides words, none."""
         frames = []
         while self._next <= until:
+            self._loudest_v *= FORGET
             look, is_sure = self._silent_slot(self._next)
             if look == kernel.compiled.FRAME_SILENT:
                 frame = self._reader.taken(round(self._next))
@@ -339,6 +363,8 @@ class GapTiming:
             return lib.FRAME_INCOMPLETE, False
         if reader.is_deaf(volts):
             return lib.FRAME_AT_RAIL, False
+        if search.misses_one(self._noise):
+            return lib.FRAME_NOISY, False
         mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
