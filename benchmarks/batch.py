@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def rates(envs: int) -> dict[str, float]:
-    """Frames per second of CPU time in so many environments, by kind."""
+    """Return frames per second of CPU time in so many environments, by kind."""
     subjects: dict[str, Callable[[], object]] = {}
     rng = np.random.default_rng(envs)
     config = Skin("sim://", **SKIN, **RATES["62 Hz"]).config
@@ -88,7 +88,7 @@ def rates(envs: int) -> dict[str, float]:
 
 
 def running(batch: SkinBatch, pressures: Callable[[int], object]) -> Callable[[], None]:
-    """A function that makes one frame of all environments, of two loads by turns."""
+    """Return a function that makes one frame of all environments, of two loads by turns."""
     state, turn = batch.begin(pressures(0)), 0
 
     def step() -> None:

@@ -185,7 +185,7 @@ def write(folder: Path, stop: EventType) -> None:
 
 
 def many_patches(folder: Path) -> Path:
-    """A body file of MANY patches of 24 to 96 taxels at RATE_HZ."""
+    """Return a body file of MANY patches of 24 to 96 taxels at RATE_HZ."""
     lines = ["process: one", "patches:"]
     for i in range(MANY):
         nodes, place = SIZES[i % len(SIZES)], f"[{0.1 * i}, 0.0, 0.0]"
@@ -199,13 +199,13 @@ def many_patches(folder: Path) -> Path:
 
 
 def started(script: Path, *arguments: str) -> subprocess.Popen[bytes]:
-    """A program of ours in a process of its own."""
+    """Run a program of ours in a process of its own."""
     return subprocess.Popen([sys.executable, str(script), *arguments], stdout=subprocess.DEVNULL)
 
 
 @contextmanager
 def listening(subscribe: Callable[[Any], None]) -> Iterator[Callable[[float], None]]:
-    """A node of this process, given to `subscribe`; yields a function that spins for some s."""
+    """Give a node of this process to `subscribe`; yields a function that spins for some s."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 

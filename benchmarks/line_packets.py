@@ -15,7 +15,7 @@ from test.support.independent_line import Digitizer, Recording
 
 
 def introduction(config: SkinConfig, digitizer: Digitizer) -> Info:
-    """What the digitizer says about itself."""
+    """Return what the digitizer says about itself."""
     top = 2 ** (digitizer.adc_bits - 1)
     return simulated.introduction(
         config, digitizer.volts_per_count, min_count=-top, max_count=top - 1
@@ -28,7 +28,7 @@ def packets(
     offset: int = 0,
     offset_chips: float = 0.0,
 ) -> Iterator[tuple[float, float, bytes]]:
-    """The packets of a recording: device time in chips, host time in s, bytes.
+    """Yield the packets of a recording: device time in chips, host time in s, bytes.
 
     offset, offset_chips: index and device time of its first sample.
     """

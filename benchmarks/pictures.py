@@ -125,7 +125,7 @@ def drawings(taxels: int) -> dict[str, Callable[[], Any]]:
 
 
 def pressed(layout: Layout) -> list[Frame]:
-    """Frames of readings and their contacts, with touches that come and go."""
+    """Return frames of readings and their contacts, with touches that come and go."""
     skin = SimOptions().skin(len(layout))
     tracker = ContactTracker(layout, SkinConfig.of({}).contact)
     status, frames = np.zeros(len(layout), dtype=np.uint8), []

@@ -79,7 +79,7 @@ class Report:
 
 
 def machine() -> dict[str, str | int | None]:
-    """The machine and versions that the figures belong to."""
+    """Return the machine and versions that the figures belong to."""
     model = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -102,7 +102,7 @@ def be_alone() -> None:
 
 
 def commit() -> str:
-    """What was measured: the commit checked out, with a + if files differ from it; or nothing."""
+    """Return the commit that was measured, with a + if files differ from it; or nothing."""
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
     try:
         return subprocess.run(command, capture_output=True, text=True).stdout.strip()
@@ -139,7 +139,7 @@ def medians_s(
 
 
 def in_turn(update: Callable[[T, float], object], frames: Sequence[T]) -> Callable[[], object]:
-    """A function that has one of the frames after the other processed, 20 ms apart."""
+    """Return a function that has one frame after the other processed, 20 ms apart."""
     numbers = count(1)
 
     def give() -> object:
@@ -154,7 +154,7 @@ def _text(value: object) -> str:
 
 
 def _short(value: Any) -> Any:
-    """A figure as it is kept: five digits, and of numpy's types the plain one."""
+    """Return a figure as it is kept: five digits, and of numpy's types the plain one."""
     if isinstance(value, np.generic):
         value = value.item()
     return float(f"{value:.5g}") if isinstance(value, float) else value

@@ -60,7 +60,7 @@ from .skip import pressed
 
 
 def configured(name: str) -> dict[str, Value]:
-    """The parameters of a file of config/, for any port and amplifier."""
+    """Return the parameters of a file of config/, for any port and amplifier."""
     values = read_file(ROOT / "config" / f"{name}.yaml")
     return {key: value for key, value in values.items() if key not in ("port", "amplitude_mv")}
 
@@ -99,7 +99,7 @@ FLOOR, DRIVER = "floor", "driver"
 
 
 class RunError(Exception):
-    """A run that did not measure what it should; the message is for whoever started it."""
+    """Tells that a run did not measure what it should; the message is for whoever started it."""
 
 
 class LateError(RunError):
@@ -129,7 +129,7 @@ class Result:
 
 
 class End(NamedTuple):
-    """Where a frame ends: after so many bytes of the stream. middle_us: its device time."""
+    """Says where a frame ends: after so many bytes of the stream. middle_us: its device time."""
 
     bytes: int
     middle_us: int
@@ -183,7 +183,7 @@ def joined(turns: list[Result]) -> Result:
 
 
 def spread_ms(some: Result) -> list[float]:
-    """The 5th, 50th, 90th and 99th percentile, and the largest."""
+    """Return the 5th, 50th, 90th and 99th percentile, and the largest."""
     spread: list[float] = np.percentile(some.latency_ms, [5, 50, 90, 99, 100]).round(3).tolist()
     return spread
 
@@ -219,7 +219,7 @@ def measure(who: str, nodes: int) -> Result:
 
 
 def cpu_share(pid: int) -> float:
-    """Share of a core that a process takes during SECONDS from now on."""
+    """Return the share of a core that a process takes during SECONDS from now on."""
     begin_s, before_s = time.monotonic(), cpu_s(pid)
     time.sleep(SECONDS)
     return (cpu_s(pid) - before_s) / (time.monotonic() - begin_s)
@@ -238,7 +238,7 @@ def cpu_s(pid: int) -> float:
 def match(
     sent: dict[int, float], received: list[tuple[int, float]], period_us: float, cpu: float
 ) -> Result:
-    """Both sides' times of the same frames; device times agree to a fraction of a chip.
+    """Pair both sides' times of the same frames; device times agree to a fraction of a chip.
 
     From the first frame on that was received, a second of warm-up aside, to the last one.
     """
@@ -257,7 +257,7 @@ def match(
 
 
 class Digitizer:
-    """The virtual digitizer on a pty, which notes when the last byte of each frame was written.
+    """Is the virtual digitizer on a pty; notes when the last byte of each frame was written.
 
     sent: monotonic time, s, for each frame's middle in device time, µs. ends: shared memory for
     MOST_FRAMES of End, in which each stands before the frame's last byte is written.

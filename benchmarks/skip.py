@@ -50,7 +50,7 @@ READ = 4095
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What a digitizer sent for one scene, read by read: a packet at once, or READ bytes of it.
+    """Holds what a digitizer sent for one scene, read by read: a packet, or READ bytes of it.
 
     reads: host time, s, and bytes.
     """
@@ -133,7 +133,7 @@ def record(config: SkinConfig, share: float | str, quiet: bool, frames: int) -> 
 
 
 def pressed(share: float) -> Callable[[float, SkinGeometry], NDArray[np.float64]]:
-    """A scene: this share of the taxels, here and there, under pressures that change."""
+    """Make a scene: this share of the taxels, here and there, under pressures that change."""
 
     def scene(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
         count = len(skin.positions_m)
@@ -146,13 +146,13 @@ def pressed(share: float) -> Callable[[float, SkinGeometry], NDArray[np.float64]
 
 
 def compare(some: Recording, others: Recording) -> int:
-    """Number of frames that differ between two recordings of one scene."""
+    """Return the number of frames that differ between two recordings of one scene."""
     pairs = zip(some.play(), others.play(), strict=False)
     return sum(not same(one, other) for one, other in pairs)
 
 
 def same(one: TactileFrame, other: TactileFrame) -> bool:
-    """Whether two frames have the same readings, bit by bit."""
+    """Return whether two frames have the same readings, bit by bit."""
     return (
         one.sequence == other.sequence
         and np.array_equal(one.words.active, other.words.active)

@@ -41,14 +41,14 @@ WAYS = ("ours", "dense", "butterfly", "C")
 
 
 def frame(order: int, rng: np.random.Generator, frames: int = 1) -> NDArray[np.float32]:
-    """Chips of words from every node: (frames·BITS, N) float32, V, with 5 mV of noise."""
+    """Return chips of words from every node: (frames·BITS, N) float32, V, with 5 mV of noise."""
     symbols = rng.choice(np.array([-0.3, 0.3], dtype=np.float32), (frames * BITS, order))
     chips = spread(symbols, code_book(order))
     return chips + rng.normal(0, 5e-3, chips.shape).astype(np.float32)
 
 
 def butterfly(chips: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The textbook fast Walsh–Hadamard transform, vectorised."""
+    """Compute the textbook fast Walsh–Hadamard transform, vectorised."""
     values = chips.copy()
     half = 1
     while half < chips.shape[1]:
@@ -61,7 +61,7 @@ def butterfly(chips: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def ways(chips: NDArray[np.float32]) -> dict[str, Callable[[], NDArray[np.float32]]]:
-    """All methods that can correlate chips of this order, by name."""
+    """Return all methods that can correlate chips of this order, by name."""
     order = chips.shape[1]
     book, scale, out = code_book(order), np.float32(1.0 / order), np.empty_like(chips)
     calls: dict[str, Callable[[], NDArray[np.float32]]] = {
@@ -145,7 +145,7 @@ def main() -> None:
 
 
 def factors(order: int) -> str:
-    """The Kronecker factors of a code book, as 2⁴·20."""
+    """Return the Kronecker factors of a code book, as 2⁴·20."""
     plan = code_book(order).plan
     twos = plan.count(2)
     power = [f"2^{twos}"] if twos else []

@@ -38,7 +38,7 @@ Definition = dict[str, Any]
 
 
 class Scalar(NamedTuple):
-    """A type on the wire: its C type, its code in Python's struct module, its size in bytes."""
+    """Is a type on the wire: its C type, its code in Python's struct module, its size in bytes."""
 
     c: str
     code: str

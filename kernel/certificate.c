@@ -757,8 +757,8 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
     const double noise = sqrt(reading.left / (double)code->order);
     double *value = certificate->value, atoms = 0, rivals = 0;
 
-    words_decide(&certifier->measures, code->nodes, (unsigned)code->bits, code->parity, certifier->expected,
-                 code->sign_mask, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
+    const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
+    words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
     bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
     certifier->edges = limits->edges * reading.weakest * sqrt((double)reading.speakers);
@@ -830,10 +830,4 @@ void certifier_compare(struct certifier *certifier, const struct certificate_vie
     find_beside(certifier, view);
     double more = beyond_edges(certifier, view->side) - certifier->beyond;
     *value = fmax(*value, certifier->worse / fmax(more, 1e-6 * certifier->worse));
-}
-
-void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words)
-{
-    if (!(certificate_worst(certificate, NULL) < 1))
-        memset(words->doubtful, 1, certifier->code.nodes);
 }

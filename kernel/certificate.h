@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* Chips of a frame → its words, and a certificate: whether what the words leave over is no more than noise, in every
- * direction in which we know what an error looks like. docs/architecture.md tells the idea, framing/limits.py where
+ * direction in which we know what an error looks like. docs/architecture.md tells the idea, words/limits.py where
  * each limit comes from.
  *
  * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at the rest.
@@ -64,7 +64,7 @@ struct certificate_view {
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
  * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
- * is no more than noise. crowded: more nodes spoke than sparse codes tell apart, or such that these do not. */
+ * is no more than noise. crowded: the sparse codes of those who spoke are not told apart. */
 struct certificate {
     double left, noise, swing, value[CERTIFICATE_CLAUSES], kurtosis;
     size_t speakers;
@@ -108,9 +108,6 @@ double certifier_explained(struct certifier *certifier, const float *chips);
  * last; CLAUSE_RIVALS is raised to that. */
 void certifier_compare(struct certifier *certifier, const struct certificate_view *view, const struct words *words,
                        struct certificate *certificate);
-
-/* Puts in doubt what the values of a certificate ask for; after whoever has more to add to them did. */
-void certifier_doubt(const struct certifier *certifier, const struct certificate *certificate, const struct words *words);
 
 /* Mean square, V², that words of one amplitude leave of chips (k, N), and through `power` that of the chips: by which
  * timings are compared. */

@@ -9,6 +9,7 @@
 #include "sums.h"
 
 #define LANES 8 /* sums that are kept apart, so that they can be added at once */
+#define CACHE_LINE 64 /* bytes: where levels begin, so that no eight lie in two lines */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
 
 /* ---- passes -------------------------------------------------------------------------------------- */
@@ -78,23 +79,36 @@ VECTORS static void believe(size_t rows, const float *restrict loud, const struc
     }
 }
 
-/* Lists the codes that have more than the least; returns how many. Without a branch, as it is a guess who has. */
-static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
+ * is a guess who has. */
+VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
+    const floats8 limit = (floats8){0} + least;
     size_t count = 0;
 
-    for (size_t i = 0; i < rows; i++) {
-        codes[count] = (int32_t)i;
-        count += values[i] > least;
+    for (size_t first = 0; first < rows; first += LANES) {
+        const ints8 above = *(const floats8 *)(values + first) > limit;
+        uint64_t pairs[LANES / 2];
+        memcpy(pairs, &above, sizeof pairs);
+        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
+        for (size_t i = 0; any && i < LANES; i++) {
+            codes[count] = (int32_t)(first + i);
+            count += values[first + i] > least;
+        }
     }
     return count;
 }
 
-/* The soft words of one bit. straight, squares: by how many levels they follow, and those of the bits. */
-VECTORS static void say(size_t count, const int32_t *restrict codes, const float *restrict sums, float rise, float swing,
-                        const float *restrict belief, float *restrict words, float *restrict straight,
-                        float *restrict squares)
+/* The soft words of one bit of those that will be taken off, by levels that rise to ±1 and the amplitude of a node, V. In
+ * the detector's `straight` and `squares`: by how many levels they follow, and those of the bits. */
+VECTORS static void say(const struct detector *detector, const float *restrict sums, float rise, float swing,
+                        float *restrict words)
 {
+    const size_t count = detector->next.count;
+    const int32_t *restrict codes = detector->next.codes;
+    const float *restrict belief = detector->belief;
+    float *restrict straight = detector->straight, *restrict squares = detector->squares;
+
     for (size_t i = 0; i < count; i++) {
         float said = rise * sums[codes[i]];
         said = said < -1 ? -1 : said > 1 ? 1 : said;
@@ -137,13 +151,13 @@ struct detector *detector_new(const struct code *code, const struct sparse_book 
     detector->code = *code;
     detector->book = *book;
     detector->step = rows + APART_BY;
-    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows, sizeof(float));
+    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows + CACHE_LINE, sizeof(float));
     detector->nodes = malloc(4 * rows * sizeof(int32_t));
     if (!(detector->floats && detector->nodes)) {
         detector_free(detector);
         return NULL;
     }
-    detector->sums = detector->floats;
+    detector->sums = (float *)(((uintptr_t)detector->floats + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
     detector->now.words = detector->sums + code->bits * detector->step;
     detector->next.words = detector->now.words + words;
     float **of_codes[] = {&detector->told, &detector->spread, &detector->loud, &detector->belief,
@@ -270,8 +284,7 @@ static double soften(struct detector *detector, double noise, double odds, float
         straight[i] = squares[i] = 0;
     }
     for (size_t bit = 0; bit < detector->code.bits; bit++)
-        say(next->count, next->codes, detector_sums(detector, bit), rise, (float)swing, belief,
-            next->words + bit * book->rows, straight, squares);
+        say(detector, detector_sums(detector, bit), rise, (float)swing, next->words + bit * book->rows);
     for (size_t i = 0; i < next->count; i++) {
         slopes += (double)belief[i] * (double)straight[i] * rules->slope;
         slopes += belief[i] > 0 && belief[i] < 1 ? (double)squares[i] / rules->span : 0;
@@ -369,7 +382,7 @@ static void take_turns(struct detector *detector, bool soft, double damping)
         }
         if (noise < 1e-12 * swing2) /* not fmax: a frame that is no number does not settle */
             noise = 1e-12 * swing2;
-        soft = soft && !(noise < rules->least * rules->least * swing2 || noise > before);
+        soft = soft && !(noise < rules->least * rules->least * swing2 || noise > (1 - rules->near) * before);
         before = noise;
         bool is_last = turn + 1 == rules->turns;
         detector->settled = !soft && are_final(detector, power, were_hard, are_whole);

@@ -22,7 +22,8 @@ struct detect_rules {
     double slope;      /* of what tanh rises by, soft bits do, to ±1 */
     double span;       /* of the logarithm of the odds, over which the share of a word that is believed rises to 1 */
     double hard;       /* deviations of noise: least mean |r| of a hard word */
-    double near;       /* share of what is left by which hard words may differ from soft ones and be final */
+    double near;       /* share of what is left by which hard words may differ from soft ones and be final, and by which
+                        * less is to be left in the next turn, or words get hard */
     double settled;    /* share of what is left by which amplitudes may change in the end; its square is of an amplitude's */
     size_t turns;      /* after which a frame is given up, and pairs of bits that are turned in a bit */
 };

@@ -74,22 +74,60 @@ VECTORS void fit_levels(const struct fit_line *line, const struct fit *fit, doub
     }
 }
 
+/* Sums of a least squares fit, in several parts: of weights, weights times edge, and times edge²; of moments, and times
+ * edge. */
+struct sums {
+    double of[5][LANES];
+};
+
+/* Adds the edges from number `first` on, of which those beyond the last have no weight. */
+INLINE void add_edges(size_t first, const double *weights, const double *moments, struct sums *sums)
+{
+    double place[BLOCK];
+
+    for (int32_t i = 0; i < BLOCK; i++)
+        place[i] = (double)first + (double)i;
+    for (size_t i = 0; i < BLOCK; i += LANES)
+        for (size_t lane = 0; lane < LANES; lane++) {
+            double number = place[i + lane], weight = weights[i + lane], moment = moments[i + lane];
+            sums->of[0][lane] += weight;
+            sums->of[1][lane] += weight * number;
+            sums->of[2][lane] += weight * (number * number);
+            sums->of[3][lane] += moment;
+            sums->of[4][lane] += moment * number;
+        }
+}
+
+/* The fit that these sums move a fit to. */
+static struct fit solved(const struct sums *sums, struct fit fit, double earliest, double latest)
+{
+    double w[5];
+
+    for (size_t i = 0; i < 5; i++)
+        w[i] = sums->of[i][0] + (sums->of[i][1] + sums->of[i][2] + sums->of[i][3]);
+    double determinant = w[0] * w[2] - w[1] * w[1], start = fit.start;
+    if (determinant > 1e-9 * w[0] * w[2])
+        start += (w[2] * w[3] - w[1] * w[4]) / determinant;
+    start = fmin(fmax(start, earliest), latest);
+    double longer = w[2] > 0 ? (w[4] - w[1] * (start - fit.start)) / w[2] : 0;
+    return (struct fit){start, fit.chip + longer};
+}
+
 /* Weighted least squares of how late edges come: of `count` edges, edge i between level i and i + 1 of the
  * model. */
-VECTORS static struct fit moved(const struct fit_line *line, struct fit fit, double reach, size_t count,
-                                const float *levels, double earliest, double latest)
+VECTORS static struct sums weigh_edges(const struct fit_line *line, struct fit fit, double reach, size_t count,
+                                       const float *levels)
 {
-    double left[BLOCK + 1], other[BLOCK], unused[BLOCK + 1], all[5][LANES] = {{0}};
+    double left[BLOCK + 1], right[BLOCK + 1], unused[BLOCK + 1];
     double least = reach - 0.5, most = (double)line->size - 0.5 - reach;
-    const double *right = 2 * reach == fit.chip ? left + 1 : other; /* where the next edge's left is */
+    struct sums sums = {{{0}}};
 
     for (size_t done = 0; done < count; done += BLOCK, levels += BLOCK) {
         size_t size = count - done < BLOCK ? count - done : BLOCK;
-        double first = fit.start + fit.chip * (double)done, place[BLOCK];
+        double first = fit.start + fit.chip * (double)done;
         double weights[BLOCK] = {0}, moments[BLOCK] = {0};
-        integrate(line, first - reach, fit.chip, 1, size + 1, left, unused);
-        if (right == other)
-            integrate(line, first + reach, fit.chip, 1, size, other, unused);
+        integrate(line, first - reach, fit.chip, 1, size, left, unused);
+        integrate(line, first + reach, fit.chip, 1, size, right, unused);
         for (int32_t i = 0; i < (int32_t)size; i++) {
             double edge = first + fit.chip * (double)i;
             double before = (double)levels[i], after = (double)levels[i + 1];
@@ -97,28 +135,9 @@ VECTORS static struct fit moved(const struct fit_line *line, struct fit fit, dou
             weights[i] = step * step;
             moments[i] = step * (right[i] - left[i] - reach * (before + after));
         }
-        for (int32_t i = 0; i < BLOCK; i++)
-            place[i] = (double)done + (double)i;
-        for (size_t i = 0; i < BLOCK; i += LANES)
-            for (size_t lane = 0; lane < LANES; lane++) {
-                double number = place[i + lane], weight = weights[i + lane], moment = moments[i + lane];
-                all[0][lane] += weight;
-                all[1][lane] += weight * number;
-                all[2][lane] += weight * (number * number);
-                all[3][lane] += moment;
-                all[4][lane] += moment * number;
-            }
+        add_edges(done, weights, moments, &sums);
     }
-    for (size_t i = 0; i < 5; i++)
-        all[i][0] += all[i][1] + all[i][2] + all[i][3];
-    double w0 = all[0][0], w1 = all[1][0], w2 = all[2][0], m0 = all[3][0], m1 = all[4][0];
-    double determinant = w0 * w2 - w1 * w1, start = fit.start;
-    if (determinant > 1e-9 * w0 * w2)
-        start += (w2 * m0 - w1 * m1) / determinant;
-    start = start > earliest ? start : earliest;
-    start = start < latest ? start : latest;
-    double longer = w2 > 0 ? (m1 - w1 * (start - fit.start)) / w2 : 0;
-    return (struct fit){start, fit.chip + longer};
+    return sums;
 }
 
 size_t fit_scratch(const struct code *code)
@@ -138,8 +157,8 @@ struct fit fit_refine(const struct code *code, const struct fit_line *line, cons
             chips[i] = levels[code->places[i]];
         model[0] = model[count + 1] = 0; /* the gap on either side */
         certifier_model(certifier, chips, model + 1);
-        struct fit next =
-            moved(line, fit, refining->reaches[turn] * fit.chip, count + 1, model, earliest, latest);
+        struct sums sums = weigh_edges(line, fit, refining->reaches[turn] * fit.chip, count + 1, model);
+        struct fit next = solved(&sums, fit, earliest, latest);
         double change = fabs(next.start - fit.start) + fabs(next.chip - fit.chip) * (double)count;
         bool settled = change < refining->settled_chips * next.chip;
         fit = next;

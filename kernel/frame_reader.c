@@ -421,21 +421,29 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     return look;
 }
 
+/* Samples of a frame: how many, whether no more will follow, and whether FRAME_SEARCH is an answer. */
+struct given {
+    const float *volts;
+    size_t count;
+    bool final, searches;
+};
+
 /* A frame of raw samples. sampled: their mean power, V². */
-static enum frame_look read_samples(struct frame_reader *reader, const float *volts, size_t count, bool final, bool searches,
-                                    double sampled, const struct frame_rest *rest, const struct words *words, struct frame_found *found)
+static enum frame_look read_samples(struct frame_reader *reader, const struct given *given, double sampled,
+                                    const struct frame_rest *rest, const struct words *words, struct frame_found *found)
 {
     const struct frame_rules *rules = &reader->rules;
-    struct fit_line line = {count, volts, reader->sums, found->level};
+    const size_t count = given->count;
+    struct fit_line line = {count, given->volts, reader->sums, found->level};
     struct fit fit;
     double left, power;
 
-    fit_sums(volts, count, found->level, reader->sums);
+    fit_sums(given->volts, count, found->level, reader->sums);
     if (!find_fit(reader, &line, rest->noise, &fit, &left, &power))
         return FRAME_INCOMPLETE;
-    if (searches && rules->searches && left > rules->searched * power + 3 * rest->noise) {
+    if (given->searches && rules->searches && left > rules->searched * power + 3 * rest->noise) {
         double longest = ceil(rules->most_chip * (frame_reader_span(reader) + rules->tail));
-        if (final || (double)count >= longest)
+        if (given->final || (double)count >= longest)
             return FRAME_SEARCH;
         found->more = (size_t)longest - count;
         return FRAME_NEEDS_MORE;
@@ -448,7 +456,7 @@ static enum frame_look read_samples(struct frame_reader *reader, const float *vo
         certifier_left(reader->certifier, reader->chips, &power);
     }
     double end = fit_end(&fit, reader->code.span), missing = end + rules->tail * fit.chip - (double)count;
-    if (missing > EDGE && !final) {
+    if (missing > EDGE && !given->final) {
         reader->carried = fit;
         found->more = (size_t)ceil(missing);
         return FRAME_NEEDS_MORE;
@@ -511,5 +519,5 @@ enum frame_look frame_reader_read(struct frame_reader *reader, const float *volt
             return silent(rules, rest, fmax(power, 0), found);
     }
     return rules->integrated ? read_means(reader, volts, count, rest, words, found)
-                             : read_samples(reader, volts, count, final, searches, power, rest, words, found);
+                             : read_samples(reader, &(struct given){volts, count, final, searches}, power, rest, words, found);
 }

@@ -201,6 +201,21 @@ VECTORS static void finish(const struct readout *readout, const struct words *wo
     }
 }
 
+/* Readings of nodes → of taxels, where these have another order. */
+static void place(const struct readout *readout, const struct readout_frame *out)
+{
+    const struct readout_settings *settings = &readout->settings;
+    const int32_t *source = readout->skin.source;
+    const float *voltage_v = readout->floats + settings->nodes;
+
+    for (size_t i = 0; i < settings->taxels; i++) {
+        bool is_bare = source[i] < 0;
+        out->pressure_pa[i] = is_bare ? NAN : readout->floats[source[i]];
+        out->voltage_v[i] = is_bare ? NAN : voltage_v[source[i]];
+        out->status[i] = is_bare ? settings->bits.masked : readout->status[source[i]];
+    }
+}
+
 void readout_read(struct readout *readout, const struct words *words, bool counts, double now_s, double stale_after_s,
                   const float *drift_v, const float *tare_pa, const struct readout_frame *out)
 {
@@ -222,9 +237,6 @@ void readout_read(struct readout *readout, const struct words *words, bool count
         convert(readout, out->node_v, drift_v, out->node_pa, &block);
         finish(readout, words, out->valid, tare_pa, &block, pressure_pa, voltage_v, status);
     }
-    for (size_t i = 0; source && i < settings->taxels; i++) {
-        out->pressure_pa[i] = source[i] < 0 ? NAN : pressure_pa[source[i]];
-        out->voltage_v[i] = source[i] < 0 ? NAN : voltage_v[source[i]];
-        out->status[i] = source[i] < 0 ? settings->bits.masked : status[source[i]];
-    }
+    if (source)
+        place(readout, out);
 }

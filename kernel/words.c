@@ -94,10 +94,13 @@ INLINE int odd_of(uint32_t word)
 
 /* Without branches, and with pointers that are known to differ, so that it is done for many nodes at once: `parity`
  * is a constant where this is inlined. */
-INLINE void decide_by(const bool parity, const struct words_measures *measures, size_t nodes, unsigned bits,
-                      const float *restrict expected, const int32_t *restrict sign_mask, float per_noise,
-                      const struct words_limits limit, const struct words *words)
+INLINE void decide_by(const bool parity, const struct words_measures *measures, const struct words_code *code,
+                      const float *restrict expected, float per_noise, const struct words_limits limit,
+                      const struct words *words)
 {
+    const size_t nodes = code->nodes;
+    const unsigned bits = code->bits;
+    const int32_t *restrict sign_mask = code->sign_mask;
     const float *restrict amplitudes = measures->amplitude, *restrict least = measures->weakest;
     const float *restrict most = measures->strongest;
     const int32_t *restrict signs = measures->signs, *restrict weakest_bit = measures->weakest_bit;
@@ -111,18 +114,18 @@ INLINE void decide_by(const bool parity, const struct words_measures *measures, 
         float amplitude = amplitudes[i], two = limit.two * expected[i], rho = amplitude * per_noise;
         float margin = least[i] / (amplitude < 1e-30f ? 1e-30f : amplitude);
         int doubt = (rho < limit.low_rho) | (margin < limit.low_margin), is_odd = 0;
-        uint32_t code = (uint32_t)(signs[i] ^ sign_mask[i]);
+        uint32_t word = (uint32_t)(signs[i] ^ sign_mask[i]);
         if (parity) {
-            is_odd = odd_of(code);
+            is_odd = odd_of(word);
             uint32_t place = (bits - 1 - (uint32_t)weakest_bit[i]) & 31;
-            code = (code ^ (uint32_t)is_odd << place) >> 1;
+            word = (word ^ (uint32_t)is_odd << place) >> 1;
             doubt |= is_odd;
         }
         int cancelling = doubt & (least[i] < limit.low_margin * expected[i]);
         int three = (amplitude > limit.shared * expected[i]) & (rho > limit.clear_rho) &
                     (least[i] < limit.lower * most[i]);
         int twice = (cancelling | three) & (most[i] > two);
-        codes[i] = active[i] ? (int32_t)code : 0;
+        codes[i] = active[i] ? (int32_t)word : 0;
         rhos[i] = rho;
         margins[i] = margin;
         doubtful[i] = (uint8_t)(active[i] & (doubt | twice | (amplitude > two)));
@@ -131,12 +134,11 @@ INLINE void decide_by(const bool parity, const struct words_measures *measures, 
     }
 }
 
-VECTORS void words_decide(const struct words_measures *measures, size_t nodes, unsigned bits, bool parity,
-                          const float *expected, const int32_t *sign_mask, float per_noise,
-                          const struct words_limits *limits, const struct words *words)
+VECTORS void words_decide(const struct words_measures *measures, const struct words_code *code, const float *expected,
+                          float per_noise, const struct words_limits *limits, const struct words *words)
 {
-    if (parity)
-        decide_by(true, measures, nodes, bits, expected, sign_mask, per_noise, *limits, words);
+    if (code->parity)
+        decide_by(true, measures, code, expected, per_noise, *limits, words);
     else
-        decide_by(false, measures, nodes, bits, expected, sign_mask, per_noise, *limits, words);
+        decide_by(false, measures, code, expected, per_noise, *limits, words);
 }

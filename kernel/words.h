@@ -48,8 +48,16 @@ void words_measure(const float *levels, size_t step, size_t bits, size_t nodes, 
  * loudest: through this, of all. A word counts as loud from loud_share of the loudest on. */
 float words_usual(const float *amplitude, size_t nodes, float loud_share, float *loudest);
 
+/* How words are sent. sign_mask: (n), to exchange with a word whose row has another sign. */
+struct words_code {
+    size_t nodes;
+    unsigned bits; /* with the parity bit */
+    bool parity;
+    const int32_t *sign_mask;
+};
+
 /* Codes, and what speaks against each word; takes amplitude and active as they are. expected: (n) V. per_noise: 1/V. */
-void words_decide(const struct words_measures *measures, size_t nodes, unsigned bits, bool parity, const float *expected,
-                  const int32_t *sign_mask, float per_noise, const struct words_limits *limits, const struct words *words);
+void words_decide(const struct words_measures *measures, const struct words_code *code, const float *expected,
+                  float per_noise, const struct words_limits *limits, const struct words *words);
 
 #endif

@@ -138,13 +138,13 @@ class Body:
         self.close()
 
     def __iter__(self) -> Iterator[BodyFrame]:
-        """Every frame in order, until all are recordings that have ended; raises as read()."""
+        """Yield every frame in order, until all are recordings that ended; raises as read()."""
         with suppress(RecordingEndError):
             while True:
                 yield self.read()
 
     def read(self) -> BodyFrame:
-        """The next frame, waited for.
+        """Wait for the next frame.
 
         Raises PortError after timeout_s without a frame of any patch, with every patch's reason,
         and RecordingEndError where all are recordings that have ended.

@@ -104,7 +104,7 @@ class LiveObservation:
 
     @classmethod
     def of(cls, skins: Skin | Mapping[str, Skin]) -> LiveObservation:
-        """Without a dataset: what `tactile-cdma export --samples last` would write of these skins.
+        """Take what `tactile-cdma export --samples last` would write of these skins for a dataset.
 
         With contacts and wrench where all find contacts. Names become those of the export.
         """
@@ -120,7 +120,7 @@ class LiveObservation:
 
     @staticmethod
     def parameters(dataset: str | PathLike[str], patch: str = "") -> dict[str, Any]:
-        """Parameters with which a patch of the dataset was decoded, for Skin.
+        """Return the parameters with which a patch of the dataset was decoded, for Skin.
 
         patch: its name; may be missing where there is one. Raises CaptureError where it was not
         decoded by the export: of a bag, the driver's parameters are not known.
@@ -134,7 +134,7 @@ class LiveObservation:
 
     @property
     def notes(self) -> list[str]:
-        """How what these skins find may differ from what the dataset holds, in sentences."""
+        """Tell how what these skins find may differ from what the dataset holds, in sentences."""
         return [
             difference
             for name, skin in self._skins.items()
@@ -171,7 +171,7 @@ class LiveObservation:
         self._present.add(Sample(key, _stamp(stamp_ns, now_ns), now_ns, found))
 
     def read(self, now: bool = False) -> dict[str, NDArray[Any]]:
-        """The observation of the present, at once: arrays as the dataset has them, by feature.
+        """Observe the present, at once: arrays as the dataset has them, by feature.
 
         Of the newest moment that all streams have passed, so that nothing of it can still be on its
         way, but none older than LAG_S; now: of this very moment, as a recorder's rows are. Raises
@@ -223,7 +223,7 @@ class LiveObservation:
                 self._present.add(sample)
 
     def at(self, time_ns: int) -> dict[str, NDArray[Any]]:
-        """The observation of a moment, Unix time, not before the last one's; raises as read()."""
+        """Observe a moment, Unix time, not before the last one; raises as read()."""
         time_ns = argument("time_ns", time_ns, 0, WHOLE_NS, "ns")
         row = self._present.row(Tick(time_ns, 0, self._present.done_ns))
         streams = self._meta.streams.values()
@@ -237,7 +237,7 @@ class LiveObservation:
         }
 
     def _problems(self) -> str:
-        """Why skins send nothing, as far as they know."""
+        """Tell why skins send nothing, as far as they know."""
         found = [skin.problem for skin in self._skins.values() if skin.problem]
         return f" ({'; '.join(found)})" if found else ""
 
@@ -269,14 +269,14 @@ def _by_name(skins: Skin | Mapping[str, Skin], patch: str = "") -> dict[str, Ski
 
 
 def _known(patch: str, patches: Iterable[str]) -> str:
-    """The name of a patch; the first, if it is empty."""
+    """Return the name of a patch; the first, if it is empty."""
     if (patch := argument("patch", patch, "")) and patch not in patches:
         raise ParameterError(unknown(patch, patches, "patch"))
     return patch or next(iter(patches))
 
 
 def _numbers(name: str, values: ArrayLike) -> Floats32:
-    """The values, if they are numbers: one that is none would be taken for what was measured."""
+    """Check that values are numbers: one that is none would be taken for what was measured."""
     values, array = unmasked(name, values), None
     with suppress(TypeError, ValueError), np.errstate(over="ignore"):  # it becomes infinite
         found = np.asarray(values)
@@ -291,7 +291,7 @@ def _stamp(stamp_ns: int | None, otherwise_ns: int) -> int:
 
 
 def _differences(name: str, skin: Skin, about: Mapping[str, Any]) -> Iterator[str]:
-    """How what a skin finds may differ from what it found for a dataset, by about."""
+    """Tell how what a skin finds may differ from what it found for a dataset, by about."""
     mine = patch_info(skin.config, skin.source, name, {"tared": skin.tared}).about
     yield from differences(name, about, mine, "the dataset")
     if (asked := about.get("parameters")) is None:

@@ -46,7 +46,7 @@ PROGRESS_S = 20.0
 
 
 class Job(NamedTuple):
-    """One recording of a condition."""
+    """Is one recording of a condition, to be made and decoded."""
 
     condition: Condition
     seed: int
@@ -59,7 +59,7 @@ def run(job: Job) -> tuple[Job, Result]:
 
 
 def jobs_of(conditions: list[Condition]) -> list[Job]:
-    """All recordings: the first of each condition, then the second ones."""
+    """Return all recordings: the first of each condition, then the second ones."""
     return [
         Job(condition, seed)
         for seed in range(RECORDINGS)
@@ -86,7 +86,7 @@ def run_all(jobs: list[Job], kept: Kept) -> None:
 
 
 def _pool() -> Pool:
-    """A process for each core; they leave Ctrl-C to this one."""
+    """Return a process for each core; they leave Ctrl-C to this one."""
     context, cores = multiprocessing.get_context("spawn"), len(os.sched_getaffinity(0))
     return context.Pool(cores, signal.signal, (signal.SIGINT, signal.SIG_IGN))
 
@@ -142,7 +142,7 @@ def main() -> None:
 
 
 def picture(tallies: dict[str, Tally]) -> Figure:
-    """Shares of the words, of each condition in which not nearly all of them are right."""
+    """Draw the shares of the words, of each condition in which not nearly all of them are right."""
     tallies = {name: t for name, t in tallies.items() if t.right < ALL_RIGHT * t.words}
     figure = Figure(figsize=(9, 0.16 * len(tallies) + 1))
     axes = figure.subplots()

@@ -58,7 +58,7 @@ class Kept:
 
 
 def loaded_code() -> str:
-    """A digest of all modules of this project that are loaded, the compiled one among them."""
+    """Return a digest of all loaded modules of this project, the compiled one among them."""
     digest = hashlib.sha256()
     for name, module in sorted(sys.modules.items()):
         file = getattr(module, "__file__", None)

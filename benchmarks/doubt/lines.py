@@ -171,7 +171,7 @@ SCRAMBLED_FAULTS = frozenset({
 
 
 def conditions() -> Iterator[Condition]:
-    """All conditions, and after a sound one the same scrambled, where its skin can be."""
+    """Yield all conditions, and after a sound one the same scrambled, where its skin can be."""
     for condition in plain_conditions():
         yield condition
         _, _, fault = condition.name.partition(": ")
@@ -180,7 +180,7 @@ def conditions() -> Iterator[Condition]:
 
 
 def plain_conditions() -> Iterator[Condition]:
-    """All conditions as they are written here; names begin with how frames are timed."""
+    """Yield all conditions as they are written here; names begin with how frames are timed."""
     for name, digitizer in TIMINGS.items():
         for condition in SKINS + TIMES + VOLTAGES + RAILS + CLAIMS:
             yield replace(condition, name=f"{name}: {condition.name}", digitizer=digitizer)
@@ -226,7 +226,7 @@ def mark_conditions() -> Iterator[Condition]:
 
 
 def gap_conditions() -> Iterator[Condition]:
-    """Frames that begin where no raster says."""
+    """Yield conditions whose frames begin where no raster says."""
     for order, skin in ORDERS.items():
         for words, talk in (("random", TWO), ("equal", TWO_EQUAL)):
             for moves, line in (

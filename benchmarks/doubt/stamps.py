@@ -22,7 +22,7 @@ ERRORS = (-0.05, -0.009, -0.003, 0.003, 0.009)
 
 @dataclass(frozen=True)
 class StampCondition:
-    """A clock and a link."""
+    """Puts the driver to a clock and a link."""
 
     name: str
     clock: Clock

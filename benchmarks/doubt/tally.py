@@ -52,39 +52,39 @@ class Tally(NamedTuple):
 
     @property
     def unflagged(self) -> int:
-        """Words that are false without a flag."""
+        """Return words that are false without a flag."""
         return self.missed + self.wrong + self.invented
 
     @property
     def flagged_share(self) -> float:
-        """Share of right words that are flagged."""
+        """Return the share of right words that are flagged."""
         return self.flagged / max(self.right + self.flagged, 1)
 
     @property
     def silent_flagged_share(self) -> float:
-        """Share of silences that are flagged."""
+        """Return the share of silences that are flagged."""
         return self.silent_flagged / max(self.silences, 1)
 
     @property
     def doubted_share(self) -> float:
-        """Share of right words and silences, together, that are flagged."""
+        """Return the share of right words and silences, together, that are flagged."""
         flagged = self.flagged + self.silent_flagged
         return flagged / max(self.right + self.flagged + self.silences, 1)
 
     @property
     def false(self) -> int:
-        """All that was claimed, without a flag, and is not so."""
+        """Return all that was claimed, without a flag, and is not so."""
         held = self.stale_claims + self.false_zeros + self.stamps_off
         return self.unflagged + self.rail_silent + self.phantom + held
 
 
 def total(tallies: Iterable[Tally]) -> Tally:
-    """The sums of all columns."""
+    """Return the sums of all columns."""
     return Tally(*map(sum, zip(*tallies, strict=True)))
 
 
 class Condition(Protocol):
-    """What the driver is put through, and what is true there.
+    """Says what the driver is put through, and what is true there.
 
     rough: so disturbed that right words may be flagged, and lost.
     """

@@ -38,7 +38,7 @@ OFF_PA = 1500.0
 
 @dataclass(frozen=True)
 class Presses(Talk):
-    """Nodes of a skin that is pressed.
+    """Lets nodes of a pressed skin talk.
 
     threshold: LSB by which a code must differ to be told. heartbeat: frames. repeats: a node speaks
     in every frame while it is not at rest. press_seed: of what presses where.
@@ -79,7 +79,7 @@ class Presses(Talk):
 
 @dataclass(frozen=True)
 class TouchCondition:
-    """What is lost of a line, and how its nodes speak.
+    """Says what is lost of a line, and how its nodes speak.
 
     lost: share of the packets. how: what becomes of these.
     """
@@ -131,7 +131,7 @@ SPIKES = Line(hum_v=0.6, impulses_hz=300)
 
 
 def conditions() -> Iterator[TouchCondition]:
-    """All conditions; names begin with how frames are timed."""
+    """Yield all conditions; names begin with how frames are timed."""
     for timing, digitizer in TIMINGS.items():
         for how, talk in (("on change", Presses()), ("as the firmware", Presses(repeats=True))):
             heard = TouchCondition(f"{timing}: touch, {how}", talk=talk, digitizer=digitizer)

@@ -11,7 +11,7 @@ REPRODUCED, EXCEEDED, DIFFERS, MISSING = "reproduced", "exceeded", "differs", "m
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A row of docs/paper.md's table.
+    """Is a row of docs/paper.md's table.
 
     where: in the paper. what: with its unit. paper, here: as printed. command: that shows it.
     verdict: one of the four above. why: where it differs.
@@ -34,18 +34,18 @@ class Claim:
 def equals(
     where: str, what: str, paper: float, here: float, command: str, within: float, why: str = ""
 ) -> Claim:
-    """A number that is to be the paper's. within: share by which it may differ; why: if it does."""
+    """Claim that a number is the paper's. within: share by which it may differ; why: if it does."""
     alike = abs(here / paper - 1) <= within
     verdict, why = (REPRODUCED, "") if alike else (DIFFERS, why)
     return Claim(where, what, f"{paper:g}", f"{here:.4g}", command, verdict, why)
 
 
 def at_most(where: str, what: str, paper: float, here: float, command: str, why: str = "") -> Claim:
-    """A number of which less is better. why: if there is more."""
+    """Claim that a number is no more than the paper's. why: if there is more."""
     verdict, why = (EXCEEDED, "") if here <= paper else (DIFFERS, why)
     return Claim(where, what, f"{paper:g}", f"{here:.3g}", command, verdict, why)
 
 
 def says(where: str, what: str, paper: str, here: str, command: str) -> Claim:
-    """A text that is to be the paper's."""
+    """Claim that a text is the paper's."""
     return Claim(where, what, paper, here, command, REPRODUCED if here == paper else DIFFERS)

@@ -64,7 +64,7 @@ def period_s(order: int, pair: Pair) -> float:
 
 
 def most_nodes(pair: Pair) -> int:
-    """The most nodes whose rows fit their memory and whose frame takes less than 20 ms."""
+    """Return the most nodes whose rows fit their memory and whose frame takes less than 20 ms."""
     nodes = 0
     while (order := smallest_order(nodes + 2)) <= pair[0].order and period_s(order, pair) < LIMIT_S:
         nodes += 1
@@ -84,7 +84,7 @@ def ways(nodes: int) -> dict[str, tuple[int, float] | None]:
 
 
 def scale_rows() -> list[tuple[int, float]]:
-    """Nodes, and ms from a frame's begin to what the driver publishes: the last bench-scale."""
+    """Return nodes, and ms from a frame's begin until it is published: the last bench-scale."""
     table = json.loads(RESULTS.read_text(encoding="utf-8"))["scale"]["tables"][0]
     head, *rows = table
     at = {name: head.index(name) for name in ("nodes", "scene", "kernel", "latency ms")}

@@ -32,7 +32,7 @@ _DWELL_STEPS, _DWELL_STEP_S = 20, 0.1
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What a test bench would measure of a sensor.
+    """Holds what a test bench would measure of a sensor.
 
     sensitivity_v_per_kpa: of both stages. response_s, recovery_s: from the beginning of a load and
     of its removal, until 1 % of the change is left. hysteresis: by the largest load in kPa, largest
@@ -94,7 +94,7 @@ def hysteresis(model: SensorModel) -> dict[float, float]:
 
 
 def matching(load_kpa: float) -> float:
-    """The option `hysteresis` that gives the paper's figure at this load, closely."""
+    """Return the option `hysteresis` that gives the paper's figure at this load, closely."""
     option, found = 1.0, math.inf
     while abs(found / HYSTERESIS[load_kpa] - 1) > 0.005:
         found = hysteresis(SensorModel(kind=PAPER, hysteresis=option))[load_kpa]
@@ -163,7 +163,7 @@ def draw(curve: Axes, course: Axes, loops: Axes) -> None:
 
 
 def _settling_s(voltage_v: Floats) -> float:
-    """From the first value until the voltage stays within SETTLED of its change, s."""
+    """Return the time until the voltage stays within SETTLED of its whole change, s."""
     left = np.abs(voltage_v - voltage_v[-1]) / abs(voltage_v[0] - voltage_v[-1])
     return float(np.flatnonzero(left > SETTLED + 1e-9)[-1] + 1) * _STEP_S
 

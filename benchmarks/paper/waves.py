@@ -37,14 +37,14 @@ EXAMPLE_NODE, EXAMPLE_BITS = 6, "10"
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A node's frame: times, s, of its edges, and levels −1, 0 or 1 after them, (m,)."""
+    """Holds a node's frame: times, s, of its edges, and levels −1, 0 or 1 after them, (m,)."""
 
     times_s: NDArray[np.float64]
     levels: NDArray[np.int8]
 
     @property
     def runs_s(self) -> NDArray[np.float64]:
-        """How long each level lasts, s: (m − 1,); the last edge releases the pin."""
+        """Return how long each level lasts, s: (m − 1,); the last edge releases the pin."""
         return np.diff(self.times_s)
 
 
@@ -78,7 +78,7 @@ def _cut(edges: NDArray[np.void], start_ns: int, period_ns: int) -> Frame:
 
 
 class Waves:
-    """The emulated nodes' frames, and a step at the converter."""
+    """Holds the emulated nodes' frames, and a step at the converter."""
 
     def __init__(self) -> None:
         self.config = SkinConfig.of(read_file(SKIN) | {"timing": LINE})
@@ -149,7 +149,7 @@ class Waves:
             self._draw_cursors(axes, chips, level_mv, name)
 
     def _draw_cursors(self, axes: Axes, chips: int, level_mv: float, name: str) -> None:
-        """A level that lasts for so many chips, with its neighbours, between two cursors."""
+        """Draw a level that lasts for so many chips, with its neighbours, between two cursors."""
         frame, at = next(
             (row[0], int(places[1]))
             for row in self.frames
@@ -176,7 +176,7 @@ def _draw_example(axes: Axes) -> None:
 
 
 def _step_s(front: FrontEnd, chip_s: float) -> float:
-    """From 10 to 90 % of a node's step at the converter, s, in SPICE."""
+    """Return the time from 10 to 90 % of a node's step at the converter, s, in SPICE."""
     levels = np.repeat([[-1.0], [1.0]], 8, axis=0).reshape(1, -1)
     times_s, volts = waveform(front, levels, chip_s, levels.size * chip_s)
     middle = np.searchsorted(times_s, 8 * chip_s)

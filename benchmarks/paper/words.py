@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tactile_cdma.code.encode import line_chips
+from tactile_cdma.code.transform import rows_of
 from tactile_cdma.commands.cli import main as tactile_cdma
 from tactile_cdma.config.parameters import read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.channel import Channel
-from test.support.correlations import separate
 from test.support.simulated import scope_capture
 
 from .claims import Claim, says
@@ -53,14 +53,14 @@ def write(path: Path) -> None:
 
 
 def decoded(path: Path) -> list[dict[str, Any]]:
-    """Frames of a capture, as `tactile-cdma decode --json` prints them."""
+    """Return frames of a capture, as `tactile-cdma decode --json` prints them."""
     with redirect_stdout(StringIO()) as printed:
         tactile_cdma(["decode", str(path), "--params", str(SKIN), "--json"])
     return [json.loads(line) for line in printed.getvalue().splitlines()]
 
 
 class Words:
-    """The decoded capture."""
+    """Holds the decoded capture."""
 
     def __init__(self, path: Path = CAPTURE) -> None:
         self.config = SkinConfig.of(read_file(SKIN))
@@ -92,7 +92,8 @@ class Words:
         spec = self.config.spec
         codes = np.array([int("0101101110", 2)] * spec.nodes)
         active = np.arange(spec.nodes) == 10
-        levels = separate(line_chips(spec, codes, active, amplitude_v=1.0), spec).values
+        chips = line_chips(spec, codes, active, amplitude_v=1.0)
+        levels = rows_of(chips, spec)[..., spec.node_slice]
         share = float(np.abs(levels[:, ~active]).max())
         here = "0" if share == 0 else f"{20 * np.log10(share):.0f} dB"
         return Claim("IV.C", "crosstalk without noise", "minimal", here, "`make paper`", "exceeded")

@@ -105,7 +105,7 @@ class Skin:
         return chips_of(rows, spec).ravel()
 
     def frame(self, condition: str, speakers: int, tally: Tally) -> Words:
-        """One frame under a condition; tallies what is made of it."""
+        """Make one frame under a condition; tallies what is made of it."""
         spec, rng = self.spec, self.rng
         chosen = rng.permutation(spec.nodes)[:speakers]
         if condition == "neighbours":
@@ -171,7 +171,7 @@ def conditions(order: int) -> Iterator[tuple[str, float]]:
 
 
 class Job(NamedTuple):
-    """Frames of a book: under all conditions, or so many of MANY words."""
+    """Is work on a book: frames under all conditions, or so many of MANY words."""
 
     book: tuple[int, int, int]
     rho: float
@@ -180,7 +180,7 @@ class Job(NamedTuple):
 
 
 def jobs() -> list[Job]:
-    """All there is to do, the longest first."""
+    """Return all there is to do, the longest first."""
     found = [Job(book, rho) for book in BOOKS for rho in RHOS]
     found.sort(key=lambda job: job.book[0] * job.book[1], reverse=True)
     sound = [rho for rho in RHOS if rho >= 15]
@@ -193,7 +193,7 @@ def jobs() -> list[Job]:
 
 
 def run(job: Job) -> tuple[Job, dict[tuple[str, float], Tally]]:
-    """What is claimed under each condition and load."""
+    """Return what is claimed under each condition and load."""
     skin, found = Skin(*job.book, job.rho, job.seed), {}
     if job.many:
         found[MANY, SPEAKERS / job.book[1]] = many = Tally()

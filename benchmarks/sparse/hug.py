@@ -28,7 +28,7 @@ PRESSURE_PA = 30e3
 
 @dataclass(frozen=True)
 class Hug:
-    """Shares of the taxels in each frame.
+    """Holds shares of the taxels in each frame.
 
     t_s: (f,) since the touch. certain: (f,) whose value is without doubt: of groups, those of
     which it is the turn. right: (f,) whose value is what the node measures, within its threshold,
@@ -46,7 +46,7 @@ class Hug:
 
 
 def touch(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
-    """A scene, Pa: nothing, then everything by as much, here more and there less, then nothing."""
+    """Press a skin, Pa: nothing, then all of it, here more, there less, then nothing."""
     count = len(skin.positions_m)
     pressed = TOUCHED_S <= t_s < RELEASED_S
     return np.where(pressed, PRESSURE_PA, 0.0) * np.linspace(0.5, 1.0, count)

@@ -105,7 +105,7 @@ times that, for the converter. Chosen."""
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """An amplifier that adds up its inputs: Ω, F. wire_f: of what its summing point is wired to."""
+    """Adds up its inputs: Ω, F. wire_f: capacitance of what its summing point is wired to."""
 
     inputs: int
     input_ohm: float
@@ -159,7 +159,7 @@ class Attenuator:
 
 @dataclass(frozen=True)
 class FrontEnd:
-    """The parts, and what follows from them. Names as in the drawing above; Ω, F, V, s, Hz.
+    """Holds the parts, and what follows from them, named as in the drawing above; Ω, F, V, s, Hz.
 
     talking: nodes that may send at once. room_v: largest swing of the output about its rest.
     nodes_stage: adds up nodes, all or those of a group. groups_stage: adds up groups, if there are
@@ -186,7 +186,7 @@ class FrontEnd:
 
     @property
     def groups(self) -> int:
-        """Number of groups that nodes are wired in."""
+        """Return the number of groups that nodes are wired in."""
         return self.groups_stage.inputs if self.groups_stage else 1
 
     @property

@@ -100,7 +100,7 @@ def _designed(arguments: argparse.Namespace) -> tuple[FrameSpec, FrontEnd]:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """A scene's use of the range. peak: of the line, in A. clipped: share of its chips."""
+    """Tells a scene's use of the range. peak: of the line, in A. clipped: share of its chips."""
 
     peak: float
     clipped: float

@@ -24,7 +24,7 @@ NETWORKS = ((4, 22e3, 2.2e3), (16, 100e3, 2e3))
 
 @dataclass(frozen=True, slots=True)
 class PassiveRun:
-    """A frame in which `talking` nodes send. amplitude_v: (talking,) of each, by its chips, V."""
+    """Is a frame in which `talking` nodes send. amplitude_v: (talking,) V, by their chips."""
 
     config: SkinConfig
     line: PassiveLine

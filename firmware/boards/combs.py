@@ -26,7 +26,7 @@ Rectangle = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Comb:
-    """A sensor of size × size mm, with fingers of a width, so far apart at least, mm."""
+    """Is a sensor of size × size mm, with fingers of a width, so far apart at least, mm."""
 
     size: float
     width: float

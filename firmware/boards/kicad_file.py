@@ -18,7 +18,7 @@ _TOKENS = re.compile(r'[()]|"(?:\\.|[^"\\])*"|[^\s()"]+|"')
 
 
 class KicadFileError(ValueError):
-    """A file that is missing, damaged, or not as KiCad writes it; tells file and line."""
+    """Tells file and line of what is missing, damaged, or not as KiCad writes it."""
 
 
 class Item:

@@ -26,7 +26,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Copper:
-    """A piece of a net. points: ends, the middle of a pad or via, or an outline. mm.
+    """Is a piece of a net. points: ends, the middle of a pad or via, or an outline. mm.
 
     kind: pad, via, track or zone. half: half the width of a track; half the sides of a pad.
     terminal: of a pad.

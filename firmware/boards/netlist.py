@@ -24,7 +24,7 @@ Place = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """A part. pins: names by number."""
+    """Is a part. pins: names by number."""
 
     reference: str
     symbol: str
@@ -35,7 +35,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Netlist:
-    """A board. nets: sets of connected pins; names: of those that have one."""
+    """Is a board. nets: sets of connected pins; names: the net's, where it has one."""
 
     components: dict[str, Component]
     nets: tuple[frozenset[Terminal], ...]
@@ -165,7 +165,7 @@ def _point(item: Item) -> Place:
 
 
 def _pins(definition: Item) -> Iterator[tuple[str, str, Place]]:
-    """Number, name and place of every pin of a symbol."""
+    """Yield number, name and place of every pin of a symbol."""
     for unit in definition.all("symbol"):
         for pin in unit.all("pin"):
             yield pin.one("number").text(), pin.one("name").text(), _point(pin.one("at"))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 
 class PartError(ValueError):
-    """A symbol or value that there is no part for; or one whose fields tell another."""
+    """Names a symbol or value that there is no part for, or whose fields tell another."""
 
 
 TYPICAL = 1.25
@@ -22,7 +22,7 @@ TYPICAL = 1.25
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part that one can buy. footprint: of KiCad's libraries; cost in US dollars."""
+    """Is a part that one can buy. footprint: of KiCad's libraries; cost in US dollars."""
 
     maker: str
     number: str

@@ -126,7 +126,7 @@ def sync_edge(nodes: int, at: int, ohm: float) -> Trace:
 
 
 def draw(file: str, panels: list[tuple[str, float, list[Trace]]]) -> None:
-    """A screen per panel: title, seconds per unit of its axis, traces with their scales."""
+    """Draw a screen per panel: title, seconds per unit of its axis, traces with their scales."""
     figure = Figure(figsize=(7.5, 2.1 * len(panels)), layout="constrained")
     for axes, (title, unit_s, traces) in zip(
         np.atleast_1d(figure.subplots(len(panels))), panels, strict=True
@@ -147,7 +147,7 @@ def _screen(axes: Axes, title: str, unit_s: float, traces: list[Trace]) -> None:
 
 
 def cut(trace: Trace, begin_s: float, end_s: float) -> Trace:
-    """A part of a trace."""
+    """Return a part of a trace."""
     inside = (trace.times >= begin_s) & (trace.times <= end_s)
     return Trace(trace.name, trace.times[inside], trace.volts[inside])
 

@@ -48,7 +48,7 @@ Codes = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """A touch of the demonstrator's table. x, y: taxels; x_speed: taxels per frame; depth: LSB."""
+    """Is a touch of the demonstrator's table. x, y: taxels; x_speed: taxels/frame; depth: LSB."""
 
     x: float
     y: float

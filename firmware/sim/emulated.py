@@ -50,7 +50,7 @@ class EmulationError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A sensing node.
+    """Is a sensing node.
 
     image: its firmware, an ELF file, or Intel hex of its flash. mcu: "atmega328p" or "attiny85".
     memory: the beginning of its EEPROM. clock_hz: true frequency of its oscillator, which it may
@@ -260,7 +260,7 @@ class EmulatedNodes:
 
 
 class EmulatedSkin(EmulatedNodes):
-    """Nodes and the digitizer that drives their sync line and samples their line.
+    """Emulates nodes and the digitizer that drives their sync line and samples their line.
 
     clock_error: relative error of the digitizer's oscillator; 0.01 is 1 % fast. link_rate: bytes/s
     to the host; 0: unlimited. history_s: how far back edges and the line are kept.

@@ -50,7 +50,7 @@ class EmulatorError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """A line that the chip's own pins drive, biased to half the supply by two resistors.
+    """Is a line that the chip's own pins drive, biased to half the supply by two resistors.
 
     ohms: from GPIO0, 1, … to GPIO26; None: not there. noise_counts: of the converter, rms.
     told: `on_pin` is called with these pins' changes.
@@ -64,7 +64,7 @@ class Network:
 
 @dataclass(frozen=True, slots=True)
 class Bus:
-    """A host that asks for packets without knowing of any; see rp2040_usb_host.mjs.
+    """Is a host that asks for packets without knowing of any; see rp2040_usb_host.mjs.
 
     retry_ns: after which it asks again where there was none. gap_ns: between packets. busy: share
     of every frame that other devices have.
@@ -83,7 +83,7 @@ HUB = Bus(retry_ns=125e3, gap_ns=10e3, busy=0.2)
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """The device's USB descriptors; `strings` by index, None if there is none."""
+    """Holds the device's USB descriptors; `strings` by index, None if there is none."""
 
     device: bytes
     configuration: bytes
@@ -91,7 +91,7 @@ class UsbDevice:
 
 
 class Rp2040:
-    """The chip with its flash, a line at its ADC and hosts at UART and USB.
+    """Emulates the chip with its flash, a line at its ADC and hosts at UART and USB.
 
     image: the flash's content, a .bin file.
     line: gives the ADC's counts, or the network by which the chip's pins do.

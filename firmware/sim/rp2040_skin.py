@@ -19,7 +19,7 @@ COUNTS = 4096
 
 
 class Rp2040Skin(EmulatedNodes):
-    """Nodes and the RP2040 that drives their sync line and samples their line.
+    """Emulates nodes and the RP2040 that drives their sync line and samples their line.
 
     The host is connected by USB.
     """

@@ -36,7 +36,7 @@ SLOW = (
 
 
 class LiveSkin:
-    """An emulated skin in real time: a `tactile_cdma.sim.pty.Digitizer`."""
+    """Is an emulated skin in real time: a `tactile_cdma.sim.pty.Digitizer`."""
 
     def __init__(self, skin: PressedSkin, clock: Callable[[], float] = time.monotonic) -> None:
         self._skin, self._clock = skin, clock

@@ -96,7 +96,7 @@ def reference_amplifier(config: SkinConfig) -> Amplifier:
 
 
 class Digitized(Protocol):
-    """Nodes with a digitizer, however that is emulated."""
+    """Is nodes with a digitizer, however that is emulated."""
 
     @property
     def now_ns(self) -> int:
@@ -113,7 +113,7 @@ class Digitized(Protocol):
 
 
 class PressedSkin:
-    """An emulated skin under a scene. Pressures are constant for a frame period at a time.
+    """Presses an emulated skin by a scene. Pressures are constant for a frame period at a time.
 
     There may be fewer nodes than the configuration has: the others are not on the line.
     phase_ns: time from a multiple of the frame period to the change of pressures.

@@ -50,7 +50,7 @@ STREAM_BYTES = 4096
 
 
 class RandomPresses:
-    """A scene in which no taxel knows anything of another, or of its own past."""
+    """Is a scene in which no taxel knows anything of another, or of its own past."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ class RandomPresses:
 
 
 class Listener:
-    """The digitizer of a skin, and what it says: how much, and a recording of it.
+    """Listens to the digitizer of a skin: how much it says, and a recording of that.
 
     A `skin.Digitized`.
     """
@@ -105,7 +105,7 @@ class Listener:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A trial, and what it asked of the digitizer.
+    """Holds a trial, and what it asked of the digitizer.
 
     cpu_load: share of time awake. bytes_per_s: over USB. nak_share: of the host's requests, those
     for which there was no packet.

@@ -46,7 +46,7 @@ class Trial:
 
     @property
     def frames(self) -> int:
-        """Number of frames counted."""
+        """Return the number of frames counted."""
         return len(self.words)
 
 

@@ -13,15 +13,23 @@ from ..base.errors import PortError
 from ..base.text import listed
 from ..code.frame import UNIPOLAR
 from ..config.skin_config import SkinConfig
-from ..driver.checkup import CLIPPED_SHARE, DOUBTED_FOR, DOUBTED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUND, decibels
+from ..driver.checkup import (
+    CLIPPED_SHARE,
+    DOUBTED_FOR,
+    DOUBTED_SHARE,
+    REJECTED_FOR,
+    REJECTED_SHARE,
+    UNSOUND,
+    decibels,
+)
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
 from ..framing.frame_reader import hides_silence
-from ..framing.limits import LIMITS
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
 from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
+from ..words.limits import LIMITS
 from .report import Check, ok, problem, warning
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"
@@ -135,8 +143,8 @@ def _decoded(chunks: Chunks, config: SkinConfig, swing_v: float | None) -> Decod
     active_share = config.active_share if swing_v is None else FAINT_SHARE
     pipeline = Pipeline(replace(config, spec=spec, active_share=active_share))
     if swing_v is not None:
-        # Frames are read by it, though the configuration has none: what the digitizer leaves out was
-        # set by another amplitude, and a pipeline refuses a stream that does not fit its own.
+        # Frames are read by it, though the configuration has none: what the digitizer leaves out
+        # was set by another one, and a pipeline refuses a stream that does not fit its own.
         unipolar = config.spec.drive == UNIPOLAR
         measured = replace(spec, amplitude_v=2 * swing_v if unipolar else swing_v)
         pipeline.health = NodeHealth(measured)

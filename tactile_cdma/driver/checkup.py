@@ -12,11 +12,11 @@ import numpy as np
 
 from ..base.text import listed
 from ..framing.frames import Clause
-from ..framing.limits import LIMITS
 from ..readings.status import Status as TaxelStatus
 from ..readings.taxels import Readings
 from ..wire.messages import Status
 from ..words.health import NodeState
+from ..words.limits import LIMITS
 from .digitizer import SourceWatch
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame
@@ -192,8 +192,8 @@ def nodes(
     if rho < LIMITS.low_rho:
         text = (
             f"node {node} is only {decibels(rho):.0f} dB above the noise, "
-            f"{decibels(LIMITS.low_rho):.0f} dB are needed: look for what disturbs the line, or raise the "
-            "amplitude"
+            f"{decibels(LIMITS.low_rho):.0f} dB are needed: look for what disturbs the line, or "
+            "raise the amplitude"
         )
         yield Finding(text, key="snr")
 

@@ -17,10 +17,10 @@ from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
 from ..code.transform import CompiledTransform
 from ..code.twins import TWIN, twins
-from ..words.words import words_memory, words_of
 from ..wire._protocol import TAIL_CHIPS
+from ..words.limits import LIMITS
+from ..words.words import words_memory, words_of
 from .frames import Certificate, LineFrame, Rejections
-from .limits import LIMITS
 from .sparse import SPARSE_LIMITS, sparse_code
 
 REACHES = np.array([0.5, 0.5, 0.25, 0.12])
@@ -38,14 +38,15 @@ a chip at the end of a frame of 32."""
 BLIND_RHO = 2.5
 """ρ below which words are not found, so that their absence says nothing: at ρ = 3 one frame in
 5,000 is missed at order 20 (make bench-error)."""
-CLIPPED, DEAFENED = 0.5, 0.25
+CLIPPED = 0.5
+DEAFENED = CLIPPED / 2
 """Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
 which a lone node has half of its amplitude, where silence begins, halved."""
 KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, 0.1, 0.5
 """Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
 again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
 timings are searched for; and that nothing explains."""
-SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
+SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count
@@ -89,7 +90,9 @@ class FrameReader:
         self.expected_v = np.full(spec.nodes, self.swing_v or 0.0, np.float32)
         self.broken = np.zeros(spec.nodes, np.uint8)
         self._side_chips = side_chips
-        self.size = math.ceil((spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5)
+        self.size = math.ceil(
+            (spec.chips if self.integrated else spec.span_chips) * self.chip - 0.5
+        )
         code = _code(spec, self.swing_v, active_share)
         rules = kernel.struct("frame_rules", **self._rules(rails_v))
         limits = kernel.struct(
@@ -175,7 +178,10 @@ class FrameReader:
         """
         powers = np.empty(count)
         fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        samples, out = kernel.pointer(volts, volts.size), kernel.pointer(powers, count, written=True)
+        samples, out = (
+            kernel.pointer(volts, volts.size),
+            kernel.pointer(powers, count, written=True),
+        )
         kernel.compiled.frame_reader_explained(
             self.at, samples, volts.size, self._rest.level, fit, count, out
         )
@@ -233,9 +239,7 @@ class FrameReader:
 
     def taken(self, first_index: int) -> LineFrame:
         """Return the frame that was read last; first_index: of its samples in the stream."""
-        return line_frame(
-            self._found, self._has_words, self._memory, first_index, self.spec.nodes
-        )
+        return line_frame(self._found, self._has_words, self._memory, first_index, self.spec.nodes)
 
     def read(self, volts: Floats32, first_index: int = 0) -> LineFrame | None:
         """Read one frame; volts: (m,) from its first sample on, NaN where absurd; None: rejected.

@@ -84,7 +84,7 @@ class LineFrame:
     clipped: share of the frame's samples at a rail, 0…1.
     memory: the words as the kernel lays them, which `words` are views of.
     turn: whose it is, where groups of nodes transmit by turns; 0: everybody's.
-    crowded: more nodes spoke than sparse codes tell apart, or such that these do not.
+    crowded: the sparse codes of those who spoke are not told apart.
     """
 
     start: float

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Floats, Floats32, Indices
+from ..base.arrays import Floats32, Indices
 from ..code.frame import FrameSpec
 from ..code.transform import rows_of
 from ..wire._protocol import TURN_MOST_LOG2
-from .limits import LIMITS
+from ..words.limits import LIMITS
 
 CAPACITY, LOST = 0.65, 2.0
 """Nodes that may speak in a frame, of the chips per bit but LOST times their square root: beyond,
@@ -37,7 +37,7 @@ class Load(NamedTuple):
     overloads: int = 0
     crowded: bool = False
 
-    def after(self, now: int, crowded: bool = False) -> "Load":
+    def after(self, now: int, crowded: bool = False) -> Load:
         """With a frame more, in which so many spoke."""
         overloads = self.overloads + (crowded or now > self.capacity)
         return Load(self.capacity, now, max(self.peak, now), overloads, crowded)

@@ -68,7 +68,9 @@ class Raster:
         chip, width, sure = self._chip, math.inf, False
         if self._known >= LEAST_KNOWN:
             slips = (self._slipped + 1) / (self._known + 2)  # Laplace's rule of succession
-            width = math.hypot(NARROWEST, math.sqrt(self._square / max(self._known - self._slipped, 1)))
+            width = math.hypot(
+                NARROWEST, math.sqrt(self._square / max(self._known - self._slipped, 1))
+            )
             sure = slips <= RARE_SLIPS
         scatter = math.hypot(width * chip, self._period_error * passed)
         sure &= scatter + self._change * self._span_chips <= KNOWN_PLACE * chip
@@ -86,7 +88,9 @@ class Raster:
                 self._square = fade * self._square + (0.0 if slipped else off**2)
             if slots:
                 off_period = (start - self._start) / slots - self._period
-                period = self._period + off_period * min(1.0, max(slots / LEAST_KNOWN, 1 / max(self._known, 1)))
+                period = self._period + off_period * min(
+                    1.0, max(slots / LEAST_KNOWN, 1 / max(self._known, 1))
+                )
                 if abs(period - self._nominal) < CLOCK_ERROR * period:
                     self._period, self._period_error = period, CLOCK_DRIFT
             self._change = abs(chip - self._chip)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""What frames of sparse codes are read by (kernel/sparse.h and detect.h), each number with its origin.
+"""What frames of sparse codes are read by (kernel/sparse.h, detect.h), each with its origin.
 
 What orthogonal codes are read by, too, is in `limits`.
 """
@@ -13,7 +13,7 @@ from ..base import kernel
 from ..code.frame import FrameSpec
 from ..code.sparse import code_places
 from ..code.transform import CompiledTransform
-from .limits import LIMITS
+from ..words.limits import LIMITS
 from .load import ALIKE_BELOW, capacity
 
 SLOPE, SPAN = 0.75, 8.0
@@ -25,8 +25,9 @@ HARD_SHARE = 2.2
 k = 10 once in a million."""
 NEAR, SETTLED = 0.1, 0.01
 """Power by which hard words may differ from the soft ones before, of what is left, to be final:
-what nodes leave then hides in the noise. Power by which amplitudes may change in the turn after:
-a percent of noise, or of an amplitude."""
+what nodes leave then hides in the noise; soft words that leave no less than that less in the next
+turn get no better. Power by which amplitudes may change in the turn after: a percent of noise, or
+of an amplitude."""
 MOST_TURNS = 24
 """Turns after which a frame is given up: those that are found take up to 12."""
 DAMPING = 0.6

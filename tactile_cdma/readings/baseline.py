@@ -72,11 +72,11 @@ class Baseline:
 
     @property
     def seen(self) -> bool:
-        """Whether the skin has been looked at often enough for a tare."""
+        """Tell whether the skin has been looked at often enough for a tare."""
         return len(self._looks) == LOOKS
 
     @property
     def last_second(self) -> tuple[Floats32, Floats32, Bools]:
-        """The last looks, (l, n) each: V without drift_v, Pa before the tare, validity."""
+        """Return the last looks, (l, n) each: V without drift_v, Pa before the tare, validity."""
         voltage_v, pressure_pa, valid = map(np.array, zip(*self._looks, strict=True))
         return voltage_v, pressure_pa, valid

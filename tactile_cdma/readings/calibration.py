@@ -36,15 +36,15 @@ class AdcScale:
 
     @property
     def lsb_v(self) -> float:
-        """One count (LSB), V."""
+        """Return one count (LSB), V."""
         return self.vref_v / (1 << self.bits)
 
     def voltage(self, code: ArrayLike) -> Floats:
-        """ADC codes to V."""
+        """Convert ADC codes to V."""
         return np.asarray(code, dtype=np.float64) * self.lsb_v
 
     def code(self, voltage_v: ArrayLike) -> NDArray[np.int64]:
-        """The nearest code to a voltage (V), clamped to the converter's range.
+        """Return the nearest code to a voltage (V), clamped to the converter's range.
 
         An ideal ATmega328P changes from code 0 to 1 at half a count (data sheet, "ADC accuracy
         definitions"), so `voltage` returns the centre of a code's interval.
@@ -86,7 +86,7 @@ class PressureCurve:
         stage2_v_per_pa: float = 0.0059e-3,
         vref_v: float = 3.3,
     ) -> PressureCurve:
-        """The paper's sensor: V0 − 0.033 V/kPa up to 50 kPa, then −0.0059 V/kPa to 140 kPa.
+        """Make the paper's sensor: V0 − 0.033 V/kPa up to 50 kPa, then −0.0059 V/kPa to 140 kPa.
 
         With negative sensitivities the voltage rises.
         Raises SpecError where the knee is not inside the range, the sensitivities are not of one
@@ -116,7 +116,7 @@ class PressureCurve:
     def power_law(
         cls, half_pa: float, exponent: float, range_pa: float, supply_v: float, rises: bool = True
     ) -> PressureCurve:
-        """A force sensing resistor, R ∝ P^−exponent, in a divider with a fixed one, in pieces.
+        """Make a curve in pieces: an FSR, R ∝ P^−exponent, in a divider with a fixed resistor.
 
         At half_pa, Pa, both resistances are the same. supply_v: of the divider, V. The voltage
         rises where the fixed resistor is at ground. The pieces are as far off in the middle of
@@ -133,17 +133,17 @@ class PressureCurve:
         return cls(tuple(corner_pa.tolist()), tuple(corner_v.tolist()))
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
-        """Pa to V, clamped to the curve's ends."""
+        """Convert Pa to V, clamped to the curve's ends."""
         return np.interp(np.asarray(pressure_pa, np.float64), self.pressure_pa, self.voltage_v)
 
     def pressure(self, voltage_v: ArrayLike) -> Floats:
-        """V to Pa, clamped to the curve's ends."""
+        """Convert V to Pa, clamped to the curve's ends."""
         volts, step = np.asarray(voltage_v, np.float64), 1 if self.rises else -1
         return np.interp(volts, self.voltage_v[::step], self.pressure_pa[::step])
 
     @property
     def rises(self) -> bool:
-        """Whether the voltage rises with the pressure."""
+        """Tell whether the voltage rises with the pressure."""
         return self.voltage_v[1] > self.voltage_v[0]
 
 
@@ -160,7 +160,7 @@ class Curves:
 
     @classmethod
     def of(cls, curves: Sequence[PressureCurve]) -> Curves:
-        """One curve per sensor, in their order."""
+        """Take one curve per sensor, in their order."""
         corners = max(len(curve.pressure_pa) for curve in curves)
 
         def column(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -176,23 +176,23 @@ class Curves:
 
     @cached_property
     def checksum(self) -> str:
-        """CRC-32 of the corners in whole mPa and µV, as eight hexadecimal digits."""
+        """Return the CRC-32 of the corners in whole mPa and µV, as eight hexadecimal digits."""
         corners = np.rint(np.stack([self.pressure_pa * 1e3, self.voltage_v * 1e6]))
         return f"{zlib.crc32(corners.astype('<i8').tobytes()):08x}"
 
     def __getitem__(self, index: int) -> PressureCurve:
-        """The curve of one sensor, without repeated corners."""
+        """Return the curve of one sensor, without repeated corners."""
         pressure_pa, voltage_v = self.pressure_pa[:, index], self.voltage_v[:, index]
         new = np.append(True, np.diff(pressure_pa) > 0)
         return PressureCurve(tuple(pressure_pa[new].tolist()), tuple(voltage_v[new].tolist()))
 
     @property
     def range_pa(self) -> Floats:
-        """(n,) highest pressure of each curve, Pa."""
+        """Return (n,) highest pressure of each curve, Pa."""
         return np.asarray(self.pressure_pa[-1])
 
     def pressure(self, voltage_v: Floats32) -> Floats32:
-        """V to Pa, (…, n) float32 both, clamped to each curve's ends.
+        """Convert V to Pa, (…, n) float32 both, clamped to each curve's ends.
 
         Every piece adds what of its width the voltage has passed, so no piece is looked up.
         """
@@ -204,7 +204,7 @@ class Curves:
         return pressure_pa
 
     def voltage(self, pressure_pa: ArrayLike) -> Floats:
-        """Pa, of a shape that ends in n, or one number, to V, clamped to each curve's ends."""
+        """Convert Pa, (…, n) or one number, to V, clamped to each curve's ends."""
         pressure = np.asarray(pressure_pa, dtype=np.float64)
         result: Floats = np.zeros_like(pressure) + self.voltage_v[0]
         corners = zip(self.pressure_pa, self.voltage_v, strict=True)
@@ -214,22 +214,22 @@ class Curves:
         return result
 
     def pull_v(self, pressure_pa: float) -> Floats32:
-        """By how much a pressure, Pa, pulls each voltage from its rest, V, (n,) float32, ≥ 0."""
+        """Tell how far a pressure, Pa, pulls each voltage from its rest, (n,) float32, V, ≥ 0."""
         return np.asarray(np.abs(self.voltage_v[0] - self.voltage(pressure_pa)), np.float32)
 
     @cached_property
     def sign(self) -> Floats32:
-        """(n,) float32: 1 where pressure pulls the voltage down, −1 where it pulls it up."""
+        """Return (n,) float32: 1 where pressure pulls the voltage down, −1 where it pulls it up."""
         return np.asarray(np.sign(self.voltage_v[0] - self.voltage_v[1]), np.float32)
 
     @cached_property
     def begin_v(self) -> Floats32:
-        """Voltage at the start of every curve, V, (n,) float32."""
+        """Return the voltage at the start of every curve, V, (n,) float32."""
         return np.asarray(self.voltage_v[0], dtype=np.float32)
 
     @cached_property
     def end_v(self) -> Floats32:
-        """Voltage at the end of every curve, V, (n,) float32."""
+        """Return the voltage at the end of every curve, V, (n,) float32."""
         return np.asarray(self.voltage_v[-1], dtype=np.float32)
 
     @cached_property

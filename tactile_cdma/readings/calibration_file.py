@@ -61,7 +61,7 @@ class CalibrationContent:
     def of(
         cls, calibration: Calibration, adc: AdcScale, skin: str = "", source: str = ""
     ) -> CalibrationContent:
-        """The content that describes a calibration, with numbers rounded as they are written."""
+        """Describe a calibration, with numbers rounded as they are written."""
         curves = {
             index + 1: _rounded(calibration.curves[index])
             for index in range(len(calibration.curves))
@@ -71,12 +71,12 @@ class CalibrationContent:
 
     @property
     def uncalibrated(self) -> list[int]:
-        """Numbers of the nodes without a curve of their own."""
+        """Return numbers of the nodes without a curve of their own."""
         return [node for node in range(1, self.nodes + 1) if node not in self.curves]
 
     @property
     def made_for(self) -> dict[str, str | int | float]:
-        """Values that a skin must agree with, by key of the file."""
+        """Return values that a skin must agree with, by key of the file."""
         bits, vref_v = self.adc.bits, self.adc.vref_v
         return {"skin": self.skin, "nodes": self.nodes, "bits": bits, "vref_v": vref_v}
 
@@ -97,7 +97,7 @@ class CalibrationContent:
         return hashlib.sha256(canonical.encode()).hexdigest()[:12]
 
     def calibration(self, default: PressureCurve) -> Calibration:
-        """The calibration for the decoding chain; nodes without a curve take the default one."""
+        """Make the calibration for decoding; nodes without a curve take the default one."""
         calibration = Calibration.of_nodes(self.curves, default, self.nodes)
         return replace(calibration, identity=self.identity)
 
@@ -119,7 +119,7 @@ def read_calibration(
 
 
 def out_of_range(largest_pa: float, range_pa: float) -> str | None:
-    """Why loads up to the largest are not of a sensor that ends at range_pa, Pa, or None."""
+    """Tell why loads up to the largest are not of a sensor that ends at range_pa, Pa, or None."""
     if largest_pa <= MOST_RANGES * range_pa:
         return None
     return (
@@ -213,12 +213,12 @@ def _parse(file: Marked) -> tuple[CalibrationContent, str]:
 
 
 def _node(name: str, value: Marked, nodes: int) -> int:
-    """The node number that is an entry's key."""
+    """Return the node number that is an entry's key."""
     return replace(value, content=name, quoted=False).whole("a node's number", 1, nodes)
 
 
 def _curve(what: str, value: Marked, vref_v: float) -> PressureCurve:
-    """One node's curve; errors name node, corner, line and cause."""
+    """Read one node's curve; errors name node, corner, line and cause."""
     columns = value.mapping(what)
     columns.check_keys(UNITS)
     pressures, voltages = (columns[name].items(f"{what}: {name}") for name in UNITS)

@@ -80,52 +80,52 @@ class Contacts:
 
     @property
     def touched(self) -> bool:
-        """Whether there is a contact, by certain readings."""
+        """Tell whether there is a contact, by certain readings."""
         return len(self) > 0
 
     @property
     def load_n(self) -> Floats:
-        """(c,) Σ p·A, N."""
+        """Return the load Σ p·A, (c,), N."""
         return self.moments[:, 0]
 
     @property
     def position_m(self) -> Floats:
-        """(c, 3) centre of pressure Σ r·p·A / Σ p·A, m."""
+        """Return (c, 3) centre of pressure Σ r·p·A / Σ p·A, m."""
         return self.course[:, :3]
 
     @property
     def force_n(self) -> Floats:
-        """(c, 3) force on the skin, Σ −normal·p·A, N."""
+        """Return (c, 3) force on the skin, Σ −normal·p·A, N."""
         return self.moments[:, 4:7]
 
     @property
     def torque_nm(self) -> Floats:
-        """(c, 3) of these forces about the frame's origin, N·m."""
+        """Return the torque of these forces about the frame's origin, (c, 3), N·m."""
         return self.moments[:, 7:10]
 
     @property
     def area_m2(self) -> Floats:
-        """(c,) of the taxels in contact, m²."""
+        """Return the area of the taxels in contact, (c,), m²."""
         return self.moments[:, 10]
 
     @property
     def velocity_m_s(self) -> Floats:
-        """(c, 3) of the position along the skin, smoothed, m/s."""
+        """Return the speed of the position along the skin, (c, 3), smoothed, m/s."""
         return self.course[:, 4:7]
 
     @property
     def force_rate_n_s(self) -> Floats:
-        """(c,) rate of change of the force, smoothed, N/s."""
+        """Return (c,) rate of change of the force, smoothed, N/s."""
         return self.course[:, 7]
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing touches the patch: no contact, and all taxels surely read none."""
+        """Tell whether nothing touches the patch: no contact, and all taxels surely read none."""
         return not len(self) and self.coverage.is_certain
 
     @property
     def has_resultant(self) -> bool:
-        """Whether the sums over all contacts mean anything.
+        """Tell whether the sums over all contacts mean anything.
 
         A sum of 0 is a claim about every taxel, one of contacts about those that were read: at
         least half of them have to be, see Coverage.is_most.
@@ -134,7 +134,7 @@ class Contacts:
 
     @property
     def resultant(self) -> Floats:
-        """(10,) area (m²), centre (m), force (N), torque (N m) of all contacts, see below."""
+        """Sum up all contacts: (10,) area (m²), centre (m), force (N), torque (N m)."""
         if not self.touched or not self.has_resultant:
             return _NOTHING if self.untouched else _UNKNOWN
         total = self.moments.sum(axis=0)
@@ -144,27 +144,27 @@ class Contacts:
 
     @property
     def total_area_m2(self) -> float:
-        """Area in contact, m²; NaN where has_resultant is False, as are the following."""
+        """Return the area in contact, m²; NaN where has_resultant is False, as the following."""
         return float(self.resultant[0])
 
     @property
     def total_force_n(self) -> Floats:
-        """(3,) resultant force on the skin, N."""
+        """Return (3,) resultant force on the skin, N."""
         return self.resultant[4:7]
 
     @property
     def total_torque_nm(self) -> Floats:
-        """(3,) its torque about the frame's origin, N·m."""
+        """Return the torque of that force about the frame's origin, (3,), N·m."""
         return self.resultant[7:]
 
     @property
     def wrench(self) -> Floats:
-        """(6,) both, N and N·m."""
+        """Return total force and torque, (6,), N and N·m."""
         return self.resultant[4:]
 
     @property
     def centre_m(self) -> Floats:
-        """(3,) centre of pressure of all contacts, m; NaN if there are none, too."""
+        """Return (3,) centre of pressure of all contacts, m; NaN if there are none, too."""
         return self.resultant[1:4]
 
 
@@ -207,7 +207,7 @@ class ContactTracker:
         self._gatherer.forget()
 
     def update(self, readings: Readings, t_s: float) -> Contacts:
-        """The contacts of the frame at device time t_s, s."""
+        """Return the contacts of the frame at device time t_s, s."""
         if t_s < self._t_s:  # the device's clock was reset
             self.forget()
         passed_s, self._t_s = t_s - self._t_s, t_s
@@ -278,7 +278,7 @@ def _origins(places: Indices, labels: Indices, before: int, count: int) -> tuple
 
 
 def _course(moments: Floats, then: Floats, torn: Bools, passed_s: float) -> tuple[Floats, Floats]:
-    """The course, (c, 8), and normals, (c, 3), of contacts, see Contacts.
+    """Return the course, (c, 8), and normals, (c, 3), of contacts, see Contacts.
 
     Rates are low-pass filtered differences of frames. then: (c, 8), the course in the frame before.
     torn: (c,) bool, contacts that jumped without moving keep their rates.

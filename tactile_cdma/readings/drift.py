@@ -69,7 +69,7 @@ class DriftTracker:
         self._last_s: float | None = None
 
     def is_due(self, t_s: float) -> bool:
-        """Whether FOLLOW_S have passed, or time was reset, at device time t_s, s."""
+        """Tell whether FOLLOW_S have passed, or time was reset, at device time t_s, s."""
         return self._last_s is None or not 0 <= t_s - self._last_s < FOLLOW_S
 
     def forget(self) -> None:
@@ -122,7 +122,7 @@ class DriftTracker:
         self._usual_v += change_v
 
     def _untouched(self, voltage_v: Floats32, near: Bools, valid: Bools, passed_s: float) -> Bools:
-        """(n,) bool, nodes near rest that were not touched since they last rested."""
+        """Return (n,) bool, nodes near rest that were not touched since they last rested."""
         band_v = np.float32(BAND_LSB * self.lsb_v)
         np.copyto(self._trail_v, voltage_v, where=np.isinf(self._trail_v))
         behind_v = np.clip(voltage_v - self._trail_v, -2 * band_v, 2 * band_v)
@@ -141,7 +141,7 @@ class DriftTracker:
         return -most_v, most_v
 
     def strays_lsb(self, t_s: float) -> dict[int, float]:
-        """The nodes off their rest for STRAY_S: distance in LSB by number of the node.
+        """Return the nodes off their rest for STRAY_S: distance in LSB by number of the node.
 
         Negative: they read less than zero. t_s: device time of the newest frame, s.
         """
@@ -190,7 +190,7 @@ class _Rest(NamedTuple):
 
 
 def nodes_beside(layout: Layout, nodes: int) -> NDArray[np.int32]:
-    """(n, m) int32, indices of the nodes beside each node, padded with its own."""
+    """Return (n, m) int32, indices of the nodes beside each node, padded with its own."""
     placed = layout.nodes > 0
     neighbours = layout.neighbours[placed]
     table = np.repeat(np.arange(nodes, dtype=np.int32)[:, None], neighbours.shape[1], axis=1)

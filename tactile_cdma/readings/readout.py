@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
-from ..framing.limits import LIMITS
 from ..words.health import WEAK_RHO, NodeHealth
+from ..words.limits import LIMITS
 from ..words.words import Words, words_memory, words_of
 from .pressure import PressureChain
 from .status import Status

@@ -88,7 +88,7 @@ class StuckNodes:
         self._low_pa[moved], self._high_pa[moved] = np.inf, -np.inf
 
     def _expected(self, readings: Readings, contact_pa: float) -> Floats32:
-        """(t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
+        """Return (t,) pressure expected from the neighbours, Pa; NaN: no expectation."""
         pressure_pa, around = readings.pressure_pa, self._around
         around.update(sound := np.isfinite(pressure_pa) & (self._swings < SWINGS))
         around_pa = np.where(sound, pressure_pa, np.float32(0)).take(around.beside)
@@ -155,7 +155,7 @@ class _Around:
         self.inner[at] = (count >= MANY_NEIGHBOURS) & ((weights > 0) | ~heard).all(axis=0)
 
     def _plane_weights(self, heard: Bools, at: Indices) -> Floats32:
-        """(m, k) weights of the neighbours' pressures that give the plane's value at k taxels."""
+        """Weigh the neighbours' pressures, (m, k), to have the plane's value at k taxels."""
         offsets = self._offsets[:, :, at] * heard
         rows = np.concatenate((heard[None].astype(np.float32), offsets))
         normal = np.einsum("imt,jmt->tij", rows, rows)
@@ -167,7 +167,7 @@ class _Around:
 
 
 def _offsets(layout: Layout) -> Floats32:
-    """(2, m, t) float32, the neighbours' positions in each taxel's tangent plane, in pitches."""
+    """Place the neighbours in each taxel's tangent plane, (2, m, t) float32, in pitches."""
     apart = (layout.positions_m[layout.neighbours] - layout.positions_m[:, None]) / layout.pitch_m
     offsets = np.einsum("tmx,dtx->dmt", apart, np.stack(tangents(layout.normals)))
     return np.asarray(offsets, dtype=np.float32)

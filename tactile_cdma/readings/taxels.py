@@ -16,7 +16,7 @@ from ..base.stage import stage
 from ..places.layout import Layout
 from ..words.health import NodeHealth, NodeState
 from ..words.words import Words
-from .baseline import LOOK_S, Baseline
+from .baseline import Baseline
 from .calibration import AdcScale, Calibration
 from .pressure import PressureChain
 from .readout import Kept, Readout
@@ -265,10 +265,10 @@ class Taxels:
 
         The readings are those of the last such frame, where an update would give them.
         """
-        if self._silence is not None and t_device <= self._stale_from_s:
-            if self.chain.try_hold(t_device):
-                self.now_s = t_device  # not the first frame: that one was read
-                return self._silence
+        held = self._silence if t_device <= self._stale_from_s else None
+        if held is not None and self.chain.try_hold(t_device):
+            self.now_s = t_device  # not the first frame: that one was read
+            return held
         readings = self.update(words, t_device, health)
         readout = self._readout_of(health)
         rest_v, rest_pa = readout.rest

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.errors import CaptureError
 from ..code.frame import SPARSE
-from ..config.parameters import GAP, LINE, NATURAL_SIGNS, REMOVED, RENAMED, Value
+from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
 from ..driver.description import ABSURD_V
 from ..driver.digitizer import Source
@@ -106,11 +106,6 @@ class RawCapture:
         given; that of sparse codes cannot be, and is the one that the driver had.
         """
         recorded = describe(path).parameters if is_recording(path) else {}
-        recorded = {
-            RENAMED.get(name, name): value
-            for name, value in recorded.items()
-            if name not in REMOVED
-        }
         described = described_parameters(path)
         self.path = path
         learnt: dict[str, Value] = {} if recorded.get("codes") == SPARSE else {"amplitude_mv": 0.0}

@@ -64,22 +64,22 @@ class Touch:
 
     @property
     def is_sure(self) -> bool:
-        """Whether touched, untouched and all amounts are to be relied on."""
+        """Tell whether touched, untouched and all amounts are to be relied on."""
         return not self.problem
 
     @property
     def touched(self) -> bool:
-        """Whether there is a contact, by certain readings; also where others are blind."""
+        """Tell whether there is a contact, by certain readings; also where others are blind."""
         return self.contacts is not None and self.contacts.touched
 
     @property
     def pressure_pa(self) -> float:
-        """Pressure of the most loaded taxel in contact, Pa; 0 without a contact."""
+        """Return the pressure of the most loaded taxel in contact, Pa; 0 without a contact."""
         return float(self._states["pressure_max"].max(initial=0.0))
 
     @property
     def force_n(self) -> Floats:
-        """(3,) resultant force on the skin, N; NaN if it is not known."""
+        """Return (3,) resultant force on the skin, N; NaN if it is not known."""
         return np.full(3, np.nan) if self.contacts is None else self.contacts.force_n
 
     @property
@@ -184,7 +184,7 @@ class SkinClient:
 
     @property
     def frame(self) -> TaxelFrame | None:
-        """The newest frame of the taxels; None if it is too old, or without its info."""
+        """Return the newest frame of the taxels; None if it is too old, or without its info."""
         array, info = self._array, self.info
         if array is None or info is None or array.info_id != info.info_id:
             return None
@@ -277,14 +277,14 @@ class SkinClient:
 
 
 def _are_known(found: Touches) -> bool:
-    """Whether all amounts that a Touch has are numbers."""
+    """Tell whether all amounts that a Touch has are numbers."""
     states = found.states
     amounts = found.force_n, states["pressure_max"], states["velocity"]
     return all(np.isfinite(each).all() for each in amounts)
 
 
 def _node_name(name: str) -> str:
-    """The name of a driver's node, without a slash at its end; ParameterError: it is none."""
+    """Check the name of a driver's node, and take off a slash at its end."""
     name = argument("skin", name, "").rstrip("/")
     try:
         validate_topic_name(name)

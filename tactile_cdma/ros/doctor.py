@@ -42,7 +42,7 @@ SPEAK = "--speak"
 
 
 def examination() -> Iterator[Check]:
-    """All that there is to say, up to what makes the rest moot."""
+    """Yield all that there is to say, up to what makes the rest moot."""
     if util.find_spec("rclpy") is None:
         yield warning(
             "ROS 2",
@@ -73,7 +73,7 @@ def distribution() -> str:
 
 
 def messages() -> Iterator[Check]:
-    """Others' messages are there; ours are built, and of these sources."""
+    """Check that others' messages are there; ours are built, and of these sources."""
     missing = [name for name in INTERFACES if util.find_spec(name) is None]
     if missing:
         yield problem(
@@ -109,7 +109,7 @@ def stale_messages(checkout: Path, prefixes: list[str]) -> list[str]:
 
 
 def environment() -> Iterator[Check]:
-    """Settings that decide who hears whom."""
+    """Check the settings that decide who hears whom."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal() or int(text) > HIGHEST_DOMAIN:
         yield problem("ROS_DOMAIN_ID", f"{text!r} is not a number from 0 to {HIGHEST_DOMAIN}")
@@ -132,7 +132,7 @@ def environment() -> Iterator[Check]:
 
 
 def meeting() -> Iterator[Check]:
-    """Whether two programs find each other and exchange a message."""
+    """Tell whether two programs find each other and exchange a message."""
     import rclpy
     from std_msgs.msg import String
 
@@ -168,7 +168,7 @@ def meeting() -> Iterator[Check]:
 
 
 def speak(topic: str) -> None:
-    """The other program."""
+    """Speak, as the other program, until killed or MEETING_S have passed."""
     import rclpy
     from std_msgs.msg import String
 

@@ -36,7 +36,7 @@ a skin has no squares."""
 
 
 def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:
-    """An rviz file of one skin. template: a file of the skin /skin. node: fully qualified name."""
+    """Make an rviz file of one skin. template: of the skin /skin. node: fully qualified name."""
     file = yaml.safe_load(template.read_text())
     has_squares = np.count_nonzero(layout.nodes) <= MOST_SQUARES
     size_m = (BEAD_PITCHES if has_squares else BALL_PITCHES) * layout.pitch_m
@@ -53,7 +53,7 @@ def skin_view(template: Path, layout: Layout, frame_id: str, node: str) -> str:
 
 
 def body_view(template: Path, body: Body) -> str:
-    """An rviz file of a body. template: a file of some body, with the markers of a patch."""
+    """Make an rviz file of a body. template: a file of some body, with the markers of a patch."""
     file = yaml.safe_load(template.read_text())
     displays = defaultdict[bool, list[Any]](list)  # by whether they show a patch's markers
     for display in file["Visualization Manager"]["Displays"]:
@@ -65,7 +65,7 @@ def body_view(template: Path, body: Body) -> str:
 
 
 def _of_patch(display: Mapping[str, Any], patch: Patch) -> dict[str, Any]:
-    """The display of markers, for another patch."""
+    """Return the display of markers, for another patch."""
     own = deepcopy(dict(display))
     own["Name"] = patch.name.replace("_", " ").capitalize()
     own["Topic"]["Value"] = f"{patch.node}/markers"
@@ -73,7 +73,7 @@ def _of_patch(display: Mapping[str, Any], patch: Patch) -> dict[str, Any]:
 
 
 def _places_m(patch: Patch) -> Floats:
-    """(t, 3) places of a patch's taxels in the body's frame, m, where the parameters mount it."""
+    """Place a patch's taxels in the body, (t, 3), m, where the parameters mount it."""
     values = {**DEFAULTS, **patch.values}
     pose = Pose.of_rpy(values["mount_xyz_m"], values["mount_rpy_rad"])
     return pose.apply(SkinConfig.of(values).layout.positions_m.astype(np.float64))

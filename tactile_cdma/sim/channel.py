@@ -54,7 +54,7 @@ class Channel:
         return 1.1 * peak * amplitude_v + 6.0 * self.noise_rms_v
 
     def volts_per_count(self, spec: FrameSpec) -> float:
-        """One count of the digitized line, V, rounded to a float32 as on the wire."""
+        """Return one count of the digitized line, V, rounded to a float32 as on the wire."""
         finest = abs(self.offset_v) / 32_767  # zero_count is an int16 on the wire
         return float(np.float32(max(2.0 * self.rail_of(spec) / (1 << self.adc_bits), finest)))
 
@@ -95,7 +95,7 @@ class Channel:
         return in_range.astype(np.int16)
 
     def volts(self, counts: Counts, spec: FrameSpec) -> Floats32:
-        """Counts (m,) in V, (m,) float32."""
+        """Convert counts (m,) to V, (m,) float32."""
         # int16 minus int16 needs 17 bits: widen before subtracting.
         volts = (counts.astype(np.int32) - self.zero_count(spec)) * self.volts_per_count(spec)
         return volts.astype(np.float32)
@@ -108,7 +108,7 @@ def waveforms(
     edges_s: Floats,
     clocks: NodeClocks | None = None,
 ) -> Iterator[tuple[Floats32, Floats]]:
-    """Waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
+    """Yield waveforms whose sum is the line in one frame: levels (c,) V between edges (c + 1,) s.
 
     codes, active: (n,). edges_s: (span_chips + 1,) where a nominal clock puts them. Without
     clocks of their own all nodes share these edges; else each active node has its own.
@@ -131,7 +131,7 @@ def waveforms(
 def point_samples(
     levels: Floats32, edges_s: Floats, rate_hz: float, first: int, stop: int
 ) -> Floats32:
-    """The line as a converter samples it at instants, (stop − first,) float32, V.
+    """Return the line as a converter samples it at instants, (stop − first,) float32, V.
 
     levels: (c,) V; edges_s: (c + 1,) s on the stream's clock. Sample i is taken in the middle of
     its period, at (i + ½)/rate_hz; before the first and after the last chip the line is at 0. The
@@ -146,7 +146,7 @@ def point_samples(
 
 
 def chip_means(levels: Floats32, edges_s: Floats, chip_s: float) -> Floats32:
-    """Mean of the line over every nominal chip of a frame, (c,) float32, V.
+    """Return the mean of the line over every nominal chip of a frame, (c,) float32, V.
 
     levels: (c,) V; edges_s: (c + 1,) s after the frame's start. This is what a digitizer
     integrates: it does not know that the chips stretch or jitter.

@@ -34,7 +34,7 @@ _LEAST_SHARE = 0.05
 def at_force(
     cover: Foundation, thing: Indenter, force_n: float, along: Sequence[float] = (0.0, 0.0, -1.0)
 ) -> Indenter:
-    """The object, moved along a direction until the cover answers with this force along it.
+    """Return the object, moved along a direction until the cover answers with this force along it.
 
     along: unit vector into the skin. An object that cannot have the force within DEEPEST_M, as it
     lies beside the skin or goes right through its cover, stays where it is.
@@ -80,7 +80,7 @@ def at_force(
 
 
 def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
-    """Mean pressure on every taxel, (t,), Pa, of objects that are moved as by at_force.
+    """Return the mean pressure on every taxel, (t,), Pa, of objects that are moved as by at_force.
 
     As Foundation.pressure_pa of these, in half the time where the skin is flat.
     """
@@ -101,7 +101,7 @@ def pressed_pa(cover: Foundation, presses: Sequence[Press]) -> Floats:
 
 
 def _checked(cover: Foundation, thing: Indenter, force_n: float, along: Sequence[float]) -> Floats:
-    """The direction, (3,); raises ParameterError for wrong arguments."""
+    """Check the arguments; returns the direction, (3,)."""
     instance("cover", cover, Foundation)
     instance("thing", thing, Indenter)
     argument("force_n", force_n, 0.0, (0.0, math.inf), "N")
@@ -112,24 +112,24 @@ def _checked(cover: Foundation, thing: Indenter, force_n: float, along: Sequence
 
 
 def _is_along(near: Near, way: Floats) -> bool:
-    """Whether an object that moves this way comes as much closer to all points."""
+    """Tell whether an object that moves this way comes as much closer to all points."""
     return bool((near.normals @ way < 1e-9 - 1).all())
 
 
 def _flat_shift_m(thing: Indenter, near: Near, spans_m: Spans, force_n: float) -> float:
-    """How far an object moves against all normals, m; 0 where it cannot have the force."""
+    """Tell how far an object moves against all normals, m; 0 where it cannot have the force."""
     shift_m = _step_m(spans_m[0], near.areas_m2 * thing.stiffness_pa_per_m, force_n)
     beyond = not abs(shift_m) <= DEEPEST_M or _goes_through(*spans_m, shift_m)
     return 0.0 if beyond else shift_m
 
 
 def _goes_through(height_m: Floats, leaves_m: Floats, step_m: Floats | float) -> bool:
-    """Whether the cover has passed through the object where a step presses on it."""
+    """Tell whether the cover has passed through the object where a step presses on it."""
     return bool(((height_m < step_m) & (leaves_m <= step_m)).any())
 
 
 def _step_m(meets_m: Floats, stiffness_n_per_m: Floats, force_n: float) -> float:
-    """The s at which Σ stiffness·max(0, s − meets_m) is the force; ∞ if nothing is ahead."""
+    """Return the s at which Σ stiffness·max(0, s − meets_m) is the force; ∞ if nothing is ahead."""
     order = np.argsort(meets_m)
     meets_m, slope = meets_m[order], stiffness_n_per_m[order]
     # The sum is the greatest of those of the first ones alone, so that s is their least solution.
@@ -138,7 +138,7 @@ def _step_m(meets_m: Floats, stiffness_n_per_m: Floats, force_n: float) -> float
 
 
 def _shares(before_m: Floats, height_m: Floats, step_m: float, share: Floats) -> Floats:
-    """By how much points have come closer in a step, per metre of it; as before where unknown."""
+    """Tell how much closer points came in a step, per metre of it; as before where unknown."""
     with np.errstate(invalid="ignore"):
         measured = (before_m - height_m) / step_m
     known = np.isfinite(measured) & (measured > _LEAST_SHARE)

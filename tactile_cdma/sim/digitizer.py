@@ -304,7 +304,7 @@ class VirtualDigitizer:
 
     @property
     def _index_lost(self) -> int:
-        """Samples of the frames that were lost since START."""
+        """Count the samples of frames that were lost since START."""
         spec = self.setup.spec
         of_frame = spec.chips if self.setup.integrated else spec.frame_period_s * self.setup.rate_hz
         return round(self.frames_lost * of_frame)

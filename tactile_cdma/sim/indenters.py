@@ -71,14 +71,14 @@ class Indenter(ABC):
             raise ParameterError(f"{kind}: {error}") from None
 
     def _checked(self, name: str, like: float | tuple[float, ...], *about: Any) -> Any:
-        """The value, which becomes the object's own: the program may go on changing its list."""
+        """Copy a value that is right: the program may go on changing its list."""
         value = argument(f"{name} of {type(self).__name__}", getattr(self, name), like, *about)
         object.__setattr__(self, name, value)
         return value
 
     @cached_property
     def pose(self) -> Pose:
-        """The object's own frame in the skin's."""
+        """Return the object's own frame in the skin's."""
         return Pose.of_quaternion(self.position_m, self.orientation_xyzw)
 
     def moved(self, by_m: Floats) -> Self:
@@ -95,7 +95,7 @@ class Indenter(ABC):
         return thing
 
     def spans_m(self, points_m: Floats, normals: Floats) -> Spans:
-        """Where lines along the normals of a surface enter and leave it, as heights above there.
+        """Find where lines along a surface's normals enter and leave it, as heights above there.
 
         points_m, normals: (m, 3), in the skin's frame; normals (1, 3) where all are the same.
         """
@@ -104,7 +104,7 @@ class Indenter(ABC):
         return self.spans(tuple(zip(places_m, own.rotation @ normals.T, strict=True)))
 
     def depth_m(self, points_m: Floats, normals: Floats) -> Floats:
-        """How far the object reaches below points of a surface, along the normals there.
+        """Tell how far the object reaches below points of a surface, along the normals there.
 
         points_m, normals: (m, 3), in the skin's frame. Returns (m,), m. 0 where the object is
         beside the normal's line, above the surface, or wholly behind it.
@@ -113,7 +113,7 @@ class Indenter(ABC):
         return np.where(leaves_m > 0, np.maximum(-enters_m, 0.0), 0.0)
 
     def may_touch(self, points_m: Floats, normals: Floats, around_m: Floats) -> Bools:
-        """Whether it may reach below a surface (m, 3) within around_m (m,), m, of each point."""
+        """Tell whether it may reach below points (m, 3) of a surface within around_m (m,), m."""
         from_it_m = points_m - self.pose.translation_m
         along_m = _dot(from_it_m, normals)
         beside_m2 = _dot(from_it_m, from_it_m) - np.square(along_m)
@@ -126,7 +126,7 @@ class Indenter(ABC):
 
     @abstractmethod
     def spans(self, axes: Sequence[Axis], xp: Any = np) -> Spans:
-        """Where lines pass through the object. axes: along its own x, y and z; xp: their namespace.
+        """Cross the object with lines. axes: along its own x, y and z; xp: their namespace.
 
         Those of many objects alike may be asked for at once, except of height maps.
         """
@@ -312,7 +312,7 @@ class Foundation:
         return Near(taxels, points_m.reshape(-1, 3), normals, self._point_m2[taxels].ravel())
 
     def pressure_pa(self, indenters: Sequence[Indenter]) -> Floats:
-        """Mean pressure on every taxel, (t,), Pa; where several objects meet, the greatest."""
+        """Average over every taxel, (t,), Pa; where several objects meet, the greatest counts."""
         pressed = []
         for indenter in instance("indenters", indenters, Sequence):
             instance("an indenter", indenter, Indenter)
@@ -344,7 +344,7 @@ class Near(NamedTuple):
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
-    """(m,) of (m, d); einsum takes a fifth of the time of a sum along a short axis."""
+    """Multiply row by row, (m,) of (m, d); einsum takes a fifth of the time of a sum."""
     return np.asarray(np.einsum("md,md->m", one, other))
 
 
@@ -364,7 +364,7 @@ def _round(radius_m: float, axes: Sequence[Axis], xp: Any) -> Spans:
 
 
 def _ever(inside: Any, like: Any, xp: Any) -> Any:
-    """Half of the length inside of what lines run along, m; of the type of `like`."""
+    """Return half of the length inside of what lines run along, m; of the type of `like`."""
     return xp.where(inside, xp.full_like(like, np.inf), -np.inf)
 
 
@@ -385,7 +385,7 @@ def _slab(half_m: float, axis: Axis, xp: Any) -> Spans:
 
 
 def _within_all(*spans: Spans, xp: Any) -> Spans:
-    """Where lines are inside of all of some convex objects."""
+    """Tell where lines are inside of all of some convex objects."""
     all_enter_m, all_leave_m = zip(*spans, strict=True)
     enters_m, leaves_m = reduce(xp.maximum, all_enter_m), reduce(xp.minimum, all_leave_m)
     hits = enters_m <= leaves_m
@@ -393,7 +393,7 @@ def _within_all(*spans: Spans, xp: Any) -> Spans:
 
 
 def _between(grid: Floats, row: Floats, column: Floats) -> Floats:
-    """Values of a grid between its points, linear both ways; NaN outside, and beside a NaN."""
+    """Interpolate a grid between its points, linear both ways; NaN outside, and beside a NaN."""
     top = np.clip(np.floor(row), 0, len(grid) - 2).astype(np.intp)
     left = np.clip(np.floor(column), 0, grid.shape[1] - 2).astype(np.intp)
     down, right = row - top, column - left

@@ -24,11 +24,11 @@ class Disturbance(Protocol):
     """A fault on the line, made by tests: it comes between the nodes and the converter."""
 
     def added(self, frame: NodeFrame, edges_s: Floats) -> Iterator[Waveform]:
-        """Waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""
+        """Yield waveforms to add to those of the nodes; edges_s: (span_chips + 1,), nominal."""
         ...
 
     def disturbed(self, frame: NodeFrame, volts: Floats32, t_s: Floats) -> Floats32:
-        """The line, (m,) V at (m,) s since START, as it reaches the amplifier."""
+        """Return the line, (m,) V at (m,) s since START, as it reaches the amplifier."""
         ...
 
 

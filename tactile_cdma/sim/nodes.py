@@ -44,7 +44,7 @@ class NodeClocks:
     rate_error: Floats
 
     def displacement(self, chips: NDArray[np.int64]) -> Floats:
-        """How late each node begins chips of these numbers, (n, c), nominal chips."""
+        """Tell how late each node begins chips of these numbers, (n, c), nominal chips."""
         late: Floats = self.delay_chips[:, None] + self.rate_error[:, None] * chips
         return late
 
@@ -61,7 +61,7 @@ class Turns:
     asked_log2: int | None = None
 
     def turn(self, number: int) -> int:
-        """The turn of a frame, as in wire.Stretch; frames come in rising order."""
+        """Return the turn of a frame, as in wire.Stretch; frames come in rising order."""
         now = self.divisions[-1][1] if self.divisions else 0
         if self.asked_log2 is not None and self.asked_log2 != now:
             self.divisions.append((number, self.asked_log2))
@@ -83,13 +83,13 @@ class NodeRules:
     heartbeat: int = 78
 
     def has_news(self, codes: Any, rest: Any, last_sent: Any) -> Any:
-        """Which nodes have something to tell; arrays of any kind, of integers and of one shape."""
+        """Tell which nodes have news; arrays of any kind, of integers and of one shape."""
         if self.threshold == 0:
             return codes == codes
         return (abs(codes - rest) > self.threshold) | (abs(codes - last_sent) > self.threshold)
 
     def beat(self, nodes: int) -> Indices:
-        """(n,) in which frame of every heartbeat's period a node talks."""
+        """Return (n,) in which frame of every heartbeat's period a node talks."""
         return np.arange(nodes) * self.heartbeat // nodes
 
 

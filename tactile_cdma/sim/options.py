@@ -70,12 +70,12 @@ class Setup:
 
     @property
     def rate_hz(self) -> float:
-        """Values per second: of the samples, or of the chips where they are integrated."""
+        """Return values per second: of the samples, or of the chips where they are integrated."""
         return (1 if self.integrated else self.samples_per_chip) / self.spec.chip_s
 
 
 def _option(default: Value, *about: Any) -> Any:
-    """An option of the simulator's own; about: what follows name and default in a Parameter."""
+    """Define the simulator's own option; about: what follows the default in a Parameter."""
     return field(default=default, metadata={"about": (default, *about)})
 
 
@@ -165,7 +165,7 @@ class SimOptions:
 
     @classmethod
     def from_url(cls, url: str, worn: Layout | None = None) -> SimOptions:
-        """From sim://?option=value&…; raises SpecError, also for what contradicts `worn`."""
+        """Read sim://?option=value&…; raises SpecError, also for what contradicts `worn`."""
         parts = urlsplit(url)
         if parts.scheme != SCHEME or parts.netloc or parts.path.strip("/") or parts.fragment:
             raise SpecError(f"{url!r} is not of the form sim://?option=value&option=value")
@@ -173,7 +173,7 @@ class SimOptions:
 
     @property
     def stepped(self) -> bool:
-        """Whether a frame begins only when the program that presses on the skin asks for it."""
+        """Tell whether a frame begins only when the program that presses asks for it."""
         return self.scene == EXTERNAL and self.speed == 0
 
     @property
@@ -188,7 +188,7 @@ class SimOptions:
         )
 
     def clocks(self, nodes: int) -> NodeClocks | None:
-        """The nodes' own clocks; None where all share one."""
+        """Return the nodes' own clocks; None where all share one."""
         if not (self.clock_spread or self.delay_spread):
             return None
         rng = np.random.default_rng([self.seed, nodes])
@@ -197,7 +197,7 @@ class SimOptions:
 
     @property
     def sensors(self) -> SensorModel:
-        """The sensors of the skin; its `curves` are the true ones."""
+        """Return the sensors of the skin; its `curves` are the true ones."""
         return SensorModel(
             kind=self.sensor,
             hysteresis=self.hysteresis,
@@ -217,7 +217,7 @@ class SimOptions:
         return NodeRules(self.threshold, heartbeat)
 
     def skin(self, nodes: int, first_row: int = FrameSpec.first_row) -> SkinGeometry:
-        """The taxels; raises SpecError where layout, or rows and columns, do not fit the nodes."""
+        """Place the taxels; raises SpecError where layout, or rows and columns, do not fit."""
         if self.worn is not None and self.worn.wired == nodes:
             layout = self.worn
         elif self.layout:
@@ -253,7 +253,7 @@ class SimOptions:
         return read_layout(user_path("layout", self.layout), Wiring(nodes, first_row))
 
     def setup(self, asked: Setup | None = None) -> Setup:
-        """The digitizer's set-up when a host asks for one; None: before any CONFIGURE.
+        """Set up the digitizer as a host asks for; None: before any CONFIGURE.
 
         Pinned options win. Where they leave too few code rows or too short a frame period, these
         grow, unless pinned themselves, so that INFO can show the host what contradicts it.
@@ -307,12 +307,12 @@ class SimOptions:
             )
 
     def _longest_s(self, spec: FrameSpec) -> float:
-        """The longest that a frame of the slowest node takes, s."""
+        """Return the longest that a frame of the slowest node takes, s."""
         slow = 1 + self.stretch + self.clock_spread
         return spec.frame_s * slow + self.delay_spread * spec.chip_s
 
     def _pinned_fields(self) -> dict[str, Any]:
-        """The fields of FrameSpec that these options pin."""
+        """Return the fields of FrameSpec that these options pin."""
         pins: dict[str, Any] = {name: getattr(self, name) for name in FRAME_PARAMETERS}
         # The wire carries whole ns and µs.
         if self.chip_us is not None:
@@ -352,7 +352,7 @@ OPTIONS = tuple(
 
 
 def _numbers(name: str, text: str) -> tuple[int, ...]:
-    """Node numbers from 1 on, from a list with commas."""
+    """Read node numbers, from 1 on, from a list with commas."""
     try:
         return tuple(int(part) for part in text.split(",")) if text else ()
     except ValueError:

@@ -46,7 +46,7 @@ def stream(
     disturbance: Disturbance | None = None,
     scene: Scene | None = None,
 ) -> Iterator[Block]:
-    """All packets of samples since START, endlessly; a pure function of its arguments.
+    """Yield all packets of samples since START, endlessly; a pure function of its arguments.
 
     Where frames are marked, each begins a new block and ends one; else blocks are of equal size.
     turns: may be asked for while blocks are drawn. scene: instead of the options' one.
@@ -101,7 +101,7 @@ class _Cutter:
         self._quiet_counts = 0 if setup.sync == SyncMode.NONE else quiet_counts
 
     def cuts(self, counts: Counts, marked: bool) -> Iterator[tuple[int, int, bool, bool]]:
-        """The packets of the samples from one frame's start to the next one's.
+        """Yield the packets of the samples from one frame's start to the next one's.
 
         marked: the first sample is a frame's, and known to be. Yields start and stop among these
         samples, and `quiet` and `waits` as in Block.
@@ -119,5 +119,5 @@ class _Cutter:
             yield start, stop, self._quiet(counts[start:stop]), waits
 
     def _quiet(self, counts: Counts) -> bool:
-        """Whether the samples differ by so little that a Quiet stands for them."""
+        """Tell whether the samples differ by so little that a Quiet stands for them."""
         return 0 < self._quiet_counts >= int(counts.max()) - int(counts.min())

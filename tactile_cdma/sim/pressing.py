@@ -12,7 +12,7 @@ from .indenters import Indenter
 
 
 def is_pressable(port: Port) -> bool:
-    """Whether this is a skin that press() acts on."""
+    """Tell whether this is a skin that press() acts on."""
     return bool(getattr(port.device, "pressable", False))
 
 

@@ -26,18 +26,18 @@ class Serial(VirtualPort[VirtualDigitizer]):
 
     @property
     def stepped(self) -> bool:
-        """Whether frames pass only as press() asks for them."""
+        """Tell whether frames pass only as press() asks for them."""
         with self._changed:
             return self._opened().options.stepped
 
     @property
     def pressable(self) -> bool:
-        """Whether the scene is that of press()."""
+        """Tell whether the scene is that of press()."""
         with self._changed:
             return self._opened().options.scene == EXTERNAL
 
     def is_read_by(self, curve: PressureCurve, adc: AdcScale) -> bool:
-        """Whether this curve and converter are those of its sensors and nodes."""
+        """Tell whether this curve and converter are those of its sensors and nodes."""
         with self._changed:
             own = self._opened().options.sensors.curve
         return curve == own and adc == AdcScale(adc.bits)

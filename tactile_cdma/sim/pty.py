@@ -76,7 +76,7 @@ def _pump(digitizer: Digitizer, host: int, stop: threading.Event | Stop) -> None
 
 @contextmanager
 def _raw_terminal() -> Iterator[tuple[int, Path]]:
-    """A pseudo-terminal in raw mode: the host's side and the path of the other one.
+    """Yield a pseudo-terminal in raw mode: the host's side and the path of the other one.
 
     The device's side is kept open, too: its mode and unread bytes outlive clients that close it.
     """

@@ -52,7 +52,7 @@ class SkinGeometry:
 
     @classmethod
     def of(cls, layout: Layout, nodes: int, seed: int = 0) -> SkinGeometry:
-        """The nodes 1…n at the places that a layout gives them.
+        """Place the nodes 1…n at the places that a layout gives them.
 
         What a node without a place feels nobody sees: it is put where the first taxel's is.
         """
@@ -65,12 +65,12 @@ class SkinGeometry:
 
     @property
     def half_extent_m(self) -> Floats:
-        """(2,) distance from the centre of the skin to its outermost taxels, m."""
+        """Return (2,) distance from the centre of the skin to its outermost taxels, m."""
         return np.asarray(np.abs(self.positions_m).max(axis=0))
 
     @cached_property
     def cover(self) -> Foundation:
-        """The elastic cover over all nodes, for objects in the skin's own frame."""
+        """Return the elastic cover over all nodes, for objects in the skin's own frame."""
         layout, at = self.layout, self.taxels
         return Foundation(
             layout.positions_m[at], layout.normals[at], layout.areas_m2[at], layout.aspect
@@ -115,26 +115,26 @@ class External:
         self._objects, self._pressed = tuple(objects), None
 
     def __call__(self, t_s: float, skin: SkinGeometry) -> Floats:
-        """Pressures at present, whatever t_s is; a Scene."""
+        """Return pressures at present, whatever t_s is; a Scene."""
         if self._pressed is None or self._pressed[0] is not skin:
             self._pressed = skin, skin.cover.pressure_pa(self._objects)
         return self._pressed[1]
 
 
 def idle(t_s: float, skin: SkinGeometry) -> Floats:
-    """Nothing touches the skin."""
+    """Leave the skin untouched."""
     return np.zeros(len(skin.positions_m))
 
 
 def press(t_s: float, skin: SkinGeometry) -> Floats:
-    """A fingertip on the node nearest the centre, 2 s on and 2 s off."""
+    """Press a fingertip on the node nearest the centre, 2 s on and 2 s off."""
     nearest = np.argmin(np.square(skin.positions_m).sum(axis=1))
     peak_pa = PEAK_PA * _on_off(t_s / 4.0)
     return _bump(skin, skin.positions_m[nearest], 0.9 * skin.pitch_m, peak_pa)
 
 
 def presses(t_s: float, skin: SkinGeometry) -> Floats:
-    """Several contacts of different size and force, each coming and going at its own pace."""
+    """Press with several contacts of different size and force, each at its own pace."""
     return _strongest(
         _bump(skin, centre_m, radius_m, peak_pa * _on_off(t_s / period_s + phase))
         for centre_m, radius_m, peak_pa, period_s, phase in skin.contacts
@@ -142,7 +142,7 @@ def presses(t_s: float, skin: SkinGeometry) -> Floats:
 
 
 def moving(t_s: float, skin: SkinGeometry) -> Floats:
-    """One contact wandering over the whole skin on a Lissajous figure, its force breathing."""
+    """Let one contact wander over the whole skin on a Lissajous figure, its force breathing."""
     swing = 0.85 * skin.half_extent_m
     centre = swing * [math.sin(2 * math.pi * t_s / 5.0), math.sin(2 * math.pi * t_s / 7.0 + 1.0)]
     radius_m = max(1.6 * skin.pitch_m, 0.25 * float(skin.half_extent_m.max()))
@@ -150,19 +150,19 @@ def moving(t_s: float, skin: SkinGeometry) -> Floats:
 
 
 def demo(t_s: float, skin: SkinGeometry) -> Floats:
-    """One contact wandering over the skin, which rests at first and again, so it can be tared."""
+    """Let one contact wander over the skin, which rests at first and again, to be tared."""
     since_s = (t_s + BEGUN_S) % EVERY_S
     return idle(t_s, skin) if since_s < REST_S else moving(since_s - REST_S, skin)
 
 
 def all_taxels(t_s: float, skin: SkinGeometry) -> Floats:
-    """Every taxel pressed by 15 to 115 kPa: a slow wave that crosses the skin."""
+    """Press every taxel by 15 to 115 kPa: a slow wave that crosses the skin."""
     x = skin.positions_m[:, 0] / max(2 * float(skin.half_extent_m[0]), skin.pitch_m)
     return 65e3 + 50e3 * np.sin(2 * np.pi * (x - t_s / 8.0))
 
 
 def hand(t_s: float, skin: SkinGeometry) -> Floats:
-    """A resting hand, life-size: most of a small skin, palm and five fingers on a large one."""
+    """Rest a life-size hand: on most of a small skin, palm and five fingers on a large one."""
     load_pa = PEAK_PA * (0.75 + 0.25 * math.sin(2 * math.pi * t_s / 4.0))
     palm = 0.6 * _profile(_radius_m(skin.positions_m / _PALM_M))
     fingers = [
@@ -173,12 +173,12 @@ def hand(t_s: float, skin: SkinGeometry) -> Floats:
 
 
 def steps(t_s: float, skin: SkinGeometry) -> Floats:
-    """The loads STEPS_KPA one after the other, DWELL_S each."""
+    """Apply the loads STEPS_KPA one after the other, DWELL_S each."""
     return _everywhere(skin, STEPS_KPA[int(t_s / DWELL_S) % len(STEPS_KPA)])
 
 
 def cycles(t_s: float, skin: SkinGeometry) -> Floats:
-    """Half a cosine in TURN_S from each load of TURNS_KPA to the next."""
+    """Follow half a cosine in TURN_S from each load of TURNS_KPA to the next."""
     turn, share = divmod(t_s / TURN_S, 1.0)
     begin, end = (TURNS_KPA[(int(turn) + step) % len(TURNS_KPA)] for step in (0, 1))
     return _everywhere(skin, begin + (end - begin) * (0.5 - 0.5 * math.cos(math.pi * share)))
@@ -210,7 +210,7 @@ _FINGERS_M = (
 
 
 def _bump(skin: SkinGeometry, centre_m: Floats, radius_m: float, peak_pa: float) -> Floats:
-    """Pressure under a round contact, (n,) Pa."""
+    """Return the pressure under a round contact, (n,) Pa."""
     return peak_pa * _profile(_radius_m(skin.positions_m - centre_m) / radius_m)
 
 
@@ -223,26 +223,26 @@ def _profile(rho: Floats) -> Floats:
 
 
 def _on_off(cycles: float) -> float:
-    """0…1…0 once per cycle: on for half of it, with soft edges of a tenth of a cycle."""
+    """Go 0…1…0 once per cycle: on for half of it, with soft edges of a tenth of a cycle."""
     from_middle = abs(cycles % 1.0 - 0.5)
     ramp = min(max((0.3 - from_middle) / 0.1, 0.0), 1.0)
     return ramp * ramp * (3.0 - 2.0 * ramp)
 
 
 def _distance_m(points: Floats, start: Floats, end: Floats) -> Floats:
-    """Distance of points (n, 2) to a line segment, (n,)."""
+    """Return the distance of points (n, 2) to a line segment, (n,)."""
     along = end - start
     share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
     return _radius_m(points - start - share[:, None] * along)
 
 
 def _radius_m(points: Floats) -> Floats:
-    """Distance of points (n, 2) to the origin, (n,)."""
+    """Return the distance of points (n, 2) to the origin, (n,)."""
     return np.asarray(np.hypot(points[:, 0], points[:, 1]))
 
 
 def _strongest(fields: Iterable[Floats]) -> Floats:
-    """The largest of several pressures on every taxel, (n,)."""
+    """Return the largest of several pressures on every taxel, (n,)."""
     return np.asarray(np.stack(list(fields)).max(axis=0))
 
 

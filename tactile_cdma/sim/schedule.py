@@ -43,7 +43,7 @@ class Schedule:
 
     @property
     def frame_is_due(self) -> bool:
-        """Whether what is due next is to compute a new frame; where frames are marked."""
+        """Tell whether what is due next is to compute a new frame; where frames are marked."""
         return not self._ready and self._begins and self.due_s != self.report_s
 
     @property

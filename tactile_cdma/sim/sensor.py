@@ -108,7 +108,7 @@ class SensorModel:
         return np.array([number - 1 for number in numbers if number <= nodes], dtype=np.intp)
 
     def curves(self, nodes: int) -> Curves:
-        """The true static curves.
+        """Return the true static curves.
 
         Corners (the knee too) and the falls between them have errors of their own; the voltage at
         rest has half as much, and only downwards: a node's converter sees nothing above.
@@ -146,11 +146,11 @@ class Sensor:
 
     @property
     def rest_v(self) -> Floats:
-        """(n,) V: what nodes learn at power-up, before anything touches the skin."""
+        """Return (n,) V: what nodes learn at power-up, before anything touches the skin."""
         return self._curves.voltage(0.0)
 
     def step(self, pressure_pa: Floats, t_s: float) -> Floats:
-        """Voltages (n,), V, at t_s (s), which never goes back, under pressures (n,), Pa.
+        """Return voltages (n,), V, at t_s (s), which never goes back, under pressures (n,), Pa.
 
         The pressures have been there since the last step; the first ones for ever, rising before.
         """
@@ -171,7 +171,7 @@ class Sensor:
 def followed(
     plays: Sequence[Any], pressure_pa: Any, dynamics: Dynamics, xp: Any
 ) -> tuple[tuple[Any, ...], Any]:
-    """One step of hysteresis: the plays after it, and apparent pressures, Pa; whatever the time.
+    """Take a step of hysteresis: the plays after it, and apparent pressures, Pa; at any pace.
 
     plays: one for each of the widths, of the pressures' shape; 0 at first, as if pressures had only
     risen. pressure_pa: 0 or more. xp: the arrays' namespace, by the array API standard.
@@ -186,7 +186,7 @@ def followed(
 
 
 def delayed(before_pa: Any, pressure_pa: Any, passed_s: float, dynamics: Dynamics, xp: Any) -> Any:
-    """One step of lag: from before_pa, with pressure_pa, both Pa, applied for passed_s."""
+    """Take one step of lag: from before_pa, with pressure_pa, both Pa, applied for passed_s."""
     rise, fall = (
         -math.expm1(-passed_s / constant_s) for constant_s in (dynamics.rise_s, dynamics.fall_s)
     )

@@ -6,10 +6,10 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
+from .limits import LIMITS
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
@@ -25,7 +25,7 @@ MOST_FAINT, FAINT_FADES = 8.0, 0.98
 """Frames with a faint word on a silent node's row, more than it spoke in, from which on it is weak;
 and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
 to 20, noise (amplitude.BY_CHANCE) to 1."""
-DOUBLE_SHARE, FAINT_SHARE = 1.6, 0.25
+DOUBLE_SHARE, FAINT_SHARE = LIMITS.two, LIMITS.faint_bit
 """Shares of the expected amplitude above which a node's words are those of two, as Limits.two; and
 below which nothing on its row is a word of a node that is too weak."""
 WEAK_RHO = 8.0
@@ -116,4 +116,3 @@ class NodeHealth:
                 self.swing_v = swing_v
         # Each node's words fade by its own: one that speaks seldom is judged as well as others.
         self.sums[:5, due] *= 0.5
-

@@ -19,6 +19,7 @@ import numpy as np
 from ...base import kernel
 from ...base.arrays import Floats32
 from ...base.errors import SpecError
+from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
 from ...words.words import silent
 from ..frame_reader import FrameReader, rejections_of
 from ..frames import Certificate, LineFrame, Rejections
@@ -33,12 +34,6 @@ SETTLING = 1.5
 """Chips after a frame in which the line comes to rest, and before it: low-passes, late nodes."""
 SCATTERS = 4.0
 """Standard deviations by which frames may be off the raster that places them (6e-5)."""
-LEAST_REST = 16
-"""Gap samples that an estimate of level and noise takes: their variance is right to a third."""
-GAP_WEIGHT = 0.25
-"""Weight of the newest gap in the running noise estimate: averages about seven gaps."""
-MOST_RISE = 4.0
-"""Times that the noise may rise from gap to gap: a burst in one must not excuse the next frame."""
 SURE_NOISE = 0.3
 """Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
 FORGET = 0.999
@@ -249,16 +244,20 @@ class GapTiming:
                 if frame.speakers and (is_sure or not burst.may_be_noise):
                     return self._emit(frame)
                 why = lib.FRAME_NOISY  # of silence, the place is not known
-        if seen is None or seen[1].may_be_noise:
-            if gaps and not final:
-                self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
-            return [] if final else self._pass_idle(end)
+        if seen is not None and not seen[1].may_be_noise:
+            return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
+        if gaps and not final:
+            self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
+        return [] if final else self._pass_idle(end)
+
+    def _reject(self, why: int, until: int) -> list[LineFrame]:
+        """Count samples up to an index that hold no frame, but something that was sent."""
         self._counts[why] += 1
         self._failures += 1
-        _log.debug("no frame at sample %d", begin)
+        _log.debug("no frame up to sample %d", until)
         if self._failures == LOST_AGAIN:
             self._level, self._noise, self._failures = None, 0.0, 0
-        self._skip_to(begin + max(search.bit, search.quiet_after(volts, *seen)))
+        self._skip_to(until)
         return []
 
     def _noise_of(self, gap: Gap) -> float:
@@ -338,7 +337,7 @@ class GapTiming:
         return frames
 
     def _idle_slots(self, until: float) -> list[LineFrame]:
-        """Return silent slots that begin up to an index; where a rail or noise hides words, none."""
+        """Return silent slots that begin up to an index; none where a rail or noise hides words."""
         frames = []
         while self._next <= until:
             self._loudest_v *= FORGET

@@ -25,7 +25,7 @@ _VECTORS = np.stack([_NUMBERS[field] for field in _TURNED]).astype(np.intp)
 def body_contacts(
     parts: Sequence[tuple[Pose, Touches]], absent: list[str], heading: Heading, sequence: int
 ) -> Touches:
-    """The contacts of a body, strongest first.
+    """Return the contacts of a body, strongest first.
 
     parts: each patch's pose in the body's frame, and its latest message. absent: the other patches.
     The centre of pressure weighs contacts by their forces. Sums are NaN by the rules of
@@ -84,13 +84,13 @@ def _move(states: NDArray[np.void], rotations: Floats, places_m: Floats) -> None
 
 
 def _joined(arrays: list[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """A new array of them all."""
+    """Join the arrays in a new one."""
     # np.concatenate compares the fields of all arrays, which takes longer.
     return np.frombuffer(bytearray().join(array.tobytes() for array in arrays), kind)
 
 
 def _sums(messages: Sequence[Touches], rotations: Floats, places_m: Floats) -> Floats:
-    """(7,) area (m²), force (N) and torque (N m) of p patches, about the body frame's origin.
+    """Add up (7,) area (m²), force (N), torque (N m) of p patches about the body's origin.
 
     rotations: (p, 3, 3). places_m: (p, 3). Both: of their poses.
     """

@@ -24,7 +24,7 @@ _RGBA = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 
 
 def body_names(places_m: Mapping[str, Floats], frame_id: str) -> MarkerArray:
-    """A marker per patch, in a namespace of the patch's name; up is the z of the frame.
+    """Return a marker per patch, in a namespace of the patch's name; up is the z of the frame.
 
     places_m: (t, 3) taxels of each patch in the frame, m, by the fully qualified name of its
     driver; t > 0. The stamp is 0, which to rviz is now: names do not wait for transforms.

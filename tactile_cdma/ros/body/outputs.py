@@ -170,14 +170,14 @@ class PlacedTaxels:
         self._places: dict[str, Places] = {}
 
     def topics(self, take: Callable[..., None], qos: QoSProfile) -> tuple[Topic, ...]:
-        """The topics of a patch's places and taxels. take: called with arrays as bytes."""
+        """Return the topics of a patch's places and taxels. take: called with arrays as bytes."""
         return (
             Topic(TactileSkinInfo, "info", self._take_info, LATCHED),
             Topic(TactileArray, "tactile", take, qos, raw=True),
         )
 
     def of(self, name: str, array: TaxelArray | None = None) -> Places | None:
-        """The places of a patch's taxels; None where they are unknown, or not those of an array."""
+        """Return where a patch's taxels are; None if unknown, or if an array is of others."""
         places = self._places.get(name)
         # A restarted driver counts from 1 again: the same id may mean another skin.
         if places and array and (places.info_id, len(places)) != (array.info_id, len(array.status)):
@@ -266,7 +266,7 @@ class PointsOutput(Output[TaxelArray]):
         self._draw()
 
     def _draw(self) -> None:
-        """If due, publish the latest of every patch if any is new, or a patch has come or gone."""
+        """Publish the latest of every patch, if due and any is new, or a patch has come or gone."""
         self.poll()
         stale_after_s, now_s = self.patches.values["stale_after_s"], time.monotonic()
         arrivals = self.patches.arrivals.items()
@@ -283,7 +283,7 @@ class PointsOutput(Output[TaxelArray]):
         self._points.publish(self._message)
 
     def _cloud(self, name: str) -> NDArray[np.void] | None:
-        """(m,) BODY_POINT of a patch; None while its info or its place in the body is missing."""
+        """Return (m,) BODY_POINT of a patch; None while its info or its place is missing."""
         array = self.latest.get(name)
         pose, places = self.patches.pose(name, array), self._places.of(name, array)
         if not array or not pose or not places:

@@ -50,13 +50,13 @@ def body_setup(node: Node) -> tuple[tuple[str, ...], Values]:
 
 
 def declared(node: Node, parameter: Parameter) -> Any:
-    """The value of a parameter, which is fixed from the node's start on; raises ParameterError."""
+    """Declare a parameter that is fixed from the node's start on; raises ParameterError."""
     default = parameter.default
     return parameter.check(_declare(node, parameter.name, default, parameter.description))
 
 
 def _declare(node: Node, name: str, default: Value | list[str], text: str) -> object:
-    """The value given, of any type, so that its error message is ours."""
+    """Return the value given, of any type, so that its error message is ours."""
     descriptor = ParameterDescriptor(
         description=text,
         read_only=True,

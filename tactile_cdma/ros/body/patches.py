@@ -47,11 +47,11 @@ class Arrivals:
             self._underway_s = min(self._underway_s, (received_ns - sent_ns) * 1e-9)
 
     def silent_s(self, now_s: float) -> float:
-        """Time since the last message, s; infinite if there was none."""
+        """Return the time since the last message, s; infinite if there was none."""
         return now_s - self._heard_s
 
     def late_s(self) -> float:
-        """Least age of a message on arrival since the last call, s; 0 if none arrived.
+        """Return the least age of a message on arrival since the last call, s; 0 if none arrived.
 
         The least, because a busy computer takes some messages late, but not all.
         """
@@ -67,7 +67,7 @@ class Arrivals:
         self._late_s, self._stamp_ns, self._settles = math.nan, 0, True
 
     def underway_s(self) -> float:
-        """Least time that a message took since the last call, s; NaN if that is not known.
+        """Return the least time that a message took since the last call, s; NaN if unknown.
 
         From its sending, by the clock of its driver's computer, to its arrival, by the clock of
         this one: delay of the network plus offset of the clocks. The least, because the network
@@ -77,21 +77,21 @@ class Arrivals:
         return underway_s if underway_s < math.inf else math.nan
 
     def rate_hz(self, now_s: float) -> float:
-        """Rate of the frames received since the last call."""
+        """Return the rate of the frames received since the last call."""
         rate_hz = self._counted / (now_s - self._reported_s)
         self._counted, self._reported_s = 0, now_s
         return rate_hz
 
     @property
     def coverage(self) -> Coverage | None:
-        """How much of the patch its latest message is of; None without any."""
+        """Tell how much of the patch its latest message is of; None without any."""
         if isinstance(self.latest, Touches):
             return Coverage(self.latest.taxels_valid, self.latest.taxels_in_service)
         return self.latest and Coverage.of(self.latest.pressure_pa, self.latest.status)
 
     @property
     def has_driver(self) -> bool:
-        """Whether anybody publishes its topics.
+        """Tell whether anybody publishes its topics.
 
         With a discovery server, only topics that are subscribed to are known.
         """
@@ -113,7 +113,7 @@ class Patches:
         self.follow_transforms = self._transforms.follow
 
     def pose(self, name: str, message: Touches | TaxelArray | None) -> Pose | None:
-        """The pose in the body's frame of what a patch sent; None, noting the fault, if unknown."""
+        """Find the pose in the body of what a patch sent; None, noting the fault, if unknown."""
         if message is None:
             return None
         try:
@@ -125,7 +125,7 @@ class Patches:
         return pose
 
     def heading(self, messages: Iterable[Touches | TaxelArray]) -> Heading:
-        """A heading with the newest stamp; with the present time if there is none."""
+        """Return a heading with the newest stamp; with the present time if there is none."""
         stamps_ns = [message.heading.stamp_ns for message in messages]
         newest_ns = max(stamps_ns) if stamps_ns else self.node.get_clock().now().nanoseconds
         return Heading(newest_ns, self.values["frame_id"])

@@ -47,7 +47,7 @@ class Places:
         return Cloud(self.positions_m, self._normals, 0)
 
     def placed(self, pose: Pose | None) -> tuple[Floats32, Floats32]:
-        """Positions and normals in the body's frame; NaN without a pose."""
+        """Return positions and normals in the body's frame; NaN without a pose."""
         pose = pose or _NOWHERE
         if self._placed is None or self._placed[0] is not pose:
             positions_m = pose.apply(self.positions_m).astype(np.float32)
@@ -70,7 +70,7 @@ class Part:
 def body_tactile(
     parts: Sequence[Part], absent: Sequence[str], heading: Heading, sequence: int
 ) -> bytes:
-    """The message TactileBody. absent: all patches that are, heard ever or not."""
+    """Return the message TactileBody. absent: all patches that are, heard ever or not."""
     sizes = [len(part.places) for part in parts]
     readings = [
         (np.full(size, np.nan), np.full(size, Status.STALE))

@@ -34,25 +34,25 @@ from ...readings.baseline import Baseline
 
 
 def ros_array(values: NDArray[np.generic]) -> array[float] | array[int]:
-    """An ndarray as array.array, which message fields take without a look at every element."""
+    """Make an array.array, which message fields take without a look at every element."""
     return array(values.dtype.char, values.tobytes())
 
 
 def by_taxel(layout: Layout, of_node: NDArray[np.float32]) -> array[float] | array[int]:
-    """Values of the nodes, (n,), in the order of the taxels; 0 for a taxel without a node."""
+    """Order values of the nodes, (n,), by taxel; 0 for a taxel without a node."""
     if layout.source is None:
         return ros_array(of_node)
     return ros_array(np.where(layout.source < 0, np.float32(0), of_node[layout.source]))
 
 
 def header(heading: Heading) -> Header:
-    """A heading as rclpy's message."""
+    """Return a heading as rclpy's message."""
     seconds, nanoseconds = heading.time
     return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=heading.frame_id)
 
 
 def wrench_stamped(heading: Heading, force_n: Floats, torque_nm: Floats) -> bytes:
-    """The message WrenchStamped; force_n, torque_nm: (3,), N and N m."""
+    """Return the message WrenchStamped; force_n, torque_nm: (3,), N and N m."""
     writer = CdrWriter()
     writer.header(heading)
     writer.add(_WRENCH.pack(*force_n.tolist(), *torque_nm.tolist()), 8)
@@ -64,7 +64,7 @@ UNKNOWN_WRENCH = "publish_unknown_wrench"
 
 
 def is_known(force_n: Floats, torque_nm: Floats) -> bool:
-    """Whether a wrench, (3,) and (3,), has no NaN."""
+    """Tell whether a wrench, (3,) and (3,), has no NaN."""
     return bool(np.isfinite(force_n).all() and np.isfinite(torque_nm).all())
 
 
@@ -82,7 +82,7 @@ def skin_info(
 
 
 def image(picture: NDArray[np.generic], encoding: str, heading: Heading) -> bytes:
-    """A picture, (h, w) or (h, w, channels), as the message Image."""
+    """Return a picture, (h, w) or (h, w, channels), as the message Image."""
     height, width = picture.shape[:2]
     writer = CdrWriter()
     writer.header(heading)
@@ -97,7 +97,7 @@ def image(picture: NDArray[np.generic], encoding: str, heading: Heading) -> byte
 def point_cloud(
     kind: np.dtype[np.void], clouds: Sequence[NDArray[np.void]], heading: Heading
 ) -> bytes:
-    """PointCloud2 of one cloud after the other, with a field for each of kind's.
+    """Make a PointCloud2 of one cloud after the other, with a field for each of kind's.
 
     kind: of the records, of little-endian numbers. clouds: (m,) each.
     """
@@ -116,7 +116,7 @@ def point_cloud(
 
 @cache
 def _point_fields(kind: np.dtype[np.void]) -> bytes:
-    """The sequence of PointFields of such records, from a multiple of 4 on."""
+    """Return the sequence of PointFields of such records, from a multiple of 4 on."""
     assert kind.fields is not None
     writer = CdrWriter()
     writer.count(len(kind.fields))
@@ -135,7 +135,7 @@ _STEP, _STEPS, _FIELD = Struct("<I"), Struct("<?3xII"), Struct("<IB3xI")
 def diagnostic(
     name: str, level: bytes, text: str, values: Mapping[str, object], hardware_id: str = ""
 ) -> DiagnosticStatus:
-    """One entry of /diagnostics."""
+    """Make one entry of /diagnostics."""
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return DiagnosticStatus(
         level=level, name=name, message=text, hardware_id=hardware_id, values=pairs
@@ -143,12 +143,12 @@ def diagnostic(
 
 
 def report(node: Node, entries: list[DiagnosticStatus]) -> DiagnosticArray:
-    """The message for /diagnostics."""
+    """Return the message for /diagnostics."""
     return DiagnosticArray(header=Header(stamp=node.get_clock().now().to_msg()), status=entries)
 
 
 def nanoseconds(stamp: Time) -> int:
-    """A ROS time stamp as one number."""
+    """Return a ROS time stamp as one number."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
@@ -157,7 +157,7 @@ MOST_M = 1e4
 
 
 def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
-    """Pressures, Pa, NaN without a reading, and status of a frame's taxels, (t,) each.
+    """Read a frame's pressures, Pa, NaN without a reading, and status, (t,) each.
 
     It does for a message object, which viewers and programs get, what read_array does for bytes,
     in 18 µs instead of 7.
@@ -172,7 +172,7 @@ def readings_of(message: TactileArray) -> tuple[Floats32, NDArray[np.uint8]]:
 
 
 def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
-    """Positions, m, and normals of a skin's taxels, (t, 3), and their areas, m², (t,).
+    """Read positions, m, and normals of a skin's taxels, (t, 3), and areas, m², (t,).
 
     Raises MessageError where its fields contradict each other.
     """
@@ -189,5 +189,5 @@ def places_of(info: TactileSkinInfo) -> tuple[Floats, Floats, Floats32]:
 
 
 def rows(points: Sequence[Point | Point32 | Vector3]) -> NDArray[np.float64]:
-    """Points or vectors as an array, (m, 3)."""
+    """Return points or vectors as an array, (m, 3)."""
     return np.array([(p.x, p.y, p.z) for p in points], dtype=np.float64).reshape(-1, 3)

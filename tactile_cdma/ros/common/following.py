@@ -35,7 +35,7 @@ class Following:
         self._subscriptions: list[Subscription] = []
 
     def __bool__(self) -> bool:
-        """Whether the topics are subscribed to."""
+        """Tell whether the topics are subscribed to."""
         return len(self._subscriptions) == len(self._topics)
 
     def follow(self, asked: bool) -> None:

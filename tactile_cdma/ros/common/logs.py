@@ -30,7 +30,7 @@ def forward_logs() -> None:
 
 
 def log_fault() -> str:
-    """Why ROS can write no log file, without which it would not begin; empty if it can."""
+    """Tell why ROS can write no log file, without which it would not begin; empty if it can."""
     home = os.environ.get("HOME", "")
     text = os.environ.get("ROS_LOG_DIR") or f"{os.environ.get('ROS_HOME') or '~/.ros'}/log"
     if text.startswith("~") and not home:

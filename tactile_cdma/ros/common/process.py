@@ -68,7 +68,7 @@ class Running(Generic[N]):
 
 @contextmanager
 def running(make: Callable[[], N]) -> Iterator[Running[N]]:
-    """A node for as long as the context lasts; raises what rcl, or the node, does not take.
+    """Yield a node for as long as the context lasts; raises what rcl, or the node, does not take.
 
     Signals (see stop_event) tell it to end; they raise nothing, as that could come amid the
     conversion of a message. Everything ends in order: the executor, the node with all it has, and

@@ -48,7 +48,7 @@ _MOST_DEPTH = 1 << 20
 def offered(
     profile: QoSProfile, node: Node, topic: str, declare: Callable[[Parameter], Value]
 ) -> QoSProfile:
-    """The profile of a node's publisher with its overrides.
+    """Return the profile of a node's publisher with its overrides.
 
     declare: declares a parameter that cannot change after the node's start; returns its value.
     """

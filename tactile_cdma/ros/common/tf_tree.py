@@ -39,7 +39,7 @@ class TfTree:
         self._found.clear()
 
     def pose(self, target: str, source: str) -> Pose:
-        """The pose of source in target: target.point = pose.apply(source.point).
+        """Return the pose of source in target: target.point = pose.apply(source.point).
 
         Raises TransformError, naming the frames, if they are not connected.
         """
@@ -58,14 +58,14 @@ class TfTree:
         )
 
     def root(self, frame: str) -> tuple[str, Pose]:
-        """The root above a frame, possibly the frame itself, and the frame's pose in it.
+        """Return the root above a frame, possibly the frame itself, and the frame's pose in it.
 
         Raises TransformError where frames form a cycle.
         """
         return list(self._to_root(_plain(frame)).items())[-1]
 
     def _to_root(self, frame: str) -> dict[str, Pose]:
-        """The pose of a frame in itself, in its parent, and so on to the root."""
+        """Return the pose of a frame in itself, in its parent, and so on to the root."""
         pose = Pose(np.eye(3), np.zeros(3))
         poses = {frame: pose}
         while frame in self._parents:
@@ -78,5 +78,5 @@ class TfTree:
 
 
 def _plain(frame: str) -> str:
-    """The name without the leading slash that older nodes write."""
+    """Return the name without the leading slash that older nodes write."""
     return frame.removeprefix("/")

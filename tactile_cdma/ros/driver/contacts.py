@@ -21,7 +21,7 @@ _ID, _STATE = packer(ID), packer(STATE)
 def contacts_message(
     contacts: Contacts, frame: TactileFrame, patch: str, heading: Heading, info_id: int
 ) -> bytes:
-    """All contacts of a frame. patch: fully qualified name of the node."""
+    """Return all contacts of a frame. patch: fully qualified name of the node."""
     coverage, header, name = contacts.coverage, heading.fields, string(patch)
     name += PADDING[-len(name) % 4]
     about = frame.sequence, info_id, frame.stamp_uncertainty_s, 0

@@ -45,7 +45,7 @@ class SkinReport:
         self._receiving = False  # at the last report
 
     def inactive(self, failure: str) -> list[DiagnosticStatus]:
-        """The entries while no driver runs. failure: why it could not be started, or empty."""
+        """Make the entries while no driver runs. failure: why it could not start, or empty."""
         self._start_over()
         judged = dict.fromkeys(ENTRIES, (Level.STALE, "not active"))
         if failure:
@@ -60,7 +60,7 @@ class SkinReport:
         tared: str,
         drivers: int,
     ) -> list[DiagnosticStatus]:
-        """The entries of a running driver.
+        """Make the entries of a running driver.
 
         watch: of the driver's port. latest: the newest frame. tared: when, or empty. drivers:
         number of those that publish under this node's name, itself included.
@@ -187,7 +187,7 @@ def _node_values(driver: Driver, window: Window) -> Values:
 
 
 def _counts(window: Window, of_stream: bool) -> Values:
-    """Totals for the entry of the stream, or for that of the link."""
+    """Return totals for the entry of the stream, or for that of the link."""
     named = window.totals.named().items()
     return {name: count for name, count in named if name.startswith(_OF_STREAM) == of_stream}
 
@@ -211,5 +211,5 @@ def _link_values(driver: Driver, window: Window) -> Values:
 
 
 def _number(value: float, digits: int) -> str:
-    """A number as text; NaN, an unknown one, is empty."""
+    """Return a number as text; NaN, an unknown one, is empty."""
     return "" if math.isnan(value) else f"{value:.{digits}f}"

@@ -106,7 +106,7 @@ class FramePublishers:
             )
 
     def _asked_for(self, t_host: float) -> tuple[bool, ...]:
-        """Whether anybody subscribes to array, wrench and contacts, as of COUNTED_S ago or less."""
+        """Tell who subscribes to array, wrench and contacts, as of COUNTED_S ago or less."""
         if not 0.0 <= t_host - self._counted_s < COUNTED_S:
             self._counted_s = t_host
             topics = self._array, self._wrench, self._contacts
@@ -114,7 +114,7 @@ class FramePublishers:
         return self._asked
 
     def _is_news(self, frame: TactileFrame) -> bool:
-        """Whether a node spoke, or may have, or the last frame without words is long enough ago."""
+        """Tell whether a node spoke, or may have, or the last silent frame is long enough ago."""
         rate_hz, last = float(self._live["idle_rate_hz"]), self.latest
         if not rate_hz or frame.words.active.any():
             self._silence_due_s = 0.0  # the first silent frame tells who fell silent

@@ -82,7 +82,7 @@ class SkinMarkers:
         unsure: Bools | bool = False,
         gamma: float = GAMMA,
     ) -> bytes:
-        """The message MarkerArray of a frame; markers of contacts that ended are deleted.
+        """Return the message MarkerArray of a frame; markers of contacts that ended are deleted.
 
         A text says how many taxels in service have no certain reading, or a doubtful zero, if any:
         nothing drawn means that nothing touches only without it.
@@ -115,7 +115,7 @@ class SkinMarkers:
         )
 
     def _forces(self, contacts: Contacts, max_pa: float) -> list[_Marker]:
-        """An arrow for each contact, which ends at its place, and its force at the other end.
+        """Draw an arrow for each contact, which ends at its place, and its force at the other end.
 
         Arrows are as long as the edge of the square that would bear the force at max_pa: light
         touches show, and no arrow is longer than the skin is wide. The last is the resultant, if
@@ -151,7 +151,7 @@ class SkinMarkers:
         label: tuple[str, float],
         rgba: _Rgba,
     ) -> list[_Marker]:
-        """An arrow and its text. label: what the text begins with, and its distance, m."""
+        """Return an arrow and its text. label: what the text begins with, and its distance, m."""
         newtons = math.hypot(*force_n)
         length_m = math.sqrt(newtons / max_pa)
         # Forces point into the skin; the sum of contacts that cancel each other points nowhere.
@@ -178,7 +178,7 @@ def _mean(values: Sequence[float], weights: Sequence[float]) -> float:
 
 
 def _squares(layout: Layout, share: float) -> Floats:
-    """(t, 6, 3) corners of squares a little below the taxels. share: of their edge."""
+    """Return (t, 6, 3) corners of squares a little below the taxels. share: of their edge."""
     places_m = layout.positions_m[:, None].astype("<f8")
     sunk_m = SUNK_PITCHES * layout.pitch_m * layout.normals[:, None]
     return np.asarray(places_m + share * (layout.squares_m - places_m) - sunk_m)
@@ -209,7 +209,7 @@ class _Marker(NamedTuple):
 
 
 def _message(markers: Sequence[_Marker], heading: Heading, lifetime_s: float) -> bytes:
-    """The message MarkerArray."""
+    """Return the message MarkerArray."""
     header = heading.fields
     lifetime = divmod(round(lifetime_s * 1e9), 1_000_000_000)
     writer = CdrWriter()

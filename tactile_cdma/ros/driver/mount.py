@@ -52,7 +52,7 @@ class Mount:
 
 
 def transform_of(values: Values) -> TransformStamped | None:
-    """The skin's place by all parameters' values, without a stamp; None without a parent_frame.
+    """Place the skin by all parameters' values, without a stamp; None without a parent_frame.
 
     Raises SpecError for names that tf does not take.
     """
@@ -68,12 +68,12 @@ def transform_of(values: Values) -> TransformStamped | None:
 
 
 def _is_frame(name: str) -> bool:
-    """Whether tf takes this name of a frame."""
+    """Tell whether tf takes this name of a frame."""
     return bool(name) and not name.startswith("/")
 
 
 def middle_of(values: Values, layout: Layout) -> TransformStamped:
-    """The skin's middle in its own frame, without a stamp: the middle taxel, z out of the skin."""
+    """Place the skin's middle, the middle taxel, in its own frame, z out of it; without a stamp."""
     taxel = layout.middle
     right, up = tangents(layout.normals[taxel : taxel + 1])
     axes = np.stack([right[0], up[0], layout.normals[taxel]], axis=1)

@@ -249,7 +249,7 @@ class SkinNode(ManagedNode):
             self._start_timer.cancel()
 
     def _rest_path(self, url: str) -> tuple[Path | None, str]:
-        """Where tare and drift are kept, or why they are not.
+        """Tell where tare and drift are kept, or why they are not.
 
         Raises RestError for a folder of the user's that there cannot be.
         """
@@ -319,7 +319,7 @@ class SkinNode(ManagedNode):
 
 
 def recalibrated(config: SkinConfig, values: Values) -> SkinConfig:
-    """The result of config.recalibrated, without holding up a stream; raises TactileError.
+    """Return the result of config.recalibrated, without holding up a stream; raises TactileError.
 
     Thousands of curves are read in a process of their own: a second of Python in this one would
     have the driver's thread wait for up to 80 ms at a time.

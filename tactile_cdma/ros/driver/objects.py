@@ -74,7 +74,7 @@ class ObjectsInput:
 
 
 def indenter(message: SimObject) -> Indenter:
-    """An object of a message; raises ParameterError for one that cannot be."""
+    """Return an object of a message; raises ParameterError for one that cannot be."""
     if message.shape not in _SHAPES:
         raise ParameterError(f"shape is {message.shape}; SimObject has {sorted(_SHAPES)}")
     what, kind, names = _SHAPES[message.shape]
@@ -93,7 +93,7 @@ def indenter(message: SimObject) -> Indenter:
 
 
 def sim_objects(objects: Sequence[Indenter]) -> SimObjects:
-    """The message of these objects."""
+    """Return the message of these objects."""
     return SimObjects(objects=[_message(each) for each in objects])
 
 

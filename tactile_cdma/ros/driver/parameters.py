@@ -65,7 +65,7 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._on_set)
 
     def offered(self, profile: QoSProfile, topic: str) -> QoSProfile:
-        """The QoS of a topic's publisher: the profile, with its qos_overrides."""
+        """Return the QoS of a topic's publisher: the profile, with its qos_overrides."""
         return offered(profile, self._node, topic, lambda p: self._declare(p, True))
 
     def check_all_taken(self) -> None:

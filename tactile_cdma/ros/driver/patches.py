@@ -101,7 +101,7 @@ class PatchesNode(Node):
 
 
 def made(patch: Patch) -> SkinNode:
-    """The driver node of a patch; raises what rcl, or the node, does not take."""
+    """Return the driver node of a patch; raises what rcl, or the node, does not take."""
     overrides: list[Any] = [
         Parameter(name, value=list(value) if isinstance(value, tuple) else value)
         for name, value in patch.parameters.items()

@@ -115,12 +115,12 @@ class Pictures:
 
 
 def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Drawings:
-    """How a skin's frame becomes the message of each topic, by the live parameters."""
+    """Tell how a skin's frame becomes the message of each topic, by the live parameters."""
     layout, skin = config.layout, SkinMarkers(config.layout)
     cloud = Cloud(layout.positions_m, layout.normals)
 
     def seen(frame: TactileFrame) -> tuple[Floats32, Bools]:
-        """Pressures, Pa, and which of them are uncertain."""
+        """Return pressures, Pa, and which of them are uncertain."""
         return frame.readings.pressure_pa, ~is_certain(frame.readings.status)
 
     def most_pa() -> float:
@@ -159,7 +159,7 @@ def _drawings(config: SkinConfig, live: Values, tracker: ContactTracker) -> Draw
 
 
 def _certain_pa(pressure_pa: Floats32, unsure: Bools) -> Floats32:
-    """Pressures for machines, Pa: NaN of those that are uncertain, as a picture has no flags."""
+    """Set uncertain pressures, Pa, to NaN for machines, as a picture has no flags."""
     return np.where(unsure, np.float32(np.nan), pressure_pa)
 
 

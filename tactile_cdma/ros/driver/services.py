@@ -65,7 +65,7 @@ class RestServices:
         return str(keeper.tare(request.force))
 
     def _pause(self) -> Future:
-        """A future that is done after RETRY_S, while the node serves others."""
+        """Return a future that is done after RETRY_S, while the node serves others."""
         future: Future = Future()
 
         def end() -> None:

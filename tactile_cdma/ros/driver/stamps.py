@@ -31,7 +31,7 @@ class Stamps:
         self._watch = self._clock.create_jump_callback(changes, post_callback=self._note_change)
 
     def rising(self, t_host: float) -> Heading:
-        """A heading for a moment, s, of the host's monotonic clock; each is later than the last."""
+        """Return a heading for a moment, s, of the monotonic clock; each is later than the last."""
         stamp_ns = self._ros_ns(t_host)
         if 0 <= self._last_ns - stamp_ns < STAMP_JITTER_NS:
             stamp_ns = self._last_ns + 1
@@ -39,7 +39,7 @@ class Stamps:
         return self._heading(stamp_ns)
 
     def at(self, t_host: float) -> Heading:
-        """A heading for a moment, s, of the host's monotonic clock."""
+        """Return a heading for a moment, s, of the host's monotonic clock."""
         return self._heading(self._ros_ns(t_host))
 
     def now(self) -> Heading:
@@ -50,7 +50,7 @@ class Stamps:
         return max(0, round(t_host * 1e9) + self._ahead_ns())
 
     def _ahead_ns(self) -> int:
-        """ROS time minus the host's monotonic clock, read now, so that it follows every step.
+        """Read ROS time minus the host's monotonic clock now, so that it follows every step.
 
         Where this thread had to wait between the two readings, they are repeated.
         """

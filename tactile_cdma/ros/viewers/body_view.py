@@ -46,7 +46,7 @@ class BodyViewer(Node):
 
 
 def line(message: TactileContacts | None, rate_hz: float, complaint: str) -> str:
-    """The line of a second: rate, resultant, strongest contacts, absent patches."""
+    """Return the line of a second: rate, resultant, strongest contacts, absent patches."""
     if message is None:
         return f"nothing yet{': ' + complaint if complaint else ''}"
     absent = listed([_patch(node) for node in message.absent])
@@ -72,7 +72,7 @@ def _contacts(contacts: Sequence[TactileContact]) -> str:
 
 
 def _patch(node: str) -> str:
-    """The patch's name in the body file: left_palm of /left_palm/skin."""
+    """Return the patch's name in the body file: left_palm of /left_palm/skin."""
     return plain(node.strip("/").removesuffix(f"/{NODE_NAME}"))
 
 

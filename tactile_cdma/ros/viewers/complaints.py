@@ -45,11 +45,11 @@ class Complaints:
         return changed
 
     def worst_first(self) -> list[DiagnosticStatus]:
-        """The entries that are not OK, the worst first."""
+        """Return the entries that are not OK, the worst first."""
         bad = [status for status in self._entries.values() if status.level != DiagnosticStatus.OK]
         return sorted(bad, key=lambda status: -_BADNESS.index(status.level))
 
     @property
     def worst(self) -> str:
-        """The text of the worst entry; empty if all are OK."""
+        """Return the text of the worst entry; empty if all are OK."""
         return next((status.message for status in self.worst_first()), "")

@@ -19,13 +19,13 @@ OLD_S = 1.0
 
 
 def full_name(patch: str) -> str:
-    """The driver's fully qualified name: left_palm and /left_palm/skin are the same patch."""
+    """Complete the name of a driver: left_palm and /left_palm/skin are the same patch."""
     name = patch.strip("/")
     return f"/{name}" if name == NODE_NAME or "/" in patch else f"/{name}/{NODE_NAME}"
 
 
 def layout_of(info: TactileSkinInfo) -> Layout:
-    """The layout that a driver has published.
+    """Return the layout that a driver has published.
 
     It has no positions on the unrolled skin: an irregular skin is drawn as seen from outside.
     Raises MessageError where its fields contradict each other.

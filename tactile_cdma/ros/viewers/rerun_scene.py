@@ -110,7 +110,7 @@ class PatchScene:
 
     @property
     def places_m(self) -> NDArray[np.float64]:
-        """(t, 3) positions of its taxels in the frame it is shown in, m."""
+        """Return (t, 3) positions of its taxels in the frame it is shown in, m."""
         assert self._layout is not None
         return self.pose.apply(self._layout.positions_m.astype(np.float64))
 
@@ -225,7 +225,7 @@ class PatchScene:
         force_n: NDArray[np.float64],
         lower_bound: Sequence[bool],
     ) -> rr.Arrows3D:
-        """An arrow per contact, longer for more force."""
+        """Return an arrow per contact, longer for more force."""
         size_n = np.linalg.norm(force_n, axis=1)
         vectors_m = force_n * (self._extent_m / 2 / (size_n + HALF_LENGTH_N))[:, None]
         return rr.Arrows3D(
@@ -257,7 +257,7 @@ class PatchScene:
 
 
 def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
-    """The viewer's arrangement. scenes: placed patches, each with the frame it is shown in."""
+    """Arrange the viewer. scenes: placed patches, each with the frame it is shown in."""
     frames = list(dict.fromkeys(scenes.values()))
     spaces = [_space(frame, [s for s in scenes if scenes[s] == frame]) for frame in frames]
     past = rrb.VisibleTimeRange(
@@ -292,7 +292,7 @@ def blueprint(scenes: Mapping[PatchScene, str]) -> rrb.Blueprint:
 
 
 def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
-    """The view of all patches in a frame."""
+    """Return the view of all patches in a frame."""
     places_m = np.concatenate([scene.places_m for scene in scenes])
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     centre_m, extent_m = (low + high) / 2, float((high - low).max())
@@ -308,7 +308,7 @@ def _space(frame: str, scenes: Sequence[PatchScene]) -> rrb.Spatial3DView:
 
 
 def _picture(scene: PatchScene) -> rrb.Spatial2DView:
-    """The view of a patch's whole picture."""
+    """Return the view of a patch's whole picture."""
     height, width = scene.picture_px
     return rrb.Spatial2DView(
         origin=f"/{scene.path}/heatmap",

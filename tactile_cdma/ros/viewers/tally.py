@@ -39,7 +39,7 @@ class Tally:
         self._arrivals_s.append(now_s)
 
     def silent_s(self, now_s: float) -> float:
-        """Time since the last message, s; infinite if there was none."""
+        """Return the time since the last message, s; infinite if there was none."""
         return now_s - self._arrivals_s[-1] if self._arrivals_s else math.inf
 
     @property
@@ -53,7 +53,7 @@ class Tally:
 
     @property
     def mean_rate_hz(self) -> float:
-        """Messages per second from the first one to the end.
+        """Return messages per second from the first one to the end.
 
         The first often takes longer than the others: time counts from when it could have arrived.
         """
@@ -61,19 +61,19 @@ class Tally:
         return (self.received - 1) / span_s if self.received > 1 else 0.0
 
     def rate_hz(self, now_s: float) -> float:
-        """Messages per second over the last few seconds."""
+        """Return messages per second over the last few seconds."""
         recent = [t for t in self._arrivals_s if now_s - t < RATE_SPAN_S]
         span = now_s - recent[0] if len(recent) > 1 else 0.0
         return (len(recent) - 1) / span if span > 0 else 0.0
 
     def percentile_ms(self, percent: float, last: int | None = None) -> float:
-        """A percentile of the latency, ms, over all or the last few messages."""
+        """Return a percentile of the latency, ms, over all or the last few messages."""
         values = list(self.latency_ms)[-last:] if last else self.latency_ms
         return float(np.percentile(values, percent)) if values else float("nan")
 
 
 def summary(tally: Tally) -> str:
-    """A viewer's last line, `key=value` pairs."""
+    """Return a viewer's last line, `key=value` pairs."""
     return (
         f"published={tally.published} received={tally.received} lost={tally.lost} "
         f"rate_hz={tally.mean_rate_hz:.2f} p50_ms={tally.percentile_ms(50):.2f} "

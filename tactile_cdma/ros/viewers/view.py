@@ -82,7 +82,7 @@ class Viewer(Node):
 
     @property
     def complaint(self) -> str:
-        """The worst known of the driver: that there are two, or what its diagnostics say."""
+        """Return the worst known of the driver: that there are two, or what its diagnostics say."""
         return self.rivals or self.complaints.worst
 
     @property
@@ -113,12 +113,12 @@ class Viewer(Node):
             self.force_n.add(now_s, float(force_n) if self.coverage.is_most else math.nan)
 
     def silent_s(self, now_s: float) -> float:
-        """Time without a frame, s; 0 up to OLD_S."""
+        """Return the time without a frame, s; 0 up to OLD_S."""
         silent_s = self.tally.silent_s(now_s)
         return silent_s if silent_s > OLD_S else 0.0
 
     def reading(self, message: TactileArray, now_s: float) -> Reading:
-        """The last frame, to draw: by its layout, or by rows and columns until that has come.
+        """Read the last frame, to draw: by its layout, or by rows and columns until that came.
 
         Once it is older than OLD_S, all taxels are stale.
         """
@@ -136,7 +136,7 @@ class Viewer(Node):
 def draw(
     viewer: Viewer, message: TactileArray, look: Look, of_force: bool, size: os.terminal_size
 ) -> str:
-    """Text of a screen. of_force: show the history of the total force, not of the peak."""
+    """Draw a screen as text. of_force: show the history of the total force, not of the peak."""
     now_s, columns = time.monotonic(), size.columns
     reading, silent_s = viewer.reading(message, now_s), viewer.silent_s(now_s)
     title = (
@@ -170,7 +170,7 @@ def _state(tally: Tally, noise_v: float, now_s: float) -> str:
 
 
 def _history(viewer: Viewer, of_force: bool, now_s: float, columns: int, unicode: bool) -> str:
-    """The line of the history: name, value now (>: some taxels are not read), curve, maximum."""
+    """Show the history: name, value now (>: some taxels are not read), curve, maximum."""
     history = viewer.force_n if of_force else viewer.peak_pa
     name, per_unit, unit = ("force", 1.0, "N") if of_force else ("peak", 1e-3, "kPa")
     values = history.bins(now_s, max(1, min(60, columns - 30))) * per_unit
@@ -267,7 +267,7 @@ def report(program: Running[Viewer], seconds: float) -> None:
 
 
 def in_use(message: TactileArray) -> NDArray[np.float32]:
-    """Pressures of the taxels that are not out of service."""
+    """Return pressures of the taxels that are not out of service."""
     pressure_pa, status = readings_of(message)
     return np.asarray(pressure_pa[is_in_service(status)])
 

@@ -43,7 +43,7 @@ class BatchCover:
         orientation_xyzw: Array | None = None,
         force_n: Array | None = None,
     ) -> Array:
-        """Mean pressure on every taxel under one object in each environment, (e, t), Pa.
+        """Return the mean pressure on every taxel under one object in each environment, (e, t), Pa.
 
         thing: its shape, size and stiffness, not its pose; no HeightMap. position_m: (e, 3), m, and
         orientation_xyzw: (e, 4), quaternions, None: not turned, in the skin's frame. force_n: (e,),
@@ -109,7 +109,7 @@ class BatchCover:
     def _spans(
         self, thing: Indenter, position_m: Array, turned: Array | None, xp: Any, here: Any
     ) -> Spans:
-        """Where the normals at all points enter and leave the objects, (e, m) each."""
+        """Tell where the normals at all points enter and leave the objects, (e, m) each."""
         points_m, normals = self._points_m, self._normals
         # Coordinates along the object's axes, each (e, m): R.T @ (point − position).
         axes = _axes(turned, xp) if turned is not None else None
@@ -125,7 +125,7 @@ class BatchCover:
         return thing.spans(tuple(map(along, range(3))), xp)
 
     def _shift_m(self, enters_m: Array, volume_m3: Array, xp: Any, here: Any) -> Array:
-        """By how much to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
+        """Tell how far to shift objects, (e,), m, so that they displace these volumes, (e,), m³.
 
         With the points in the order in which the skin is reached, Σ aᵢ·max(s − eᵢ, 0) is the
         greatest of the lines Σ_{i ≤ j} aᵢ·(s − eᵢ): s is the least of their solutions; −∞: none.
@@ -143,12 +143,12 @@ class BatchCover:
 
 
 def _once(values: Floats) -> Floats:
-    """The first of values that are all the same, else all; (m, …)."""
+    """Return the first of values that are all the same, else all; (m, …)."""
     return values[:1] if (values == values[0]).all() else values
 
 
 def _axes(quaternion: Array, xp: Any) -> tuple[Array, Array, Array]:
-    """The axes of objects, (e, 3) each, of their orientations (e, 4), x, y, z, w of any length."""
+    """Turn orientations (e, 4), x, y, z, w of any length, to the objects' axes, (e, 3) each."""
     q = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, axis=-1, keepdims=True))
     x, y, z, w = (q[:, i] for i in range(4))
     return (

@@ -30,8 +30,8 @@ from ...readings.drift import DriftTracker, nodes_beside
 from ...readings.pressure import PressureChain
 from ...readings.taxels import Taxels
 from ...wire._protocol import TAIL_CHIPS
-from ...words.words import silent
 from ...words.health import NodeHealth
+from ...words.words import silent
 from ..nodes import rest_codes
 from ..options import Setup, SimOptions
 from ..sensor import delayed, followed

@@ -13,20 +13,20 @@ Array = Any
 
 
 def array_api() -> Any:
-    """The module array_api_compat; raises MissingPackageError."""
+    """Return the module array_api_compat; raises MissingPackageError."""
     with needed_for("SkinBatch", "array_api_compat"):
         import array_api_compat
     return array_api_compat
 
 
 def is_array(array: object, shape: tuple[int, ...]) -> bool:
-    """Whether it is an array of a library that follows the standard, and of this shape."""
+    """Tell whether it is an array of a library that follows the standard, and of this shape."""
     found: bool = array_api().is_array_api_obj(array)
     return found and tuple(array.shape) == shape  # type: ignore[attr-defined]
 
 
 def floating(name: str, array: Array) -> Any:
-    """The namespace of an array of float32 or float64; ParameterError: it is none.
+    """Return the namespace of an array of float32 or float64; ParameterError: it is none.
 
     Libraries have shorter ones, too, which end at 65 kPa or have steps of 0.4 kPa there.
     """

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from tactile_cdma.base.errors import SpecError
 from tactile_cdma.code.encode import line_chips

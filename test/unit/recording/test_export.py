@@ -37,8 +37,7 @@ RECORDED = Source("touch.skin", recorded=True)
 @pytest.fixture(scope="module")
 def skin(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     path = tmp_path_factory.mktemp("export") / "touch.skin"
-    asked = {"amplitude_mv": 300.0, "frame_id": "palm", "threshold": 0.45}  # its earlier name
-    asked["roll_call"] = True  # which is gone
+    asked = {"amplitude_mv": 300.0, "frame_id": "palm", "active_share": 0.45}
     recording(path, SimOptions(scene="moving", seed=2, dead="5"), 1.5, **asked)
     capture = RawCapture(path, {})
     frames = list(capture.frames())

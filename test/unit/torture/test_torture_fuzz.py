@@ -12,12 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import CaptureError
 from tactile_cdma.driver import pipeline
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.stream import NumpyStream
-from tactile_cdma.driver.timeline import Arrival
 from tactile_cdma.wire import packets
 from tactile_cdma.wire.packets import Scanner
 from torture.fuzz import bombs, campaign, corpus, garbage, streams
@@ -165,16 +162,14 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 
-@pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
-def test_kernels_that_differ_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    take = NumpyStream._take
+def test_a_decoder_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    feed = Pipeline.feed
 
-    def forgetful(stream: NumpyStream, arrival: Arrival) -> None:
-        if arrival.packet.sequence != 12:
-            take(stream, arrival)
+    def forgetful(self: Pipeline, data: bytes, t_host: float) -> list[TactileFrame]:
+        return feed(self, data, t_host) if len(data) > 1 or data[0] else []
 
-    monkeypatch.setattr(NumpyStream, "_take", forgetful)
-    with trying(TARGETS["both ways"]) as attempt:
+    monkeypatch.setattr(Pipeline, "feed", forgetful)
+    with trying(TARGETS["changed packets"]) as attempt:
         found = attempt(b"")
     assert found is not None and found.kind == WRONG
 

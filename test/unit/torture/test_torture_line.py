@@ -225,9 +225,6 @@ def test_a_driver_that_fails_in_the_end_is_found(monkeypatch: pytest.MonkeyPatch
     """Nothing but what it tells shows that, and it tells of it late."""
 
     class Failing(Pipeline):
-        def __init__(self, *given: Any, **named: Any) -> None:
-            super().__init__(*given, compiled=False, **named)  # counts bytes when they are read
-
         def take(self, event: Event) -> TactileFrame | None:
             frame = super().take(event)
             arrived = rig.man.ledger.counts.bytes

@@ -14,6 +14,13 @@ from statistics import NormalDist
 
 FALSE_ALARM = 3e-5
 """α, the probability with which a clause fails by chance: two frames of a skin in half an hour."""
+LEAST_REST = 16
+"""Samples of the line at rest that an estimate of its level and noise takes: their variance is
+right to a third (√(2/15))."""
+GAP_WEIGHT = 0.25
+"""Weight of the newest gap in the running estimate of noise, which averages about seven gaps."""
+MOST_RISE = 4.0
+"""Times that the noise may rise from gap to gap: a burst must not excuse the next frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +34,8 @@ class Limits:
     bit, chip: times `left` that one bit may have; share by which one chip may be off. An impulse of
         a tenth of a chip, or a clipped peak, leaves 0.7 A in one chip and turns no bit.
     leak: most share of a chip that the next one holds: a low-pass of 0.6 chip leaves 0.35.
-    atom, row: share with which a node shows on another row early or late, and on its own row. A node
-        that is half a chip late leaves 0.5 on two readings; one of A a third on its neighbours.
+    atom, row: share with which a node shows on another row early or late, and on its own row. A
+        node that is half a chip late leaves 0.5 on two readings.
     faint, faint_bit, faint_deviations: share of a silent row, and of its loudest bit, that is asked
         about, and deviations of noise there. A doubtful silence costs one taxel, not a frame.
     better: squares of the weakest word by which a rival must be worse: a quarter of one chip that
