@@ -362,9 +362,9 @@ class GapTiming:
             return lib.FRAME_INCOMPLETE, False
         if reader.is_deaf(volts):
             return lib.FRAME_AT_RAIL, False
-        if search.misses_one(self._noise):
-            return lib.FRAME_NOISY, False
         mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
+        if search.misses_one(max(self._noise, variance / search.chip)):
+            return lib.FRAME_NOISY, False
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
         is_sure = more * search.period <= reader.silent_power * search.shortest

@@ -158,10 +158,10 @@ class GapSearch:
             if moves:  # so far after its end
                 burst = burst._replace(last=burst.last - 2 * self.half)
             found = burst
-            before = int((found.first - self.chip) / self.half)
-            if before * self.half < self.shortest:
+            end = int((found.first - self.chip) / self.half)
+            if end * self.half < self.shortest:
                 break
-            levels = levels[:before]
+            levels = levels[:end]
         return found
 
     def frame(
@@ -183,7 +183,7 @@ class GapSearch:
             if count < 1:
                 continue
             energy = chip * self._reader.explained(volts, low, chip, count)
-            found += [(float(e), low + i * chip, chip) for i, e in enumerate(energy)]
+            found += [(e, low + i * chip, chip) for i, e in enumerate(energy.tolist())]
         if not found:
             return None
         # Two nodes that cancel at the start of every bit are possible, but not likely.

@@ -229,7 +229,7 @@ def test_the_log_tells_when_the_raster_places_frames_and_when_no_more(
     noise = wire.rng.normal(0, 3, round(9 * wire.period)).astype(np.float32)
     timing.feed(volts.size, noise)
     timing.feed(10**9, noise)
-    assert "no frame at sample" in caplog.text and "raster is lost" in caplog.text
+    assert "no frame up to sample" in caplog.text and "raster is lost" in caplog.text
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
