@@ -235,7 +235,7 @@ static bool is_possible(const struct frame_reader *reader, const struct fit_line
 {
     const struct frame_rules *rules = &reader->rules;
 
-    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip &&
+    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip && !(reader->is_free && fit->start < -EDGE) &&
            fit_end(fit, reader->code.span) <= (double)line->size - EDGE + 0.3 * fit->chip;
 }
 
