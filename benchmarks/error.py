@@ -181,7 +181,7 @@ def blind_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:
 
 
 def marked_words(volts: np.ndarray, spec: FrameSpec, rate_hz: float, first: int) -> Words | None:
-    """Return words of the frame of which the first sample is known; what is before it is silence."""
+    """Return words of the frame of which the first sample is known; before it is silence."""
     reader, silence = FrameReader(spec, rate_hz), volts[:first].astype(np.float64)
     reader.learn_rest(float(silence.mean()), float(silence.var()) / reader.chip)
     frame = reader.read(volts[first:])

@@ -32,7 +32,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.report import QUICK, ROOT, Report
 from benchmarks.scale import replay
 from benchmarks.skip import record
-from tactile_cdma.base.kernel import compiled
+from tactile_cdma.base.kernel import lib
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import rows_of
@@ -154,11 +154,11 @@ class Marked:
     def read(self, volts: np.ndarray) -> LineFrame | None:
         """Return a frame, None where it is rejected; volts: (m,) float32, without an offset."""
         look = self.reader.look(volts, searches=True)
-        if look == compiled.FRAME_SEARCH:
+        if look == lib.FRAME_SEARCH:
             chip = self._proposer.propose(volts, float(np.var(volts)) / RHO**2, 1)
             self.reader.propose(-0.5, chip or 0.0)
             look = self.reader.look(volts)
-        return self.reader.taken(0) if look <= compiled.FRAME_READ else None
+        return self.reader.taken(0) if look <= lib.FRAME_READ else None
 
 
 def gap_timing(spec: FrameSpec, rate_hz: float) -> GapTiming:

@@ -56,7 +56,9 @@ class ChipLine:
         config = SkinConfig.of({"samples_per_chip": 1, **parameters})
         self.spec, self.pipeline = spec, Pipeline(replace(config, spec=spec))
         self._writer, self._frames = PacketWriter(), 0
-        told = introduction(self.pipeline.config, VOLTS_PER_COUNT, min_count=-32768, max_count=32767)
+        told = introduction(
+            self.pipeline.config, VOLTS_PER_COUNT, min_count=-32768, max_count=32767
+        )
         self.pipeline.feed(self._writer.encode(told), 0.0)
         assert self.pipeline.problem is None, self.pipeline.problem
 

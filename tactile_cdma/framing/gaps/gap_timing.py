@@ -70,7 +70,7 @@ class GapTiming:
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
         self._rest_size = int(min(search.gap, spec.order * search.chip))
-        self._counts = [0] * kernel.compiled.FRAME_LOOKS
+        self._counts = [0] * kernel.lib.FRAME_LOOKS
         self._volts = np.empty(0, np.float32)  # from stream index _begin on
         self._begin = self._cursor = self._end = self.due = 0
         self._raster = Raster(search.period, spec.span_chips)
@@ -175,7 +175,7 @@ class GapTiming:
 
     def _placed(self, end: int, final: bool) -> list[LineFrame] | None:
         """Return the frame where the raster expects it; None where none is there."""
-        expected, lib = self._expected, kernel.compiled
+        expected, lib = self._expected, kernel.lib
         assert expected is not None
         first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
         self._learn_rest(expected.start)
@@ -210,7 +210,7 @@ class GapTiming:
 
     def _searched(self, end: int, final: bool) -> list[LineFrame]:
         """Return what is in the samples from the cursor to `end`: frames, or none yet."""
-        lib, search, begin = kernel.compiled, self._search, self._cursor
+        lib, search, begin = kernel.lib, self._search, self._cursor
         volts = self._take(begin, end)
         if math.isnan(float(volts.sum())):
             self._counts[lib.FRAME_ABSURD] += 1
@@ -262,7 +262,7 @@ class GapTiming:
 
         calm: the same samples without impulses.
         """
-        lib, spec, reader = kernel.compiled, self._spec, self._reader
+        lib, spec, reader = kernel.lib, self._spec, self._reader
         if not self._noise:
             self._noise = self._noise_of(gap)
         reader.learn_rest(gap.level, self._noise)
@@ -318,7 +318,7 @@ class GapTiming:
         frames = []
         while self._next <= until:
             look, is_sure = self._silent_slot(self._next)
-            if look == kernel.compiled.FRAME_SILENT:
+            if look == kernel.lib.FRAME_SILENT:
                 frame = self._reader.taken(round(self._next))
                 frames.append(frame if is_sure else self._doubted(frame))
             else:
@@ -331,7 +331,7 @@ class GapTiming:
 
         A word that is too faint for a burst shows in the power of the whole slot.
         """
-        lib, search, reader = kernel.compiled, self._search, self._reader
+        lib, search, reader = kernel.lib, self._search, self._reader
         before = (search.period - search.shortest) / 2
         volts = self._take(math.floor(slot - before), math.ceil(slot - before + search.period))
         if self._level is None or volts.size < search.shortest:

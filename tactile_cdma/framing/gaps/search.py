@@ -156,10 +156,10 @@ class GapSearch:
             if moves:  # so far after its end
                 burst = burst._replace(last=burst.last - 2 * self.half)
             found = burst
-            before = int((found.first - self.chip) / self.half)
-            if before * self.half < self.shortest:
+            earlier = int((found.first - self.chip) / self.half)
+            if earlier * self.half < self.shortest:
                 break
-            levels = levels[:before]
+            levels = levels[:earlier]
         return found
 
     def frame(
