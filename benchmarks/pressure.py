@@ -67,7 +67,7 @@ def quantised(voltage_v: Floats) -> Floats:
 
 
 def rms(error: Floats) -> float:
-    """Of the readings that there are: one before the start of its curve is none, but NaN."""
+    """Return the root of the mean square; NaN is no reading: before the start of its curve."""
     return float(np.sqrt(np.nanmean(np.square(error))))
 
 
