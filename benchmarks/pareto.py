@@ -22,8 +22,7 @@ import multiprocessing
 import os
 import statistics
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from statistics import NormalDist
 from typing import Any
 
@@ -32,7 +31,6 @@ from matplotlib.figure import Figure
 
 from benchmarks.line_packets import introduction, packets
 from benchmarks.report import QUICK, Report
-from tactile_cdma.base.kernel import VARIABLE, compiled
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.wire.messages import Samples
@@ -56,7 +54,6 @@ MOST_LATE_CHIPS = 0.5
 WARM_UP = 40
 """Frames before those that count: timing by gaps has then learnt its raster."""
 FRAMES, STREAMS = (60, 4) if QUICK else (200, 25)
-KERNELS = ("compiled", "numpy")
 RAIL_V = 12.0
 """Above 16 nodes of 0.3 V and six deviations of the noise at 8 samples per chip."""
 
@@ -258,60 +255,35 @@ class DenseFrame:
     words: DenseWords
 
 
-def decoded(kernel: str, streams: list[Stream]) -> list[Outcome]:
-    """Decode the streams one by one in a process with this kernel."""
-    os.environ[VARIABLE] = kernel
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.map(measure, streams, chunksize=1)
-
-
 def main() -> None:
     report = Report("pareto", f"CPU time per frame against bit errors, 16 nodes, ρ = {RHO:.2f}")
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # of the processes
-    kernels = KERNELS if compiled else KERNELS[1:]
-    found: dict[tuple[str, str], list[Outcome]] = {}
-    different = 0
-    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
+    found: dict[str, list[Outcome]] = {}
+    spawn = multiprocessing.get_context("spawn")
+    with spawn.Pool(len(os.sched_getaffinity(0))) as pool:
         jobs = [(way, seed) for seed in range(STREAMS) for way in WAYS]
         streams = pool.starmap(stream, jobs, chunksize=1)
-    for kernel in kernels:
-        for some, outcome in zip(streams, decoded(kernel, streams), strict=True):
-            found.setdefault((some.way.name, kernel), []).append(outcome)
-    points = {key: Point.of(outcomes) for key, outcomes in found.items()}
-    first = kernels[0]
-    for way in WAYS:
-        for one, other in zip(found[way.name, first], found[way.name, "numpy"], strict=True):
-            different += int(np.count_nonzero(one.codes != other.codes))
+    with spawn.Pool(1) as pool:  # one by one
+        for some, outcome in zip(streams, pool.map(measure, streams, chunksize=1), strict=True):
+            found.setdefault(some.way.name, []).append(outcome)
+    points = {name: Point.of(outcomes) for name, outcomes in found.items()}
     report.table(
-        ["way", *(f"{kernel}, µs" for kernel in kernels), "bit error rate", "± 95 %",
-         "wrong, not flagged", "lost frames"],
-        [
-            [
-                way.name,
-                *(points[way.name, kernel].cpu_us for kernel in kernels),
-                points[way.name, first].bit_error_rate,
-                points[way.name, first].scatter,
-                points[way.name, first].unflagged,
-                points[way.name, first].lost,
-            ]
-            for way in WAYS
-        ],
-    )  # fmt: skip
-    default = points[DEFAULT.name, first]
+        ["way", "µs", "bit error rate", "± 95 %", "wrong, not flagged", "lost frames"],
+        [[name, *astuple(point)] for name, point in points.items()],
+    )
+    default = points[DEFAULT.name]
     report.finish(
-        picture(points, kernels),
+        picture(points),
         rho=round(RHO, 3),
         bound=BOUND,
         default_us=default.cpu_us,
-        default_numpy_us=points[DEFAULT.name, "numpy"].cpu_us,
         default_ber=default.bit_error_rate,
-        different_words=different,
     )
 
 
 @dataclass(frozen=True)
 class Point:
-    """One way with one kernel; scatter: 95 % of the bit error rate.
+    """One way; scatter: 95 % of the bit error rate.
 
     unflagged: share of words that are wrong without a flag. lost: share of frames.
     """
@@ -335,37 +307,30 @@ class Point:
         )
 
 
-def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Figure:
-    """Bit error rate against CPU time; each way's two kernels are joined by a line.
-
-    Numbers beside the points are those of the legend.
-    """
+def picture(points: dict[str, Point]) -> Figure:
+    """Bit error rate against CPU time. Numbers beside the points are those of the legend."""
     figure = Figure(figsize=(10, 5))
     axes = figure.add_subplot()
-    for number, way in enumerate(WAYS):
-        some = [points[way.name, kernel] for kernel in kernels]
-        times, rates = [p.cpu_us for p in some], [p.bit_error_rate for p in some]
-        colour, marker = f"C{number % 10}", "o^"[number // 10]
-        axes.plot(times, rates, color=colour, alpha=0.4, lw=1)
+    for number, (name, point) in enumerate(points.items()):
+        colour = f"C{number % 10}"
         axes.errorbar(
-            times[0],
-            rates[0],
-            some[0].scatter,
-            fmt=marker,
+            point.cpu_us,
+            point.bit_error_rate,
+            point.scatter,
+            fmt="o^"[number // 10],
             color=colour,
-            label=f"{number + 1}  {way.name}",
+            label=f"{number + 1}  {name}",
         )
         axes.annotate(
             f"{number + 1}",
-            (times[0], rates[0]),
+            (point.cpu_us, point.bit_error_rate),
             (-5 - 4 * (number % 2), 5),
             color=colour,
             textcoords="offset points",
             ha="right",
             fontsize="small",
         )
-        axes.plot(times[1:], rates[1:], marker, color=colour, mfc="none")
-    default = points[DEFAULT.name, kernels[0]]
+    default = points[DEFAULT.name]
     axes.plot(default.cpu_us, default.bit_error_rate, "o", ms=18, mfc="none", color="k")
     axes.annotate(
         "default",
@@ -376,7 +341,6 @@ def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Fig
     )
     axes.axhline(BOUND, color="k", ls="--", lw=1, label="matched filter, Q(ρ)")
     axes.set(xscale="log", yscale="log", xlabel="CPU time per frame, µs", ylabel="bit error rate")
-    axes.set_title("filled: compiled kernel; hollow: numpy", fontsize="medium")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

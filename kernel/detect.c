@@ -83,7 +83,8 @@ VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const fl
     }
 }
 
-/* How the share of a word that is believed follows from its mean |r|; as _belief in detect.py. */
+/* How the share of a word that is believed follows from its mean |r|: a straight line of the logarithm of its odds, in
+ * which log cosh u, u²/2 for small u and u − log 2 for large ones, is a parabola up to that line. */
 struct odds {
     float per, bits, half, odds, span;
 };
@@ -325,7 +326,8 @@ static void believe_carried(struct detector *detector, struct odds odds)
     }
 }
 
-/* As _soft_bits; returns the mean sum of derivatives. damping: also says that what earlier frames told is not used. */
+/* Soft words of those that are believed; returns the mean sum of the derivatives of a bit's words by their levels.
+ * damping: also says that what earlier frames told is not used. */
 static double soften(struct detector *detector, double noise, double odds, float damping)
 {
     const struct sparse_book *book = &detector->book;

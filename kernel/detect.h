@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* Multiuser detection of sparse codes: detect in code/detect.py, where it is explained, in the same steps. Levels are
+/* Multiuser detection of sparse codes, which code/detect.py explains. Levels are
  * kept by code number, in the order of the transform, and words only of those who have some, so that what a turn costs
  * beside its two transforms grows with those who speak. In C because numpy takes milliseconds for it. */
 #ifndef TACTILE_DETECT_H

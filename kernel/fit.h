@@ -36,7 +36,7 @@ struct fit {
     double start, chip;
 };
 
-/* How a fit is refined; see refine in fit.py. reaches: of a chip on either side of an edge, in each turn. */
+/* How a fit is refined; see fit_refine. reaches: of a chip on either side of an edge, in each turn. */
 struct fit_refining {
     double blur, settled_chips;
     size_t turns;
@@ -65,7 +65,8 @@ void fit_symbols(const struct fit_code *code, size_t bits, const float *rows, co
 void fit_model(const struct fit_code *code, size_t bits, float pedestal, float *chips);
 
 size_t fit_scratch(const struct fit_code *code);
-/* As refine in fit.py. scratch: so many values. */
+/* Moves start and chip to where the level changes of the decided words are; `refine` in fit.py says how. scratch: so
+ * many values. */
 struct fit fit_refine(const struct fit_code *code, const struct fit_line *line,
                       const struct fit_refining *refining, struct fit fit, double earliest,
                       double latest, float *scratch);

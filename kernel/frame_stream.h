@@ -6,7 +6,7 @@
  *
  * It stops with an event: a frame, a packet for others, or a question, and goes on where it is once that
  * is answered. So all that is rare is decided in Python, and none of it here; what is not rare needs no
- * Python. NumpyStream and MarkedTiming in tactile_cdma do the same, to the bit.
+ * Python.
  *
  * In C because it is all that a packet passes through: in Python that took 400 calls for a frame of 16
  * nodes, one millisecond after a pause, and held the interpreter's lock. Nothing is allocated here per

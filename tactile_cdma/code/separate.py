@@ -71,29 +71,15 @@ def may_be_offset(rows: Floats32, spec: FrameSpec) -> bool:
 
 
 def noise_of(rows: Floats32, spec: FrameSpec) -> float:
-    """RMS noise of one correlation, V. rows: (k, N) V, correlations of all rows."""
-    spare = spec.spare_rows
-    if kernel.compiled is None:
-        return numpy_noise_of(rows[:, spare], rows[:, spec.node_slice])
-    frame, count = frame_settings(spec), spare.stop - spare.start
-    values = kernel.pointer(np.ascontiguousarray(rows), spec.line_bits, spec.row_count)
-    return float(kernel.compiled.words_noise(frame, values, spare.start, count))
-
-
-def numpy_noise_of(spare: Floats32, values: Floats32) -> float:
-    """As noise_of, from the correlations of spare rows, (k, r), and of the nodes', (k, n).
+    """RMS noise of one correlation, V. rows: (k, N) V, correlations of all rows.
 
     Where no row is spare: a spoken word's k levels scatter about their mean with the noise; the
     levels of a silent node are the noise itself.
     """
-    if spare.shape[1] >= 2:
-        return math.sqrt(float(np.einsum("kr,kr->", spare, spare)) / spare.size)
-    level = np.abs(values)
-    amplitude = level.mean(axis=0)
-    scatter = np.sum(np.square(level - amplitude), axis=0) / (len(values) - 1)
-    spoken = amplitude > SPOKEN_OVER * np.sqrt(scatter)
-    power = np.where(spoken, scatter, np.mean(np.square(level), axis=0))
-    return float(np.sqrt(power.mean()))
+    spare = spec.spare_rows
+    frame, count = frame_settings(spec), spare.stop - spare.start
+    values = kernel.pointer(np.ascontiguousarray(rows), spec.line_bits, spec.row_count)
+    return float(kernel.lib.words_noise(frame, values, spare.start, count))
 
 
 def frame_fields(spec: FrameSpec) -> dict[str, float]:

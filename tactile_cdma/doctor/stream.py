@@ -18,7 +18,7 @@ from ..driver.checkup import CLIPPED_SHARE, REJECTED_FOR, REJECTED_SHARE, UNSOUN
 from ..driver.compiled_stream import GAP_TIMING
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
-from ..driver.stream import NUMPY, Decisions
+from ..driver.stream import Decisions
 from ..framing.timing import silence_hidden
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
@@ -43,7 +43,6 @@ MUCH_IN_PYTHON = 0.2
 """Share of frames decided in Python above which that is explained. Chosen: a sound skin with marked
 frames has less than 0.05."""
 IN_PYTHON_BECAUSE = {
-    NUMPY: "tactile-cdma doctor tells why the kernel is not used",
     GAP_TIMING: "as always without frame marks (timing: gap)",
 }
 """What it means that most of those frames were decided there for this reason."""

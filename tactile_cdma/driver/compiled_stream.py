@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""A stream in the compiled kernel (kernel/frame_stream.h): one call per frame.
+"""The digitizer's bytes → frames, in the compiled kernel (kernel/frame_stream.h).
 
-The kernel decides the frames that leave nothing to decide. Of others it says why they are in doubt,
-and goes on with the verdict that is reached here, by the same recognisers as with numpy.
+A stream is given bytes, and goes from event to event: a frame, a packet that has nothing to do with
+frames, or a packet of samples that does not continue the stream, about which it asks. Whoever
+decides that answers by `place`, and the stream goes on where it was. There is one stream per
+connection, whether the digitizer is known yet or not, and one way for bytes of a live port, a
+recording or a test.
+
+The kernel decides the frames that leave nothing to decide, each in one call. Of others it says why
+they are in doubt, and goes on with the verdict that the recognisers reach here.
 """
 
 import logging
@@ -16,7 +22,7 @@ import numpy as np
 from ..base import kernel
 from ..base.arrays import Floats32
 from ..code.separate import NodeLevels, frame_fields, may_be_offset
-from ..code.transform import CompiledTransform
+from ..code.transform import Transform
 from ..framing.fit import Fit, least_power
 from ..framing.frame_end import tail_of
 from ..framing.gaps.gap_timing import GapTiming
@@ -33,7 +39,7 @@ from ..framing.timing import (
 )
 from ..wire._protocol import TAIL_CHIPS
 from ..wire.messages import Quiet, Received, Samples
-from ..wire.packets import CompiledScanner, PacketParser, content_of
+from ..wire.packets import PacketParser, content_of
 from ..wire.reader import NO_FILE, failure_of
 from .description import Description
 from .stream import Decisions, Event
@@ -70,12 +76,14 @@ _ANOTHER_THREAD = "another thread follows this stream"
 
 
 class CompiledStream:
-    """A Stream in the kernel."""
+    """Goes through a digitizer's bytes from event to event.
+
+    parser: counts its packets. decisions: see there.
+    """
 
     def __init__(self, parser: PacketParser, decisions: Decisions) -> None:
-        assert isinstance(parser.scanner, CompiledScanner)
         self.parser, self.decisions = parser, decisions
-        library, scanner = kernel.compiled, parser.scanner
+        library, scanner = kernel.lib, parser.scanner
         self._held = kernel.Held(library.stream_new(scanner.at), library.stream_free)
         self._stream, ffi = self._held.at, kernel.ffi
         self._about = library.stream_subject(self._stream)
@@ -103,6 +111,7 @@ class CompiledStream:
         self._edges = kernel.ffi.new("struct frame_edges *")
 
     def describe(self, description: Description, frames: bool) -> None:
+        """Take the packets from here on for those of such a digitizer; frames: see Pipeline."""
         spec, timing, pointer = description.spec, description.timing, kernel.pointer
         self._description, self._fit = description, None
         shape = spec.line_bits, spec.row_count
@@ -111,7 +120,7 @@ class CompiledStream:
         self._line = timing.line if isinstance(timing, MarkedTiming) else None
         self._chip_noise = math.sqrt(spec.order)
         self._sparse = timing if isinstance(timing, SparseTiming) else None
-        transform, flips = CompiledTransform(spec.book.plan, spreading=False), kernel.ffi.NULL
+        transform, flips = Transform(spec.book.plan, spreading=False), kernel.ffi.NULL
         if spec.flips is not None and not spec.sparse:
             flips = pointer(np.ascontiguousarray(spec.flips, np.float32), *shape)
         code = {"transform": transform.at, "flips": flips}
@@ -121,29 +130,36 @@ class CompiledStream:
         if self._sparse is not None:
             self._spoke = np.empty(spec.nodes, np.int32)
             sparse, spoke = self._sparse.detector.kernel, pointer(self._spoke, spec.nodes)
-            assert sparse is not None
             self._answer("stream_detect_by", sparse.at, spoke)
             self._used |= {"sparse": sparse, "spoke": spoke}
         if isinstance(timing, MarkedTiming):
             self._carry(timing)
 
     def forget(self) -> None:
+        """Forget the digitizer: nothing is known of it any more."""
         self._description, null = None, kernel.ffi.NULL
         self._answer("stream_describe", null, null, null)
 
     def give(self, data: bytes, t_host: float, backlog: bool) -> None:
-        """Raises RuntimeError while other bytes are not used up."""
+        """Take bytes that were read elsewhere; see Event.
+
+        Raises RuntimeError while other bytes are not used up.
+        """
         self._expect_idle()
         given = kernel.ffi.from_buffer("uint8_t[]", data)
-        if not kernel.compiled.reader_give(self._reader, given, len(data), t_host, backlog):
+        if not kernel.lib.reader_give(self._reader, given, len(data), t_host, backlog):
             raise RuntimeError("other bytes are not used up")
         self._used["bytes"] = given
 
     def next(self, file: int = NO_FILE, timeout_ms: int = 0) -> Event:
-        """Raises RuntimeError while another thread is here."""
+        """Go on to the next event, with the bytes at hand and then those read from a file.
+
+        May run in a thread while others ask for counts, and nothing else. Raises OSError where
+        nothing can be read, and RuntimeError while another thread is here.
+        """
         if self._frames:
             return Event([], self._frames.popleft(), None, False, *self._read)
-        library, reader = kernel.compiled, self._reader
+        library, reader = kernel.lib, self._reader
         kind = library.reader_follow(reader, file, timeout_ms)
         if kind < 0:
             raise RuntimeError(_ANOTHER_THREAD)
@@ -176,6 +192,7 @@ class CompiledStream:
         return Event(passed, frame, packet, needs_bytes, t_host, backlog)
 
     def place(self, placement: Placement) -> None:
+        """Answer where the packet of samples of the last event belongs."""
         asked, description = self._asked, self._description
         sums = (asked.mean, asked.variance) if isinstance(asked, Quiet) else (0.0, 0.0)
         anew = placement.step is not Step.CONTINUES
@@ -190,8 +207,9 @@ class CompiledStream:
             description.timing.reset()
 
     def end(self) -> None:
+        """Decide the frame in progress by the samples so far: no more will follow."""
         self._expect_idle()
-        kernel.compiled.stream_conclude(self._stream)
+        kernel.lib.stream_conclude(self._stream)
         self._ending = True
 
     def _expect_idle(self) -> None:
@@ -202,7 +220,7 @@ class CompiledStream:
     def _answer(self, function: str, *arguments: Any) -> None:
         """Call one of the kernel's functions that tell whether the stream could take it."""
         self._expect_idle()
-        if not getattr(kernel.compiled, function)(self._stream, *arguments):
+        if not getattr(kernel.lib, function)(self._stream, *arguments):
             raise ValueError(f"{function}: not asked for, does not fit the frames, or no memory")
 
     def _decided(self, is_heard: bool) -> FrameLevels:
@@ -254,7 +272,7 @@ class CompiledStream:
             samples = self._volts().astype(np.float64)
             seen = about.final, about.marks, about.uses, about.ended
             verdict = timing.recognise(MarkedFrame(start, samples, *seen))
-        is_refined = look == kernel.compiled.FRAME_NO_TIMING and self._fit is not None
+        is_refined = look == kernel.lib.FRAME_NO_TIMING and self._fit is not None
         reason = REFINED if is_refined else DOUBTS[look]
         due, over = (-1 if at is None else at for at in (verdict.due, verdict.over))
         self._answer("stream_decide", due, over, line.level_v, line.noise)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from ..base import kernel
 from ..base.errors import SpecError
 from ..base.stage import stage
 from ..code.separate import NodeLevels
@@ -27,7 +26,7 @@ from .clock import DeviceClock, StreamCounters
 from .compiled_stream import CompiledStream
 from .description import Description
 from .digitizer import DigitizerState, contradiction
-from .stream import Decisions, Event, NumpyStream, Stream
+from .stream import Decisions, Event
 from .timeline import Answer, Arrival, Placement, Step, Timeline, sample_count
 
 _log = logging.getLogger(__name__)
@@ -72,13 +71,11 @@ class Pipeline:
         config: SkinConfig,
         most_repeated: int = MAX_REPEATED,
         clocks: Callable[[], DeviceClock] = DeviceClock,
-        compiled: bool = True,
         frames: bool = True,
     ) -> None:
         """most_repeated: see PacketParser. clocks: see Timeline.
 
-        compiled: False for the stream in numpy, though there is a kernel. frames: False to follow
-        the stream and its clock only.
+        frames: False to follow the stream and its clock only.
         """
         self.config = config
         self.counters, self.decisions = StreamCounters(), Decisions()
@@ -92,7 +89,7 @@ class Pipeline:
         chain = PressureChain(config.calibration, Baseline(nodes), tracker)
         self.taxels = Taxels(nodes, config.adc, chain, config.layout, config.stale_after_s)
         self._most_repeated = most_repeated
-        self._compiled, self._frames_wanted = compiled, frames
+        self._frames_wanted = frames
         self._earlier_packets = Counters()
         self._description: Description | None = None  # while the digitizer can be decoded
         self.groups = Groups(config.spec.nodes, capacity(config.spec), config.spec.frame_period_s)
@@ -177,11 +174,8 @@ class Pipeline:
         timing = self._description.timing if self._description else None
         return timing.load if isinstance(timing, SparseTiming) else None
 
-    def _new_stream(self) -> Stream:
-        parser = PacketParser(self._most_repeated)
-        if self._compiled and kernel.compiled is not None:
-            return CompiledStream(parser, self.decisions)
-        return NumpyStream(parser, self.decisions)
+    def _new_stream(self) -> CompiledStream:
+        return CompiledStream(PacketParser(self._most_repeated), self.decisions)
 
     def _place(self, arrival: Arrival) -> None:
         """Tell the stream where a packet of samples belongs."""
@@ -226,7 +220,7 @@ class Pipeline:
         is_odd = (
             levels.late or levels.level_unknown or heard.doubtful is not None or not heard.placed
         )
-        if kernel.compiled is not None and not is_odd:
+        if not is_odd:
             read = taxels.read(levels, config.spec, config.active_share, t_device, self.health)
             if read is not None:
                 return read
@@ -280,8 +274,7 @@ class Pipeline:
             except SpecError as error:
                 self.problem = f"the digitizer's sampling does not fit: {error}"
         if self._description is not None:
-            kind = type(self.stream).__name__
-            _log.debug("digitizer %s is decoded by %s", info.digitizer_id, kind)
+            _log.debug("digitizer %s is decoded", info.digitizer_id)
             self.stream.describe(self._description, self._frames_wanted)
             self.on_info(info)
 

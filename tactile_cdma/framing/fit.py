@@ -17,16 +17,15 @@ import numpy as np
 from ..base import kernel
 from ..base.arrays import Floats, Floats32, Indices, Int32s
 from ..base.stage import stage
-from ..base.sums import dot
 from ..code.amplitude import (
     ACTIVE_SHARE,
     FAINT_SHARE,
     LOUDEST_FLOOR,
     usual_amplitude,
 )
-from ..code.frame import UNIPOLAR, FrameSpec
+from ..code.frame import FrameSpec
 from ..code.separate import frame_fields, frame_settings
-from ..code.transform import CompiledTransform, chips_of, rows_of
+from ..code.transform import Transform, chips_of, rows_of
 from .limits import LIMITS
 
 UNEVEN = 0.02
@@ -269,37 +268,12 @@ def read_words(chips: Floats32, spec: FrameSpec) -> WordFit:
     return fit_words(rows_of(chips, spec), spec)
 
 
-def numpy_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
+def fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
     """Words of each candidate: correlations of all rows (c, k, N) float32, V."""
-    bits = np.float32(spec.line_bits)
-    signed = rows[..., spec.node_slice]
-    level: Floats32 = np.abs(signed)
-    mean = level.sum(axis=1) / bits
-    active = mean > word_floor(mean, spec)
-    amplitude = mean * active
-    word_power = np.einsum("cn,cn->c", amplitude, amplitude)
-    excess = np.einsum("ckn,ckn->cn", signed, signed) / bits - np.square(mean)
-    uneven = np.where(active, excess, np.float32(0))
-    pedestal, meant = np.zeros(len(rows), np.float32), rows
-    if spec.drive == UNIPOLAR:
-        pedestal = rows[..., 0].sum(axis=1) / bits
-    elif spec.first_row > 0:  # a free row 0 holds nothing but what is left of the offset
-        meant = rows[..., 1:]
-    total = np.einsum("ckr,ckr->c", meant, meant)
-    power = word_power + np.square(pedestal)
-    tiny = np.float32(1e-30)  # for divisors that may be zero
-    relative = uneven.sum(axis=1) / np.maximum(word_power, tiny)
-    misfit = total / np.maximum(bits * power, tiny) - 1
-    return WordFit(rows, amplitude, pedestal, uneven, power, relative, misfit)
-
-
-def compiled_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
-    """As numpy_fit_words."""
-    assert kernel.compiled is not None
     count, pointer = len(rows), kernel.pointer
     amplitude, uneven = np.empty((2, count, spec.nodes), np.float32)
     pedestal, power, spread, misfit = of_frames = np.empty((4, count), np.float32)
-    kernel.compiled.words_fit_all(
+    kernel.lib.words_fit_all(
         frame_settings(spec),
         count,
         pointer(rows, count, spec.line_bits, spec.row_count),
@@ -308,9 +282,6 @@ def compiled_fit_words(rows: Floats32, spec: FrameSpec) -> WordFit:
         *(pointer(values, count) for values in of_frames),
     )
     return WordFit(rows, amplitude, pedestal, uneven, power, spread, misfit)
-
-
-fit_words = numpy_fit_words if kernel.compiled is None else compiled_fit_words
 
 
 def word_floor(mean: Floats32, spec: FrameSpec) -> Floats32:
@@ -367,7 +338,7 @@ class Code(kernel.Held):
     """
 
     def __init__(self, spec: FrameSpec) -> None:
-        transforms = [CompiledTransform(spec.book.plan, spreading) for spreading in (False, True)]
+        transforms = [Transform(spec.book.plan, spreading) for spreading in (False, True)]
         flips = kernel.ffi.NULL
         if spec.flips is not None:
             shape = spec.line_bits, spec.order
@@ -391,10 +362,7 @@ class Code(kernel.Held):
         )
 
 
-@lru_cache(maxsize=8)
-def compiled_code(spec: FrameSpec) -> Code | None:
-    """How the kernel reads such frames; None where it does not."""
-    return None if kernel.compiled is None else Code(spec)
+code_of = lru_cache(maxsize=8)(Code)
 
 
 def refine(
@@ -407,10 +375,8 @@ def refine(
     is repeated ever closer to the edges, until nothing moves.
     earliest, latest: bounds of the start. Edges out of view are left out.
     """
-    code = compiled_code(spec)
-    if code is None:
-        return numpy_refine(line, fit, spec, earliest, latest)
-    size, library = line.volts.size, kernel.compiled
+    code = code_of(spec)
+    size, library = line.volts.size, kernel.lib
     samples = kernel.struct(
         "fit_line",
         size=size,
@@ -425,33 +391,3 @@ def refine(
         code.at, samples.at, code.refining.at, begun, earliest, latest, scratch
     )
     return Fit(found.start, found.chip)
-
-
-def numpy_refine(line: Line, fit: Fit, spec: FrameSpec, earliest: float, latest: float) -> Fit:
-    """As refine."""
-    start, chip = fit.start, fit.chip
-    steps = np.arange(spec.chips + 1.0)
-    levels = np.zeros(spec.chips + 2)  # the gap on either side
-    for share in REACHES:
-        words = read_words(integrate(line, np.array([start]), np.array([chip]), spec), spec)
-        levels[1:-1] = words.chips(spec).ravel() + words.pedestal[0]
-        before, after = levels[:-1], levels[1:]
-        edges, reach = start + chip * steps, share * chip
-        around = np.stack((edges - reach, edges + reach))
-        left, right = line.sum_before(*_place(around, line.volts.size))  # ∫ line dt, V·samples
-        area = right - left - reach * (before + after)
-        seen = (edges >= reach - 0.5) & (edges + reach <= line.volts.size - 0.5)
-        step = (before - after) * seen
-        weight, moment = np.square(step), step * area
-        w0, w1, w2 = weight.sum(), dot(weight, steps), dot(weight, np.square(steps))
-        m0, m1 = moment.sum(), dot(moment, steps)
-        determinant, moved = w0 * w2 - w1 * w1, start
-        if determinant > 1e-9 * w0 * w2:
-            moved += (w2 * m0 - w1 * m1) / determinant
-        moved = min(max(moved, earliest), latest)
-        longer = (m1 - w1 * (moved - start)) / w2 if w2 > 0 else 0.0
-        change = abs(moved - start) + abs(longer) * spec.chips
-        start, chip = moved, chip + longer
-        if change < SETTLED_CHIPS * chip:
-            break
-    return Fit(float(start), float(chip))

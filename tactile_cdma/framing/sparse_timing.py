@@ -155,7 +155,6 @@ class SparseRecogniser(Recogniser):
     def __init__(self, line: MarkedLine) -> None:
         super().__init__(line)
         self.speakers, self.crowded = 0, False
-        self._least = 0.0  # of the noise since it was shown to be more, V²
         self._swing2 = (line.spec.node_swing_v or 0.0) ** 2
         self._rules = certificate(line.spec)
         self._unlearnt = _Unlearnt(line.spec)
@@ -228,16 +227,7 @@ class SparseRecogniser(Recogniser):
         It follows such frames, but no further than chance does: what is more may be what words or a
         tone leave. If that was learnt, the next frame might leave as much again, up to a node.
         """
-        noise, rise = self._line.noise, 1 + self._rules["chance"]
-        if self.detector.kernel is not None:
-            self._line.noise = self.detector.learn(noise, newest)
-        elif not noise:
-            self._line.noise = newest
-        else:
-            self._least = noise if noise > rise * self._least else min(noise, self._least)
-            if newest <= rise * self._least:
-                noise = min(noise + WEIGHT * (newest - noise), rise * self._least)
-                self._line.noise = noise
+        self._line.noise = self.detector.learn(self._line.noise, newest)
 
     def _silence_rises(self, found: Detected, noise_v: float) -> bool:
         """Whether the row of anyone who did not speak holds more than noise, V RMS of a level."""

@@ -126,8 +126,8 @@ class Readout(kernel.Held):
             source=pointer(source, len(source)) if len(source) else kernel.ffi.NULL,
             sums=pointer(health.sums, 5, nodes),
         )
-        made = kernel.compiled.readout_new(settings.at, skin.at)
-        super().__init__(made, kernel.compiled.readout_free, settings, skin)
+        made = kernel.lib.readout_new(settings.at, skin.at)
+        super().__init__(made, kernel.lib.readout_free, settings, skin)
         self._bits, self._order, self._nodes = bits, order, nodes
         words, about = np.empty((3, nodes), np.float32), np.empty((4, nodes), np.bool_)
         readings, codes = np.empty((2, self.taxels), np.float32), np.empty(nodes, np.int32)
@@ -176,7 +176,7 @@ class Readout(kernel.Held):
             self._pointers = pointer(rows, *shape), *of_nodes
         of_rows, drift, tare = self._pointers
         per_noise = 1 / max(levels.noise_v, LEAST_NOISE)
-        look: int = kernel.compiled.readout_read(
+        look: int = kernel.lib.readout_read(
             self.at, of_rows, spoke, speakers, per_noise, floor_v, in_place, now_s,
             stale_after_s, drift, tare, self._frame.at,
         )  # fmt: skip

@@ -42,7 +42,7 @@ from ..fit import (
     Fit,
     Line,
     WordFit,
-    compiled_code,
+    code_of,
     integrate,
     read_words,
     refine,
@@ -160,7 +160,7 @@ class GapSearch(BurstSearch):
         """See BurstSearch. rails_v: see share_clipped."""
         super().__init__(spec, rate_hz)
         self._rails_v = rails_v
-        self._code = compiled_code(spec)
+        self._code = code_of(spec)
         self._values: Any = ()  # memory for the kernel
         self._make_room()
 
@@ -169,14 +169,12 @@ class GapSearch(BurstSearch):
     ) -> Look | None:
         """What is in a stretch of samples, all in one call of the kernel.
 
-        Gives what the other methods would, as far as it is beyond doubt; None without the kernel,
-        where a sample is NaN, or all are too few. volts, raw: (m,) float64, V, without hum and as
+        Gives what the other methods would, as far as it is beyond doubt; None where
+        a sample is NaN, or all are too few. volts, raw: (m,) float64, V, without hum and as
         they came, from stream index `begin` on. expected: the next frame, if sure, in such indices.
         """
         code = self._code
-        if code is None:
-            return None
-        library, samples, pointer = kernel.compiled, volts.size, kernel.pointer
+        library, samples, pointer = kernel.lib, volts.size, kernel.pointer
         room = library.gap_values(self.settings.at, samples)
         if len(self._values) < room:
             self._values = pointer(np.empty(2 * room), 2 * room)
@@ -197,8 +195,6 @@ class GapSearch(BurstSearch):
     def _make_room(self) -> None:
         """Arrays for the kernel's looks."""
         spec, one, code = self.spec, np.empty((4, 1), np.float32), self._code
-        if code is None:
-            return
         rows = np.empty((1, spec.line_bits, spec.order), np.float32)
         amplitude, uneven = np.empty((2, 1, spec.nodes), np.float32)
         self._words = WordFit(rows, amplitude, one[0], uneven, *one[1:])
@@ -209,7 +205,7 @@ class GapSearch(BurstSearch):
             kernel.ffi.new("enum gap_look *"),
         )
         self._seen.words = self._pointed.at[0]
-        room = kernel.compiled.gap_scratch(code.at, self.settings.at)
+        room = kernel.lib.gap_scratch(code.at, self.settings.at)
         self._scratch = kernel.pointer(np.empty(room, np.float32), room)
 
     @cached_property

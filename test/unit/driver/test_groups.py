@@ -35,15 +35,13 @@ def hug(t_s: float, skin: SkinGeometry) -> NDArray[np.float64]:
 class Robot:
     """A driver and its digitizer, in steps of a frame."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, compiled: bool, **changes: int | float
-    ) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **changes: int | float) -> None:
         monkeypatch.setitem(SCENES, "press", hug)
         self.now_s = 0.0
         options = "sim://?scene=press&seed=1&noise=0.01"
         self.digitizer = VirtualDigitizer(SimOptions.from_url(options), lambda: self.now_s)
         self.config = SkinConfig.of({**SKIN, **changes})
-        self.pipeline = Pipeline(self.config, compiled=compiled)
+        self.pipeline = Pipeline(self.config)
         self.session = Session(self.config)
         self.digitizer.receive(self.session.open())
 
@@ -57,11 +55,10 @@ class Robot:
         return frames
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 def test_all_are_heard_within_a_round_and_none_is_told_wrong(
-    monkeypatch: pytest.MonkeyPatch, compiled: bool
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    robot = Robot(monkeypatch, compiled)
+    robot = Robot(monkeypatch)
     frames = robot.frames(3.0)
     spec, truth = robot.config.spec, Truth(robot.digitizer)
     by_turns = [frame for frame in frames if truth[frame.sequence].turn]
@@ -95,7 +92,7 @@ def test_groups_whose_codes_are_not_told_apart_are_divided_until_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of 80 nodes four groups of 20 are fewer than 64 chips tell apart, but one adds up to 0."""
-    robot = Robot(monkeypatch, True, nodes=80, order=64, resync_chips=64)
+    robot = Robot(monkeypatch, nodes=80, order=64, resync_chips=64)
     frames, truth = robot.frames(RELEASE_S), Truth(robot.digitizer)
     assert groups_for_all(robot.config.spec) == 8
     assert {groups_of(truth[frame.sequence].turn) for frame in frames} == {1, 4, 8}
@@ -111,7 +108,7 @@ def test_groups_whose_codes_are_not_told_apart_are_divided_until_they_are(
 
 def test_a_lost_frame_leaves_no_value_of_its_group_certain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes are released while their turns are lost; those of other groups say so by themselves."""
-    robot = Robot(monkeypatch, True)
+    robot = Robot(monkeypatch)
     robot.frames(RELEASE_S - 0.02)
     robot.now_s += 20 * robot.config.spec.frame_period_s
     robot.digitizer.advance()
@@ -129,7 +126,7 @@ def test_frames_lost_as_groups_change_leave_no_value_certain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Who spoke in a turn of 16 groups, and told its release in a lost one of 8, is unheard."""
-    robot = Robot(monkeypatch, True, nodes=64, order=128, resync_chips=128, frame_period_ms=9.0)
+    robot = Robot(monkeypatch, nodes=64, order=128, resync_chips=128, frame_period_ms=9.0)
     robot.session = Session()  # which asks for no groups
     encode, period_s = PacketWriter().encode, robot.config.spec.frame_period_s
     for log2, frames_before in ((4, 24), (3, 4)):
@@ -148,7 +145,7 @@ def test_frames_lost_as_groups_change_leave_no_value_certain(
 
 
 def test_a_digitizer_that_knows_no_groups_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = Robot(monkeypatch, True)
+    robot = Robot(monkeypatch)
     asked: list[bytes] = []
     monkeypatch.setattr(robot.digitizer, "receive", lambda data: asked.append(data))
     frames = robot.frames(1.0)

@@ -75,12 +75,11 @@ def test_of_more_than_can_be_told_apart_nothing_is_certain() -> None:
         assert frame.words.doubtful.all()
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_how_many_speak_is_told_and_that_it_is_too_many(compiled: bool) -> None:
+def test_how_many_speak_is_told_and_that_it_is_too_many() -> None:
     config, vitals = SkinConfig.of(SKIN), Vitals()
     most = capacity(config.spec)
     for url, frames in (("sim://?scene=moving", 40), ("sim://?scene=all&threshold=0", 10)):
-        pipeline = Pipeline(config, compiled=compiled)
+        pipeline = Pipeline(config)
         vitals.take(pipeline)
         decoded = pipeline.feed(stream(config, url, frames), 0.0)
         truth = sent(url)
@@ -115,13 +114,12 @@ class NoiseEnds(Disturbance):
         return volts + np.float32(noise_v) if frame.number < 40 else volts
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_a_node_that_speaks_as_noise_ends_is_not_claimed_to_be_silent(compiled: bool) -> None:
+def test_a_node_that_speaks_as_noise_ends_is_not_claimed_to_be_silent() -> None:
     config, now_s = SkinConfig.of(SKIN | {"nodes": 100}), [0.0]
     options = SimOptions.from_url("sim://?scene=idle&heartbeat=100&noise=0.005")
     digitizer = VirtualDigitizer(options, lambda: now_s[0], NoiseEnds())
     digitizer.receive(Session(config).open())
-    pipeline, truth = Pipeline(config, compiled=compiled), Truth(digitizer)
+    pipeline, truth = Pipeline(config), Truth(digitizer)
     for now_s[0] in np.arange(60) * config.spec.frame_period_s:
         digitizer.advance()
         for frame in pipeline.feed(digitizer.take(1 << 20), now_s[0]):

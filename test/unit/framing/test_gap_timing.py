@@ -192,12 +192,12 @@ def on_a_raster(slots: range, silent: tuple[int, ...] = ()) -> Wire:
     return wire
 
 
-@pytest.mark.parametrize("compiled", [True, False], ids=["as it is", "numpy"])
+@pytest.mark.parametrize("at_once", [True, False])
 def test_a_frame_is_out_once_silence_proves_its_end(
-    compiled: bool, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, at_once: bool
 ) -> None:
     wire = on_a_raster(range(45))
-    if not compiled:
+    if not at_once:
         monkeypatch.setattr(GapSearch, "look", lambda *_: None)
     timing, volts, late, before = GapTiming(DEFAULT, wire.rate_hz), wire.volts(rho=400), [], 0
     for begin in range(0, volts.size, 4):
