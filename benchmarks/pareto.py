@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.line_packets import introduction, packets
+from benchmarks.line_packets import config_of, introduction, packets
 from benchmarks.report import QUICK, Report
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
@@ -87,19 +87,18 @@ class Way:
         )
 
     @property
-    def config(self) -> SkinConfig:
-        skin = self.skin
-        return SkinConfig.of(
-            {
-                "order": skin.order,
-                "first_row": skin.first_row,
-                "parity": skin.parity,
-                "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
-                "timing": self.timing,
-                "samples_per_chip": self.samples_per_chip,
-                "codes": "sparse" if self.sparse else "orthogonal",
-            }
+    def digitizer(self) -> Digitizer:
+        return Digitizer(
+            samples_per_chip=self.samples_per_chip if self.samples_per_chip > 1 else 4,
+            integrated=self.samples_per_chip == 1,
+            marked=self.timing == "line",
+            rail_v=RAIL_V,
+            adc_bits=16,
         )
+
+    @property
+    def config(self) -> SkinConfig:
+        return config_of(self.skin, self.digitizer)
 
 
 DEFAULT = Way("line, 4 per chip")
@@ -154,16 +153,9 @@ def stream(way: Way, seed: int) -> Stream:
     delays = rng.uniform(0, MOST_LATE_CHIPS if way.late else 0.0, skin.nodes)
     noise_v = skin.amplitude_v * skin.order**0.5 / RHO
     line = Line(noise_v=noise_v, late=tuple(enumerate(delays)))
-    digitizer = Digitizer(
-        samples_per_chip=way.samples_per_chip if way.samples_per_chip > 1 else 4,
-        integrated=way.samples_per_chip == 1,
-        marked=way.timing == "line",
-        rail_v=RAIL_V,
-        adc_bits=16,
-    )
     writer = PacketWriter()
-    warm_up = [(0.0, writer.encode(introduction(way.config, digitizer)))]
-    recording = render(skin, Talk(), line, digitizer, WARM_UP + FRAMES, [seed, 2])
+    warm_up = [(0.0, writer.encode(introduction(way.config, way.digitizer)))]
+    recording = render(skin, Talk(), line, way.digitizer, WARM_UP + FRAMES, [seed, 2])
     reads: list[tuple[float, bytes]] = []
     begin = recording.frames[WARM_UP].start_chips - 1
     for t_chips, t_host, data in packets(recording, writer):

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.decode import Words
@@ -31,7 +30,7 @@ from test.support.independent_line import (
     row_sign,
 )
 
-from ..line_packets import introduction, packets
+from ..line_packets import config_of, introduction, packets
 from .tally import Tally, total
 
 Bools: TypeAlias = NDArray[np.bool_]
@@ -129,7 +128,9 @@ def play(
     lost: share of the packets that do not arrive as they should, drawn by the seed. how: see
     arrivals. parameters: of the driver.
     """
-    config, writer = config_of(recording, learnt, **parameters), PacketWriter()
+    unknown = {"amplitude_mv": 0.0} if learnt else {}
+    config = config_of(recording.skin, recording.digitizer, **unknown, **parameters)
+    writer = PacketWriter()
     pipeline = Pipeline(config)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
@@ -158,31 +159,6 @@ def arrivals(
         }
         yield t_host, (broken[how] if is_hit else data) + late
         before, late = data, data if is_hit and how == LATE else b""
-
-
-def config_of(recording: Recording, learnt: bool = False, **more: float) -> SkinConfig:
-    """What a user sets for a recording; more: other parameters."""
-    skin, digitizer = recording.skin, recording.digitizer
-    return SkinConfig.of(
-        {
-            "nodes": skin.nodes,
-            "bits": skin.bits,
-            "parity": skin.parity,
-            "order": skin.order,
-            "first_row": skin.first_row,
-            "scramble": skin.scramble,
-            "codes": "sparse" if skin.sparse else "orthogonal",
-            "sign_seed": -1 if skin.sign_seed is None else skin.sign_seed,
-            "chip_us": 1e6 * skin.chip_s,
-            "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
-            "drive": skin.drive,
-            "polarity": skin.polarity,
-            "amplitude_mv": 0.0 if learnt else 1e3 * skin.amplitude_v,
-            "timing": "line" if digitizer.marked else "gap",
-            "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
-            **more,
-        }
-    )
 
 
 def compare(recording: Recording, decoded: list[Decoded], line: Line) -> tuple[Tally, list[str]]:
