@@ -60,7 +60,7 @@ RAIL_V = 12.0
 
 @dataclass(frozen=True)
 class Way:
-    """One way to sample and decode the skin; the defaults are those of the parameters.
+    """Is one way to sample and decode the skin; the defaults are those of the parameters.
 
     late: nodes start late. sparse: codes are. dense: nothing but a product.
     """
@@ -121,7 +121,7 @@ WAYS = (
 
 @dataclass(frozen=True)
 class Stream:
-    """What a digitizer sends, as (host time in s, bytes); warm_up comes before what is measured.
+    """Is what a digitizer sends, (host time in s, bytes); warm_up comes before what is measured.
 
     truths: of the frames that are measured.
     """
@@ -134,7 +134,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one way made of one stream.
+    """Holds what one way made of one stream.
 
     cpu_s: per frame. codes: (frames, n), SILENT where no word was heard. lost: frames.
     unflagged: wrong words that are not flagged as doubtful, missing ones included.
@@ -194,7 +194,7 @@ def measure(some: Stream) -> Outcome:
 
 
 class DenseProduct:
-    """The least that decodes marked frames of nodes that all speak: one product, and its signs."""
+    """Decodes marked frames of nodes that all speak by the least: one product, and its signs."""
 
     def __init__(self, config: SkinConfig) -> None:
         spec, self._per_chip = config.spec, config.samples_per_chip
@@ -205,7 +205,7 @@ class DenseProduct:
         self._held, self._t_start = 0, 0.0
 
     def feed(self, data: bytes, _: float) -> list[DenseFrame]:
-        """The frames that these bytes complete."""
+        """Return the frames that these bytes complete."""
         frames = []
         for packet in self._parser.feed(data):
             if not isinstance(packet, Samples):
@@ -275,7 +275,7 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Point:
-    """One way; scatter: 95 % of the bit error rate.
+    """Holds what one way costs and errs; scatter: 95 % of the bit error rate.
 
     unflagged: share of words that are wrong without a flag. lost: share of frames.
     """
