@@ -3,6 +3,7 @@
 """The compiled kernel: the same bits on every processor, and no harm by misuse or absence."""
 
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from tactile_cdma.code.codes import code_book, is_feasible
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import frame_fields, frame_settings
 from tactile_cdma.code.transform import Transform, correlate
-from test.support.programs import run_python
+from test.support.programs import run_program, run_python
+
+KERNEL = Path(__file__).parents[3] / "kernel"
 
 
 def test_without_the_kernel_one_sentence_says_how_to_build_it() -> None:
@@ -163,7 +166,17 @@ def test_structs_take_exactly_their_members_by_name() -> None:
 
 def test_the_kernel_knows_nothing_of_python() -> None:
     """Builds for one Python serve others, and format strings with # break those of 3.13."""
-    folder = Path(__file__).parents[3] / "kernel"
-    for path in [*folder.glob("*.[ch]"), folder / "build_kernel.py"]:
+    for path in [*KERNEL.glob("*.[ch]"), KERNEL / "build_kernel.py"]:
         text = path.read_text()
         assert not re.search(r"Python\.h|PyArg_|Py_BuildValue", text), path
+
+
+@pytest.mark.parametrize("path", sorted(KERNEL.glob("*.c")), ids=lambda path: path.name)
+def test_only_reading_a_port_needs_posix(path: Path, tmp_path: Path) -> None:
+    """All else compiles for Windows, too, without a warning."""
+    compiler = shutil.which("x86_64-w64-mingw32-gcc")
+    if compiler is None:
+        pytest.skip("x86_64-w64-mingw32-gcc (apt: gcc-mingw-w64-x86-64) compiles for Windows")
+    options = [*(KERNEL / "options.txt").read_text().split(), "-Werror", "-c"]
+    run = run_program(compiler, *options, path, "-o", tmp_path / "object.o")
+    assert (run.returncode != 0) == (path.name == "reader.c"), run.stderr
