@@ -113,7 +113,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         .alike = true};
     const double dampings[] = {0, 0.6, 0.8};
     int16_t sent[MOST_ROWS];
-    bool is_sound = true, heard[MOST_ROWS];
+    bool is_sound = true;
+    uint8_t heard[MOST_ROWS];
     static float chips[MOST_BITS * MOST_ORDER], left[MOST_BITS * MOST_ORDER], levels[MOST_BITS * MOST_ROWS];
     float loudness[MOST_ROWS];
     double power[MOST_BITS], damping = dampings[input_u8(&input) % 3];
