@@ -411,7 +411,7 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     double power = sums_power(reader->chips, chips) / (double)chips;
     enum frame_look look = certify(reader, &view, NULL, rest, power, 0, words, found);
     if (!reader->sparse || found->certificate.understood) { /* else much of what is left is words */
-        reader->seen[reader->count % SEEN].left = found->certificate.left;
+        reader->seen[reader->count % SEEN].left = reader->sparse ? found->certificate.usual : found->certificate.left;
         reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
     }
     if (look == FRAME_READ && count > chips) /* a value was taken twice */
