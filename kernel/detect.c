@@ -9,6 +9,7 @@
 #include "sums.h"
 
 #define LANES 8 /* sums that are kept apart, so that they can be added at once */
+#define CACHE_LINE 64 /* bytes: where levels begin, so that no eight lie in two lines */
 #define APART_BY 16 /* floats between the levels of bits: else all of a code are in one place of the cache */
 
 /* ---- passes -------------------------------------------------------------------------------------- */
@@ -78,14 +79,22 @@ VECTORS static void believe(size_t rows, const float *restrict loud, const struc
     }
 }
 
-/* Lists the codes that have more than the least; returns how many. Without a branch, as it is a guess who has. */
-static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
+ * is a guess who has. */
+VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
 {
+    const floats8 limit = (floats8){0} + least;
     size_t count = 0;
 
-    for (size_t i = 0; i < rows; i++) {
-        codes[count] = (int32_t)i;
-        count += values[i] > least;
+    for (size_t first = 0; first < rows; first += LANES) {
+        const ints8 above = *(const floats8 *)(values + first) > limit;
+        uint64_t pairs[LANES / 2];
+        memcpy(pairs, &above, sizeof pairs);
+        bool any = pairs[0] | pairs[1] | pairs[2] | pairs[3];
+        for (size_t i = 0; any && i < LANES; i++) {
+            codes[count] = (int32_t)(first + i);
+            count += values[first + i] > least;
+        }
     }
     return count;
 }
@@ -142,13 +151,13 @@ struct detector *detector_new(const struct code *code, const struct sparse_book 
     detector->code = *code;
     detector->book = *book;
     detector->step = rows + APART_BY;
-    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows, sizeof(float));
+    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows + CACHE_LINE, sizeof(float));
     detector->nodes = malloc(4 * rows * sizeof(int32_t));
     if (!(detector->floats && detector->nodes)) {
         detector_free(detector);
         return NULL;
     }
-    detector->sums = detector->floats;
+    detector->sums = (float *)(((uintptr_t)detector->floats + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE);
     detector->now.words = detector->sums + code->bits * detector->step;
     detector->next.words = detector->now.words + words;
     float **of_codes[] = {&detector->told, &detector->spread, &detector->loud, &detector->belief,

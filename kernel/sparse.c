@@ -16,8 +16,11 @@ struct sparse {
     struct detector *detectors[2]; /* of a frame, and of another try of it */
     float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these */
     double *triangle;              /* (most that are told apart)² */
-    float *levels;                 /* (k, n) V, of the nodes */
+    float *levels, *swings;        /* (k, n), (n) V, of those who were heard, side by side: theirs, and as expected */
+    int32_t *masks;                /* (n) of these, as code.sign_mask */
     struct words_measures measures;
+    uint8_t *memory;               /* of what they said: */
+    struct words said;
 };
 
 /* Products of codes i and j of a bit are one at i XOR j: the sum of the signs of this code's chips. */
@@ -38,19 +41,25 @@ static bool make_products(struct sparse *sparse)
     return true;
 }
 
-/* Room for the levels of all nodes, and what they say. */
-static bool make_measures(struct sparse *sparse)
+/* Room for what those say who were heard. */
+static bool make_words(struct sparse *sparse)
 {
+    struct words_measures *measures = &sparse->measures;
     const size_t nodes = sparse->code.nodes;
 
-    sparse->levels = malloc((sparse->code.bits + 3) * nodes * sizeof *sparse->levels);
-    sparse->measures.signs = malloc(2 * nodes * sizeof *sparse->measures.signs);
-    if (!(sparse->levels && sparse->measures.signs))
+    sparse->memory = malloc(WORDS_BYTES * nodes);
+    sparse->levels = malloc((sparse->code.bits + 4) * nodes * sizeof *sparse->levels);
+    sparse->masks = malloc(3 * nodes * sizeof *sparse->masks);
+    if (!(sparse->memory && sparse->levels && sparse->masks))
         return false;
-    sparse->measures.weakest = sparse->levels + sparse->code.bits * nodes;
-    sparse->measures.strongest = sparse->measures.weakest + nodes;
-    sparse->measures.squares = sparse->measures.strongest + nodes;
-    sparse->measures.weakest_bit = sparse->measures.signs + nodes;
+    sparse->said = words_in(sparse->memory, nodes);
+    measures->amplitude = sparse->said.amplitude;
+    sparse->swings = sparse->levels + sparse->code.bits * nodes;
+    measures->weakest = sparse->swings + nodes;
+    measures->strongest = measures->weakest + nodes;
+    measures->squares = measures->strongest + nodes;
+    measures->signs = sparse->masks + nodes;
+    measures->weakest_bit = measures->signs + nodes;
     return true;
 }
 
@@ -69,8 +78,7 @@ struct sparse *sparse_new(const struct code *code, const struct certificate_limi
     sparse->expected = expected;
     for (size_t i = 0; i < 2; i++)
         sparse->detectors[i] = detector_new(code, &code->sparse->book);
-    if (sparse->detectors[0] && sparse->detectors[1] && make_measures(sparse) &&
-        make_products(sparse))
+    if (sparse->detectors[0] && sparse->detectors[1] && make_words(sparse) && make_products(sparse))
         return sparse;
     sparse_free(sparse);
     return NULL;
@@ -85,7 +93,8 @@ void sparse_free(struct sparse *sparse)
     free(sparse->alike);
     free(sparse->triangle);
     free(sparse->levels);
-    free(sparse->measures.signs);
+    free(sparse->masks);
+    free(sparse->memory);
     free(sparse);
 }
 
@@ -213,44 +222,100 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
 
 /* ---- words --------------------------------------------------------------------------------------- */
 
-VECTORS static void pick(size_t count, const int32_t *restrict codes, const float *restrict sums, float scale,
-                         float *restrict levels)
-{
-    for (size_t i = 0; i < count; i++)
-        levels[i] = sums[codes[i]] * scale;
-}
-
-/* Decides the words of those who were heard, and marks silent nodes on whose rows there is more than noise, V RMS of a
- * level. */
+/* Decides the words of those who were heard, side by side, and puts them in their places. noise: V RMS of a level. */
 static void tell_words(struct sparse *sparse, const struct detector *detector, double noise, const struct words *words)
 {
     const struct code *code = &sparse->code;
-    const struct certificate_limits *limits = &sparse->limits;
     const struct listed *found = &detector->next;
-    const int32_t *numbers = sparse->sparse.book.numbers + 1;
-    const double bits = (double)code->bits, faint = limits->faint * (double)code->swing;
-    float *levels = sparse->levels, *squares = sparse->measures.squares;
+    const struct words *said = &sparse->said;
+    float *levels = sparse->levels;
 
-    for (size_t bit = 0; bit < code->bits; bit++, levels += code->nodes)
-        pick(code->nodes, numbers, detector_sums(detector, bit), 1.0f / (float)code->order, levels);
-    sparse->measures.amplitude = words->amplitude;
-    words_measure(sparse->levels, code->nodes, code->bits, code->nodes, &sparse->measures);
-    memset(words->active, 0, code->nodes);
+    for (size_t bit = 0; bit < code->bits; bit++)
+        for (size_t i = 0; i < found->count; i++)
+            *levels++ = detector_sums(detector, bit)[found->codes[i]] / (float)code->order;
+    words_measure(sparse->levels, found->count, code->bits, found->count, &sparse->measures);
     for (size_t i = 0; i < found->count; i++) {
-        size_t node = (size_t)detector->nodes[found->codes[i]];
-        words->active[node] = words->amplitude[node] > code->active_share * sparse->expected[node];
+        int32_t node = detector->nodes[found->codes[i]];
+        sparse->swings[i] = sparse->expected[node];
+        sparse->masks[i] = code->sign_mask[node];
+        said->active[i] = said->amplitude[i] > code->active_share * sparse->swings[i];
     }
-    const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
-    words_decide(&sparse->measures, &sent, sparse->expected, (float)(1 / fmax(noise, 1e-12)), &limits->words, words);
-    double chance = certificate_chance(bits, limits->faint_deviations) * noise * noise;
-    float most = (float)(bits * fmax(faint * faint, chance));
-    for (size_t i = 0; i < code->nodes; i++) {
-        words->faint[i] = (uint8_t)((words->active[i] ^ 1) & (squares[i] > most));
-        words->doubtful[i] |= words->faint[i];
+    const struct words_code sent = {found->count, (unsigned)code->bits, code->parity, sparse->masks};
+    words_decide(&sparse->measures, &sent, sparse->swings, (float)(1 / fmax(noise, 1e-12)), &sparse->limits.words, said);
+    for (size_t i = 0; i < found->count; i++) {
+        int32_t node = detector->nodes[found->codes[i]];
+        words->active[node] = said->active[i];
+        words->doubtful[node] = said->doubtful[i];
+        words->doubled[node] = said->doubled[i];
+        words->odd[node] = said->odd[i];
+        words->codes[node] = said->codes[i];
+        words->amplitude[node] = said->amplitude[i];
+        words->rho[node] = said->rho[i];
+        words->margin[node] = said->margin[i];
+    }
+}
+
+VECTORS static void add_squares(size_t rows, const float *restrict sums, float *restrict squares)
+{
+    for (size_t i = 0; i < rows; i++)
+        squares[i] += sums[i] * sums[i];
+}
+
+VECTORS static bool any_above(size_t rows, const float *values, float most)
+{
+    int any = 0;
+
+    for (size_t i = 0; i < rows; i++)
+        any |= values[i] > most;
+    return any;
+}
+
+/* Marks silent nodes on whose rows there is more than noise, V RMS of a level; they are in doubt. */
+static void find_faint(const struct sparse *sparse, const struct detector *detector, double noise,
+                       const struct words *words)
+{
+    const struct certificate_limits *limits = &sparse->limits;
+    const size_t rows = sparse->sparse.book.rows, bits = sparse->code.bits;
+    double faint = limits->faint * (double)sparse->code.swing, order = (double)sparse->code.order;
+    double chance = certificate_chance((double)bits, limits->faint_deviations) * noise * noise;
+    double most = (double)bits * fmax(faint * faint, chance);
+    float *squares = detector->squares, *loud = detector->loud;
+
+    for (size_t i = 0; i < detector->next.count; i++)
+        if (sparse->said.active[i])
+            loud[detector->next.codes[i]] = 0;
+    /* The sum of squares is no more than the square of the sum; but for rounding. */
+    if (!any_above(rows, loud, (float)(0.999 * sqrt(most) / (double)bits)))
+        return;
+    memset(squares, 0, rows * sizeof *squares);
+    for (size_t bit = 0; bit < bits; bit++)
+        add_squares(rows, detector_sums(detector, bit), squares);
+    for (size_t node = 0; node < sparse->code.nodes; node++) {
+        double square = (double)squares[sparse->sparse.book.numbers[node + 1]];
+        words->faint[node] = !words->active[node] && square > most * order * order;
+        words->doubtful[node] |= words->faint[node];
     }
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
+
+/* How much of what is left may be noise, V² of a chip: all, or as much as in the median bit if there is more in others. */
+static double usual_left(const struct sparse *sparse, const struct detector *detector, double left)
+{
+    const struct code *code = &sparse->code;
+    double power[WORDS_MOST_BITS], swing = (double)code->swing;
+
+    for (size_t bit = 0; bit < code->bits; bit++) {
+        double here = sums_power(detector->left + bit * code->order, code->order) / (double)code->order;
+        size_t at = bit;
+        for (; at > 0 && power[at - 1] > here; at--)
+            power[at] = power[at - 1];
+        power[at] = here;
+    }
+    double median = power[code->bits / 2];
+    double most = median * certificate_chance((double)code->order, sparse->limits.deviations);
+    return power[code->bits - 1] < most + sparse->limits.left * swing * swing ? left : median;
+}
 
 /* Fourth moment of what is left over its power squared: 3 for noise; the chips of one node have 1, those of a tone 1.5. */
 VECTORS static double kurtosis_of(const float *left, size_t count, double power)
@@ -287,15 +352,23 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
     const struct code *code = &sparse->code;
     const size_t nodes = code->nodes, chips = code->bits * code->order;
     const struct detector *detector = find(sparse, view, certificate);
+    uint8_t *flags[] = {words->active, words->doubtful, words->doubled, words->odd, words->faint};
+    void *values[] = {words->codes, words->amplitude, words->rho, words->margin};
 
+    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++)
+        memset(flags[i], 0, nodes);
+    for (size_t i = 0; i < sizeof values / sizeof *values; i++)
+        memset(values[i], 0, nodes * sizeof(float));
     tell_words(sparse, detector, certificate->noise, words);
+    find_faint(sparse, detector, certificate->noise, words);
     if (hides_nodes(sparse, view, certificate))
         for (size_t i = 0; i < nodes; i++)
             words->doubtful[i] |= !words->active[i];
     double swing = (double)code->swing, left = sums_power(detector->left, chips) / (double)chips;
+    certificate->usual = usual_left(sparse, detector, certificate->left);
     certificate->kurtosis = kurtosis_of(detector->left, chips, fmax(left, 1e-12 * swing * swing));
     if (!detector->settled) {
         double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
-        certificate->speakers = (size_t)fmax(0, round(power));
+        certificate->speakers = (size_t)fmin(fmax(0, round(power)), (double)nodes);
     }
 }

@@ -15,7 +15,7 @@ from ..base import kernel
 from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
-from ..code.transform import CompiledTransform
+from ..code.transform import Transform
 from ..code.twins import TWIN, twins
 from ..wire._protocol import TAIL_CHIPS
 from ..words.limits import LIMITS
@@ -100,14 +100,14 @@ class FrameReader:
         )
         nodes = spec.nodes
         self._held = kernel.Held(
-            kernel.compiled.frame_reader_new(
+            kernel.lib.frame_reader_new(
                 code.at,
                 rules.at,
                 limits.at,
                 kernel.pointer(self.expected_v, nodes, written=True),
                 kernel.pointer(self.broken, nodes),
             ),
-            kernel.compiled.frame_reader_free,
+            kernel.lib.frame_reader_free,
             code,
             rules,
         )
@@ -115,7 +115,7 @@ class FrameReader:
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
         self._memory = words_memory(spec.nodes)
-        self._counts = [0] * kernel.compiled.FRAME_LOOKS
+        self._counts = [0] * kernel.lib.FRAME_LOOKS
 
     def _rules(self, rails_v: Rails) -> dict[str, Any]:
         """Return the members of the kernel's struct frame_rules."""
@@ -159,7 +159,7 @@ class FrameReader:
 
     def propose(self, start: float, chip: float) -> None:
         """Try this timing on the next frame, too: begin and duration of a chip, samples."""
-        kernel.compiled.frame_reader_propose(
+        kernel.lib.frame_reader_propose(
             self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
         )
 
@@ -169,7 +169,7 @@ class FrameReader:
         measures: both are refined in any case.
         """
         fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        kernel.compiled.frame_reader_expect(self.at, fit, scatter, measures)
+        kernel.lib.frame_reader_expect(self.at, fit, scatter, measures)
 
     def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
         """Return the power that words explain, V², of frames that each begin a chip later.
@@ -182,7 +182,7 @@ class FrameReader:
             kernel.pointer(volts, volts.size),
             kernel.pointer(powers, count, written=True),
         )
-        kernel.compiled.frame_reader_explained(
+        kernel.lib.frame_reader_explained(
             self.at, samples, volts.size, self._rest.level, fit, count, out
         )
         return powers
@@ -193,7 +193,7 @@ class FrameReader:
         volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
         needed.
         """
-        lib, nodes = kernel.compiled, self.spec.nodes
+        lib, nodes = kernel.lib, self.spec.nodes
         self._memory = words_memory(nodes)
         words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
         look: int = lib.frame_reader_read(
@@ -212,7 +212,7 @@ class FrameReader:
     def sum_up(self, mean_v: float, variance_v2: float) -> int:
         """Return the verdict on samples in which nobody spoke, of which this is known."""
         self._has_words = False
-        look: int = kernel.compiled.frame_reader_sum_up(
+        look: int = kernel.lib.frame_reader_sum_up(
             self.at, self._rest, mean_v, variance_v2, self._found
         )
         return look
@@ -247,7 +247,7 @@ class FrameReader:
         first_index: of the first sample in the stream.
         """
         look = self.look(np.ascontiguousarray(volts, np.float32))
-        if look > kernel.compiled.FRAME_READ:
+        if look > kernel.lib.FRAME_READ:
             self._counts[look] += 1
             return None
         return self.taken(first_index)
@@ -279,7 +279,7 @@ def line_frame(
 
 def rejections_of(counts: Any) -> Rejections:
     """Return the kernel's counts of rejected frames, by enum frame_look."""
-    lib = kernel.compiled
+    lib = kernel.lib
     return Rejections(
         incomplete=counts[lib.FRAME_INCOMPLETE],
         absurd=counts[lib.FRAME_ABSURD],
@@ -305,8 +305,8 @@ def hides_silence(clipped: float, noise_rms_v: float, spec: FrameSpec) -> bool:
 def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel.Held:
     """Return the kernel's struct code, with all that it points to."""
     spare = spec.spare_rows
-    correlates = CompiledTransform(spec.book.plan, spreading=False)
-    spreads = CompiledTransform(spec.book.plan, spreading=True)
+    correlates = Transform(spec.book.plan, spreading=False)
+    spreads = Transform(spec.book.plan, spreading=True)
     pairs = np.zeros(0, TWIN)
     if not spec.scramble:
         pairs = twins(spec.order, spec.first_row, spec.nodes)

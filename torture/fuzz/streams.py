@@ -45,8 +45,6 @@ CONFIG = SkinConfig.of({"nodes": 3, "bits": 8, "chip_us": 50.0, "frame_period_ms
 FRAMES = 5
 """True frames of an input."""
 CRC_BYTES = 4
-AT_ONCE = 97
-"""Bytes that arrive at one time."""
 TICK_S = 1e-6
 """Tick of the digitizer's clock, s, from one of whose packets a frame has its time."""
 
@@ -152,12 +150,13 @@ def _check_line(pipeline: Pipeline, frames: list[TactileFrame]) -> None:
             raise MiscountError(f"{passed} frames")
 
 
-def read_changed(data: bytes) -> None:
+def read_both_ways(data: bytes) -> None:
     """A true stream, of which packets are changed and have the right checksum all the same.
 
-    Bytes at once and one by one make the same of it. The data are pieces: how many packets pass
-    (and whether the next comes twice), where its change begins, its length, the change.
+    However it is split, the same must come of it. The data are pieces: how many packets pass (and
+    whether the next comes twice), where its change begins, the length of the change, the change.
     """
+    ways = {97: Pipeline(CONFIG), 4096: Pipeline(CONFIG)}
     sent, place, stream = bytearray(_true_stream()[0]), 1, _true_stream()
     while len(data) >= 3 and place < len(stream):
         passed, begin, size = data[0] & 0x07, data[1], data[2] & 0x1F
@@ -171,17 +170,16 @@ def read_changed(data: bytes) -> None:
         place += 1
         data = data[3 + size :]
     sent += b"".join(stream[place:])
-    ways = Pipeline(CONFIG), Pipeline(CONFIG)
-    found: tuple[list[TactileFrame], list[TactileFrame]] = [], []
-    for begin in range(0, len(sent), AT_ONCE):
-        some, t_host = bytes(sent[begin : begin + AT_ONCE]), begin * 1e-5
-        found[0].extend(ways[0].feed(some, t_host))
-        for byte in some:
-            found[1].extend(ways[1].feed(bytes([byte]), t_host))
-    for pipeline, frames in zip(ways, found, strict=True):
-        frames += pipeline.flush()
+    found = []
+    for size, pipeline in ways.items():
+        frames: list[TactileFrame] = []
+        for begin in range(0, len(sent), size):
+            frames += pipeline.feed(bytes(sent[begin : begin + size]), 0.0)
+        found.append(frames + pipeline.flush())
     assert_same(*found)
-    counted = [(way.counters, way.packet_counts, way.rejections, way.digitizer) for way in ways]
+    counted = [
+        (way.counters, way.packet_counts, way.rejections, way.digitizer) for way in ways.values()
+    ]
     assert counted[0] == counted[1], "other counts"
 
 
@@ -308,7 +306,7 @@ TARGETS = (
     Target("packets", read_packets, _seeds_of_packets, most_bytes=96),
     Target("bodies", read_bodies, _seeds_of_bodies, most_bytes=128),
     Target("line", read_line, _seeds_of_line, most_bytes=256),
-    Target("changed packets", read_changed, _seeds_of_line, most_bytes=256),
+    Target("both ways", read_both_ways, _seeds_of_line, most_bytes=256),
     Target("digitizer", read_digitizer, _seeds_of_changes, most_bytes=256),
     Target("offline", read_offline, _seeds_of_changes, (TactileError,), most_bytes=256),
     Target("commands", read_commands, _seeds_of_changes, (SpecError,), most_bytes=256),

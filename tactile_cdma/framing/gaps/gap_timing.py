@@ -24,7 +24,7 @@ from ...words.words import silent
 from ..frame_reader import FrameReader, rejections_of
 from ..frames import Certificate, LineFrame, Rejections
 from ..raster import Raster
-from .search import Burst, Gap, GapSearch
+from .search import FAINT, Burst, Gap, GapSearch
 
 _log = logging.getLogger(__name__)
 
@@ -36,6 +36,8 @@ SCATTERS = 4.0
 """Standard deviations by which frames may be off the raster that places them (6e-5)."""
 SURE_NOISE = 0.3
 """Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
+FORGET = 0.999
+"""Factor on a learnt amplitude in each silent slot: halves it in 9 s at 78 Hz."""
 LOST_AGAIN = 3
 """Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
@@ -69,8 +71,10 @@ class GapTiming:
             )
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
-        self._rest_size = int(min(search.gap, spec.order * search.chip))
-        self._counts = [0] * kernel.compiled.FRAME_LOOKS
+        # A level that holds words on row 0 is known by all of a gap, that of hum by what is near.
+        near = math.inf if spec.first_row == 0 else spec.order * search.chip
+        self._rest_size = int(min(search.gap, near))
+        self._counts = [0] * kernel.lib.FRAME_LOOKS
         self._volts = np.empty(0, np.float32)  # from stream index _begin on
         self._begin = self._cursor = self._end = self.due = 0
         self._raster = Raster(search.period, spec.span_chips)
@@ -79,6 +83,7 @@ class GapTiming:
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
         self._failures = 0
+        self._loudest_v = 0.0  # word, where the amplitude is not specified
         self.reset()
 
     @property
@@ -175,7 +180,7 @@ class GapTiming:
 
     def _placed(self, end: int, final: bool) -> list[LineFrame] | None:
         """Return the frame where the raster expects it; None where none is there."""
-        expected, lib = self._expected, kernel.compiled
+        expected, lib = self._expected, kernel.lib
         assert expected is not None
         first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
         self._learn_rest(expected.start)
@@ -210,7 +215,7 @@ class GapTiming:
 
     def _searched(self, end: int, final: bool) -> list[LineFrame]:
         """Return what is in the samples from the cursor to `end`: frames, or none yet."""
-        lib, search, begin = kernel.compiled, self._search, self._cursor
+        lib, search, begin = kernel.lib, self._search, self._cursor
         volts = self._take(begin, end)
         if math.isnan(float(volts.sum())):
             self._counts[lib.FRAME_ABSURD] += 1
@@ -234,10 +239,12 @@ class GapTiming:
             why = self._read(self._take(begin, end), volts, gap, burst)
             if why == lib.FRAME_READ:
                 frame = self._reader.taken(begin + self._first)
-                if frame.speakers:
+                certificate = frame.certificate
+                is_sure = certificate is not None and certificate.holds
+                if frame.speakers and (is_sure or not burst.may_be_noise):
                     return self._emit(frame)
                 why = lib.FRAME_NOISY  # of silence, the place is not known
-        if seen is not None:
+        if seen is not None and not seen[1].may_be_noise:
             return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
         if gaps and not final:
             self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
@@ -262,7 +269,7 @@ class GapTiming:
 
         calm: the same samples without impulses.
         """
-        lib, spec, reader = kernel.compiled, self._spec, self._reader
+        lib, spec, reader = kernel.lib, self._spec, self._reader
         if not self._noise:
             self._noise = self._noise_of(gap)
         reader.learn_rest(gap.level, self._noise)
@@ -286,6 +293,7 @@ class GapTiming:
     def _emit(self, frame: LineFrame) -> list[LineFrame]:
         """Return a frame, after the silent slots before it."""
         search, chip = self._search, frame.chip_samples
+        frame = self._with_learnt(frame)
         frames: list[LineFrame] = []
         # Without an earlier frame, what lies before this one may be the rest of another.
         if self._heard_one:
@@ -306,6 +314,21 @@ class GapTiming:
         self._schedule()
         return frames
 
+    def _with_learnt(self, frame: LineFrame) -> LineFrame:
+        """Return a frame as the amplitude of those before has it, where none is specified.
+
+        What is far fainter than their words, such as hum on row 0, may be silence.
+        """
+        if self._reader.swing_v is not None or frame.words is None or frame.certificate is None:
+            return frame
+        loudest_v = float(frame.words.amplitude_v.max()) if frame.speakers else 0.0
+        if loudest_v < FAINT * self._loudest_v:
+            self._loudest_v *= FORGET
+            return self._doubted(replace(frame, speakers=0))
+        if frame.certificate.holds:
+            self._loudest_v = max(loudest_v, self._loudest_v)
+        return frame
+
     def _pass_idle(self, end: int) -> list[LineFrame]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = self._idle_slots(end - self._reach)
@@ -317,8 +340,9 @@ class GapTiming:
         """Return silent slots that begin up to an index; none where a rail or noise hides words."""
         frames = []
         while self._next <= until:
+            self._loudest_v *= FORGET
             look, is_sure = self._silent_slot(self._next)
-            if look == kernel.compiled.FRAME_SILENT:
+            if look == kernel.lib.FRAME_SILENT:
                 frame = self._reader.taken(round(self._next))
                 frames.append(frame if is_sure else self._doubted(frame))
             else:
@@ -331,7 +355,7 @@ class GapTiming:
 
         A word that is too faint for a burst shows in the power of the whole slot.
         """
-        lib, search, reader = kernel.compiled, self._search, self._reader
+        lib, search, reader = kernel.lib, self._search, self._reader
         before = (search.period - search.shortest) / 2
         volts = self._take(math.floor(slot - before), math.ceil(slot - before + search.period))
         if self._level is None or volts.size < search.shortest:
@@ -339,6 +363,8 @@ class GapTiming:
         if reader.is_deaf(volts):
             return lib.FRAME_AT_RAIL, False
         mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
+        if search.misses_one(max(self._noise, variance / search.chip)):
+            return lib.FRAME_NOISY, False
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
         is_sure = more * search.period <= reader.silent_power * search.shortest

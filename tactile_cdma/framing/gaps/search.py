@@ -67,13 +67,13 @@ class Gap:
 class Burst(NamedTuple):
     """The loud part of a line: samples first…last, each uncertain by `slack` samples.
 
-    variance: of half-chip means in the gap, V².
+    may_be_noise: whether noise is once in a while as loud.
     """
 
     first: float
     last: float
     slack: float
-    variance: float
+    may_be_noise: bool
 
 
 class GapSearch:
@@ -153,13 +153,15 @@ class GapSearch:
             before = np.concatenate((levels[:1], levels[:1], levels[:-2]))
             levels = (levels - before) * math.sqrt(0.5)
         while burst := self._burst(levels, gap.variance):
+            if found and burst.may_be_noise:
+                break  # the frame after it is in view
             if moves:  # so far after its end
                 burst = burst._replace(last=burst.last - 2 * self.half)
             found = burst
-            before = int((found.first - self.chip) / self.half)
-            if before * self.half < self.shortest:
+            end = int((found.first - self.chip) / self.half)
+            if end * self.half < self.shortest:
                 break
-            levels = levels[:before]
+            levels = levels[:end]
         return found
 
     def frame(
@@ -181,7 +183,7 @@ class GapSearch:
             if count < 1:
                 continue
             energy = chip * self._reader.explained(volts, low, chip, count)
-            found += [(float(e), low + i * chip, chip) for i, e in enumerate(energy)]
+            found += [(e, low + i * chip, chip) for i, e in enumerate(energy.tolist())]
         if not found:
             return None
         # Two nodes that cancel at the start of every bit are possible, but not likely.
@@ -191,6 +193,12 @@ class GapSearch:
             key=lambda each: (round(abs(each[1] - burst.first) / self.chip), -each[0]),
         )
         return start, chip
+
+    def misses_one(self, noise: float) -> bool:
+        """Whether a node that speaks alone may pass for noise: variance of a chip's level, V²."""
+        swing_v = self._reader.swing_v
+        variance = noise * self.chip / self.half
+        return swing_v is not None and swing_v**2 < 2 * self._least_snr * variance
 
     def quiet_after(self, volts: Floats32, gap: Gap, burst: Burst) -> int:
         """Return where the line is first as quiet as the gap after a burst that is no frame."""
@@ -239,7 +247,8 @@ class GapSearch:
         slack = self.chip * (edges + by_noise * variance / power)
         if not (before.size and after.size):
             slack += self.half * (group - 1)
-        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, variance)
+        may_be_noise = power < 2 * self._least_snr * variance
+        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, may_be_noise)
 
     def _halves(self, volts: Floats32) -> Floats:
         """Return means of consecutive half chips, (m // half,)."""
