@@ -118,7 +118,7 @@ size_t frame_reader_due(const struct frame_reader *reader)
     if (rules->integrated)
         return rules->size;
     double end = reader->carried.chip > 0 ? fit_end(&reader->carried, reader->code.span) + 0.5 : 0;
-    return (size_t)ceil(fmax((double)rules->size, end) + rules->tail * rules->chip);
+    return (size_t)ceil(fmax((double)rules->size, end) + rules->tail * rules->chip - EDGE);
 }
 
 /* ---- samples ----------------------------------------------------------------------------------- */
@@ -423,7 +423,7 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     double power = sums_power(reader->chips, chips) / (double)chips;
     enum frame_look look = certify(reader, &view, NULL, rest, power, 0, words, found);
     if (shows_noise(reader, &found->certificate)) {
-        reader->seen[reader->count % SEEN].left = found->certificate.left;
+        reader->seen[reader->count % SEEN].left = reader->sparse ? found->certificate.usual : found->certificate.left;
         reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
     }
     if (look == FRAME_READ && count > chips) /* a value was taken twice */

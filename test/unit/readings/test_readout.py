@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Words → readings and health, by plain arithmetic on each node alone."""
+"""The kernel's readings are those of plain arithmetic: curve, drift, tare, status and age."""
 
-import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,141 +20,161 @@ from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings, Taxels
 from tactile_cdma.words.health import WEAK_RHO, NodeHealth, NodeState
 from tactile_cdma.words.limits import LIMITS
-from tactile_cdma.words.words import Words, words_memory, words_of
+from tactile_cdma.words.words import Words, silent
 from test.support.examples import examples
 
-STALE_S = 1.0
-ADC = AdcScale()
+STALE_S, CONTACT_PA = 1.0, 1e3
+STATES = {NodeState.WEAK: Status.WEAK, NodeState.FAULTY: Status.FAULTY}
+STATES[NodeState.DOUBLED] = Status.FAULTY
 
 
-class Side:
-    """Some nodes of a skin of 300, each with a curve, a tare and a drift of its own."""
+class Patch:
+    """A skin of nodes whose curves, tare and drift are drawn; the last two are masked or bare."""
 
-    def __init__(self, seed: int, some: slice = slice(None)) -> None:
-        rng, nodes = np.random.default_rng(seed), 300
-        curves = []
+    def __init__(self, nodes: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.spec = FrameSpec(nodes=nodes, order=264, chip_s=1e-7, frame_period_s=1.0)
+        self.adc, self.health = AdcScale(self.spec.bits), NodeHealth(self.spec)
+        self.health.state[:] = rng.choice(len(NodeState), nodes)
+        self.health.invalid[:] = self.health.state >= NodeState.FAULTY
+        layout = Layout.grid(nodes, 1, nodes, 7e-3, 5e-3)
+        self.node_of = list(range(nodes))
+        if seed % 3 and nodes > 3:  # taxels in another order, one without a node, one masked
+            number = rng.permutation(nodes).astype(np.int32) + 1
+            self.node_of = [-1 if n == 2 else n - 1 for n in number.tolist()]
+            layout = replace(
+                layout, nodes=np.where(number == 2, 0, number), masked=(3,), unplaced=(2,)
+            )
+        self.masked = {2} if self.node_of != list(range(nodes)) else set()
+        self.curves = []
         for _ in range(nodes):
             corners_pa = np.cumsum(rng.uniform(1e3, 5e4, rng.integers(1, 4)))
             corners_v = 3.2 - np.cumsum(rng.uniform(0.1, 0.8, len(corners_pa) + 1))
             corners_v = corners_v if rng.random() < 0.5 else 3.1 - corners_v
-            curves.append(PressureCurve((0.0, *corners_pa.tolist()), tuple(corners_v.tolist())))
-        tare_pa = rng.uniform(0, 500, nodes).astype(np.float32)
-        drift_v = rng.uniform(-0.1, 0.1, nodes).astype(np.float32)
-        state = rng.choice(np.array([*NodeState], np.uint8), nodes)
-        self.curves, self.nodes = curves[some], len(curves[some])
-        layout = Layout.grid(self.nodes, 1, self.nodes, 7e-3, 5e-3)
-        rules = RestRules(0.0, 1e3, 500.0)
-        tracker = DriftTracker(ADC, nodes_beside(layout, self.nodes), rules)
-        self.baseline = Baseline(self.nodes)
-        self.baseline.tare_pa, self.baseline.drift_v = tare_pa[some], drift_v[some]
-        calibration = Calibration(Curves.of(self.curves), np.zeros(self.nodes, bool))
-        chain = PressureChain(calibration, self.baseline, tracker)
-        self.taxels = Taxels(self.nodes, ADC, chain, layout, STALE_S)
-        self.health = NodeHealth(FrameSpec(nodes=self.nodes, frame_period_s=10.0))
-        self.health.state = state[some].copy()
-        self.health.invalid[:] = self.health.state >= NodeState.FAULTY
-
-    def read(self, words: Words, t_s: float) -> Readings:
-        return self.taxels.update(words, t_s, self.health, counts=True)
+            curve = PressureCurve((0.0, *corners_pa.tolist()), tuple(corners_v.tolist()))
+            self.curves.append(curve)
+        self.bare = rng.random(nodes) < 0.2
+        baseline = Baseline(nodes)
+        baseline.tare_pa = rng.uniform(0, 500, nodes).astype(np.float32)
+        baseline.drift_v = rng.uniform(-0.1, 0.1, nodes).astype(np.float32)
+        self.tare_pa, self.drift_v = baseline.tare_pa.copy(), baseline.drift_v.copy()
+        rules = RestRules(CONTACT_PA, 0.0, 500.0)
+        tracker = DriftTracker(self.adc, nodes_beside(layout, nodes), rules)
+        calibration = Calibration(Curves.of(self.curves), self.bare)
+        chain = PressureChain(calibration, baseline, tracker)
+        self.bounds = chain.bounds
+        self.taxels = Taxels(nodes, self.adc, chain, layout, STALE_S)
 
 
-def random_words(rng: np.random.Generator, nodes: int = 300) -> Words:
-    words = words_of(words_memory(nodes), nodes, 0.0)
-    words.active[:] = rng.random(nodes) < 0.6
-    words.codes[:] = rng.integers(0, 1024, nodes) * words.active
-    words.amplitude_v[:] = rng.uniform(0, 0.5, nodes)
-    words.rho[:], words.margin[:] = rng.uniform(1, 30, nodes), rng.uniform(0, 1, nodes)
-    for name in ("doubtful", "doubled", "odd"):
-        getattr(words, name)[:] = (rng.random(nodes) < 0.2) & words.active
-    words.faint[:] = (rng.random(nodes) < 0.2) & ~words.active
-    return words
+def pressed_pa(curve: PressureCurve, volts: float) -> float:
+    """Pressure at a voltage, between 0 and the end of the curve."""
+    corners = list(zip(curve.pressure_pa, curve.voltage_v, strict=True))
+    falls = corners[0][1] > corners[1][1]
+    for (low_pa, low_v), (high_pa, high_v) in pairwise(corners):
+        if (volts > high_v) if falls else (volts < high_v):
+            share = max(0.0, (volts - low_v) / (high_v - low_v))
+            return float(low_pa + share * (high_pa - low_pa))
+    return float(corners[-1][0])
 
 
-def part_of(words: Words, some: slice) -> Words:
-    arrays = {name: getattr(words, name)[some] for name in Words.__slots__ if name != "noise_rms_v"}
-    return replace(words, **arrays)
+def drawn_words(spec: FrameSpec, rng: np.random.Generator) -> Words:
+    nodes = spec.nodes
+    return replace(
+        silent(nodes, 0.0),
+        active=rng.random(nodes) < 0.6,
+        doubtful=rng.random(nodes) < 0.2,
+        codes=rng.choice([0, (1 << spec.bits) - 1, *range(1 << spec.bits)], nodes).astype(np.int32),
+    )
 
 
-@examples(20)
-@given(st.integers(0, 99), st.integers(0, 280), st.integers(1, 20))
-def test_a_node_is_read_alone_as_among_others(seed: int, begin: int, size: int) -> None:
-    some = slice(begin, begin + size)
-    whole, alone, rng = Side(seed), Side(seed, some), np.random.default_rng(seed)
-    t_s = 0.0
+@examples(60)
+@given(st.sampled_from([1, 5, 16, 70, 256]), st.integers(0, 2**32 - 1))
+def test_readings_are_those_of_plain_arithmetic(nodes: int, seed: int) -> None:
+    patch, rng = Patch(nodes, seed), np.random.default_rng(seed)
+    codes, heard_s, unsure = [0] * nodes, [-np.inf] * nodes, [False] * nodes
+    now_s = 0.0
     for _ in range(6):
-        t_s += float(rng.choice([0.02, 0.4, 1.5 * STALE_S]))
-        words = random_words(rng)
-        expected, readings = whole.read(words, t_s), alone.read(part_of(words, some), t_s)
-        for name in Readings.__slots__:
-            values = getattr(readings, name), getattr(expected, name)[some]
-            np.testing.assert_array_equal(*values, err_msg=name)
-    np.testing.assert_array_equal(alone.health.sums, whole.health.sums[:, some])
+        now_s += float(rng.choice([0.02, 0.2, 1.5 * STALE_S]))
+        words = drawn_words(patch.spec, rng)
+        readings = patch.taxels.update(words, now_s, patch.health)
+        for node in range(nodes):
+            if words.active[node]:
+                codes[node], heard_s[node] = int(words.codes[node]), now_s
+            if words.active[node] or words.doubtful[node]:
+                unsure[node] = bool(words.doubtful[node])
+        for taxel, node in enumerate(patch.node_of):
+            if node < 0 or node in patch.masked:
+                expected = np.nan, np.nan, Status.MASKED
+            else:
+                is_stale = now_s - heard_s[node] > STALE_S
+                expected = read(
+                    patch, node, codes[node], is_stale, unsure[node], bool(words.active[node])
+                )
+            check(readings, taxel, *expected)
 
 
-def test_pressures_are_those_of_each_nodes_curve() -> None:
-    side, rng = Side(1), np.random.default_rng(1)
-    words = random_words(rng)
-    readings = side.read(words, 0.0)
-    compared = 0
-    for node, curve in enumerate(side.curves):
-        status = readings.status[node]
-        if not words.active[node] or side.health.invalid[node]:
-            assert status & (Status.STALE | Status.FAULTY) and np.isnan(readings.pressure_pa[node])
-            continue
-        assert bool(status & Status.LOW_SNR) == words.doubtful[node]
-        voltage_v = ADC.voltage(words.codes[node])
-        if status & (Status.SATURATED | Status.FAULTY):
-            continue
-        assert readings.voltage_v[node] == pytest.approx(voltage_v, abs=1e-6)
-        volts, pascals = np.array(curve.voltage_v), np.array(curve.pressure_pa)
-        order = np.argsort(volts)
-        meant_v = voltage_v + side.baseline.drift_v[node]
-        expected_pa = np.interp(meant_v, volts[order], pascals[order])
-        expected_pa = max(0.0, expected_pa - side.baseline.tare_pa[node])
-        slack_pa = 1e-4 * max(pascals) + 1
-        assert max(0.0, readings.pressure_pa[node]) == pytest.approx(expected_pa, abs=slack_pa)
-        compared += 1
-    assert compared > 40
+def read(
+    patch: Patch, node: int, code: int, is_stale: bool, unsure: bool, active: bool
+) -> tuple[float, float, int]:
+    """Pressure, Pa, voltage, V, and status of a node in service."""
+    sign, rest_v, margin_v, end_v = (float(bound[node]) for bound in patch.bounds)
+    volts = float(np.float32(patch.adc.voltage(np.array(code))))
+    at_end = code == ((1 << patch.adc.bits) - 1 if sign > 0 else 0)
+    pulled_v = sign * (rest_v - volts)
+    meant_v = (rest_v if at_end and pulled_v > 0 else volts) + float(patch.drift_v[node])
+    if is_stale:
+        status = Status.SILENT | Status.STALE
+    else:
+        status = STATES.get(NodeState(patch.health.state[node]), Status.OK)
+        status |= Status.OK if active else Status.SILENT
+        status |= Status.LOW_SNR if unsure else Status.OK
+    is_valid = not (is_stale or patch.health.invalid[node])
+    off_rest = (meant_v - rest_v) * sign > margin_v
+    if is_valid and ((meant_v - end_v) * sign < 0 or (at_end and pulled_v > margin_v)):
+        status |= Status.SATURATED
+    if is_valid and off_rest:
+        status |= Status.FAULTY
+    if patch.bare[node]:
+        status |= Status.UNCALIBRATED
+    if not is_valid or off_rest:
+        return np.nan, np.nan, status
+    return pressed_pa(patch.curves[node], meant_v) - float(patch.tare_pa[node]), volts, status
+
+
+def check(readings: Readings, taxel: int, pressure: float, volts: float, status: int) -> None:
+    assert readings.status[taxel] == status
+    assert readings.voltage_v[taxel] == pytest.approx(volts, abs=1e-6, nan_ok=True)
+    assert readings.pressure_pa[taxel] == pytest.approx(pressure, rel=1e-4, abs=1.0, nan_ok=True)
 
 
 def test_what_words_say_of_their_nodes_is_counted() -> None:
-    side, rng = Side(2), np.random.default_rng(2)
-    expected = np.zeros((6, 300))
+    patch, rng, expected = Patch(70, 0), np.random.default_rng(2), np.zeros((6, 70))
     for number in range(5):
-        words = random_words(rng)
-        side.read(words, 0.02 * number)
-        clear, weak = words.rho > LIMITS.low_rho, words.margin < LIMITS.low_margin
-        heard = words.active | (
-            (words.amplitude_v > side.health.weak_v) & (words.rho > WEAK_RHO) & ~weak
+        drawn = drawn_words(patch.spec, rng)
+        flags = {name: (rng.random(70) < 0.2) & drawn.active for name in ("doubled", "odd")}
+        words = replace(
+            drawn,
+            **flags,
+            faint=(rng.random(70) < 0.2) & ~drawn.active,
+            amplitude_v=rng.uniform(0, 0.5, 70).astype(np.float32),
+            rho=rng.uniform(1, 30, 70).astype(np.float32),
+            margin=rng.uniform(0, 1, 70).astype(np.float32),
         )
-        uneven = words.active & words.doubtful & clear & weak
+        patch.taxels.update(words, 0.02 * number, patch.health, counts=number < 4)
+        if number == 4:
+            continue
+        clear, weak = words.rho > LIMITS.low_rho, words.margin < LIMITS.low_margin
+        is_faint = (words.amplitude_v > patch.health.weak_v) & (words.rho > WEAK_RHO) & ~weak
+        heard, uneven = words.active | is_faint, words.active & words.doubtful & clear & weak
         counted = heard, words.amplitude_v * heard, uneven, words.doubled
         expected += np.array([*counted, words.odd & clear & ~weak, words.faint])
-    np.testing.assert_allclose(side.health.sums, expected, rtol=1e-5)
-    before = side.health.sums.copy()
-    side.taxels.update(random_words(rng), 0.2, side.health, counts=False)
-    np.testing.assert_array_equal(side.health.sums, before)
-
-
-def test_a_silent_node_holds_its_last_word_until_it_is_stale() -> None:
-    side, rng = Side(3), np.random.default_rng(3)
-    side.health.state = np.full(300, NodeState.OK, np.uint8)
-    side.health.invalid[:] = False
-    words = random_words(rng)
-    said = side.read(replace(words, active=np.ones(300, bool)), 0.0)
-    silence = replace(words, active=np.zeros(300, bool), faint=np.zeros(300, bool))
-    held = side.read(replace(silence, doubtful=np.zeros(300, bool)), 0.9 * STALE_S)
-    np.testing.assert_array_equal(held.pressure_pa, said.pressure_pa)
-    assert (held.status & Status.SILENT).all()
-    gone = side.read(silence, 1.1 * STALE_S)
-    assert np.isnan(gone.pressure_pa).all() and (gone.status & Status.STALE).all()
-    assert math.isnan(gone.voltage_v[0])
+    np.testing.assert_allclose(patch.health.sums, expected, rtol=1e-5)
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    side, words = Side(4), random_words(np.random.default_rng(4))
-    side.read(words, 0.0)
-    side.taxels._kept.codes[0] = 1 << 10
-    side.health.state = side.health.state.copy()
+    patch, rng = Patch(5, 0), np.random.default_rng(4)
+    patch.taxels.update(drawn_words(patch.spec, rng), 0.0, patch.health)
+    patch.taxels._kept.codes[0] = 1 << 10
+    patch.health.state = patch.health.state.copy()
     with pytest.raises(ValueError, match="struct readout of the kernel: what it is made of"):
-        side.read(words, 0.1)
+        patch.taxels.update(drawn_words(patch.spec, rng), 0.1, patch.health)

@@ -22,8 +22,8 @@ FALSE_ONCE = {
     2: (34, 48, 126),
     3: (129,),
 }
-"""Random mixtures, by their seeds and names in `make bench-doubt`. Three more are false still, which
-docs/results.md explains."""
+"""Random mixtures, by their seeds and names in `make bench-doubt`. Three more are false still: see
+docs/results.md."""
 LONG = Skin(nodes=39, order=40, period_chips=520)
 
 
