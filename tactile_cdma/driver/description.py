@@ -9,8 +9,7 @@ from ..config.skin_config import SkinConfig
 from ..framing.gaps.gap_timing import GapTiming
 from ..framing.line_timing import LineTiming
 from ..framing.sparse_timing import SparseTiming
-from ..framing.timing import QuietBlock, SampleBlock
-from ..wire.messages import Info, Quiet, Samples
+from ..wire.messages import Info
 from .timeline import Pace
 
 
@@ -34,12 +33,3 @@ class Description:
             self.timing = SparseTiming(spec, rate_hz, rails_v)
         else:
             self.timing = LineTiming(spec, rate_hz, rails_v)
-
-    def block(self, index: int, packet: Samples | Quiet) -> SampleBlock | QuietBlock:
-        """Convert a packet to volts. index: of its first sample in the stream."""
-        info, marks = self.info, (packet.sync, packet.turn)
-        if isinstance(packet, Samples):
-            return SampleBlock(index, info.volts(packet.counts), *marks)
-        mean_v = (packet.mean - info.zero_count) * info.volts_per_count
-        variance_v2 = packet.variance * info.volts_per_count**2
-        return QuietBlock(index, packet.count, mean_v, variance_v2, *marks)
