@@ -14,6 +14,8 @@ stream; words taken for silence and lost frames count as wrong in all bits.
   noise every frame is in doubt.
 - dense product: marked chips times the rows, and the signs; no amplitudes, doubts or readings.
   What it takes less is what everything else costs.
+
+Then what a frame costs that is certain, and one in doubt, of skins whose nodes all speak (COSTS).
 """
 
 from __future__ import annotations
@@ -22,17 +24,17 @@ import multiprocessing
 import os
 import statistics
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, replace
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.line_packets import introduction, packets
-from benchmarks.report import QUICK, Report
-from tactile_cdma.base.kernel import VARIABLE, compiled
+from benchmarks.line_packets import config_of, introduction, packets
+from benchmarks.report import QUICK, ROOT, Report
+from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline
 from tactile_cdma.wire.messages import Samples
@@ -45,6 +47,7 @@ from test.support.independent_line import (
     Skin,
     Talk,
     Truth,
+    default_order,
     render,
 )
 
@@ -56,14 +59,13 @@ MOST_LATE_CHIPS = 0.5
 WARM_UP = 40
 """Frames before those that count: timing by gaps has then learnt its raster."""
 FRAMES, STREAMS = (60, 4) if QUICK else (200, 25)
-KERNELS = ("compiled", "numpy")
 RAIL_V = 12.0
 """Above 16 nodes of 0.3 V and six deviations of the noise at 8 samples per chip."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """One way to sample and decode the skin; the defaults are those of the parameters.
+    """Is one way to sample and decode the skin; the defaults are those of the parameters.
 
     late: nodes start late. sparse: codes are. dense: nothing but a product.
     """
@@ -90,19 +92,18 @@ class Way:
         )
 
     @property
-    def config(self) -> SkinConfig:
-        skin = self.skin
-        return SkinConfig.of(
-            {
-                "order": skin.order,
-                "first_row": skin.first_row,
-                "parity": skin.parity,
-                "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
-                "timing": self.timing,
-                "samples_per_chip": self.samples_per_chip,
-                "codes": "sparse" if self.sparse else "orthogonal",
-            }
+    def digitizer(self) -> Digitizer:
+        return Digitizer(
+            samples_per_chip=self.samples_per_chip if self.samples_per_chip > 1 else 4,
+            integrated=self.samples_per_chip == 1,
+            marked=self.timing == "line",
+            rail_v=RAIL_V,
+            adc_bits=16,
         )
+
+    @property
+    def config(self) -> SkinConfig:
+        return config_of(self.skin, self.digitizer)
 
 
 DEFAULT = Way("line, 4 per chip")
@@ -125,7 +126,7 @@ WAYS = (
 
 @dataclass(frozen=True)
 class Stream:
-    """What a digitizer sends, as (host time in s, bytes); warm_up comes before what is measured.
+    """Is what a digitizer sends, (host time in s, bytes); warm_up comes before what is measured.
 
     truths: of the frames that are measured.
     """
@@ -138,7 +139,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one way made of one stream.
+    """Holds what one way made of one stream.
 
     cpu_s: per frame. codes: (frames, n), SILENT where no word was heard. lost: frames.
     unflagged: wrong words that are not flagged as doubtful, missing ones included.
@@ -157,16 +158,9 @@ def stream(way: Way, seed: int) -> Stream:
     delays = rng.uniform(0, MOST_LATE_CHIPS if way.late else 0.0, skin.nodes)
     noise_v = skin.amplitude_v * skin.order**0.5 / RHO
     line = Line(noise_v=noise_v, late=tuple(enumerate(delays)))
-    digitizer = Digitizer(
-        samples_per_chip=way.samples_per_chip if way.samples_per_chip > 1 else 4,
-        integrated=way.samples_per_chip == 1,
-        marked=way.timing == "line",
-        rail_v=RAIL_V,
-        adc_bits=16,
-    )
     writer = PacketWriter()
-    warm_up = [(0.0, writer.encode(introduction(way.config, digitizer)))]
-    recording = render(skin, Talk(), line, digitizer, WARM_UP + FRAMES, [seed, 2])
+    warm_up = [(0.0, writer.encode(introduction(way.config, way.digitizer)))]
+    recording = render(skin, Talk(), line, way.digitizer, WARM_UP + FRAMES, [seed, 2])
     reads: list[tuple[float, bytes]] = []
     begin = recording.frames[WARM_UP].start_chips - 1
     for t_chips, t_host, data in packets(recording, writer):
@@ -205,7 +199,7 @@ def measure(some: Stream) -> Outcome:
 
 
 class DenseProduct:
-    """The least that decodes marked frames of nodes that all speak: one product, and its signs."""
+    """Decodes marked frames of nodes that all speak by the least: one product, and its signs."""
 
     def __init__(self, config: SkinConfig) -> None:
         spec, self._per_chip = config.spec, config.samples_per_chip
@@ -216,7 +210,7 @@ class DenseProduct:
         self._held, self._t_start = 0, 0.0
 
     def feed(self, data: bytes, _: float) -> list[DenseFrame]:
-        """The frames that these bytes complete."""
+        """Return the frames that these bytes complete."""
         frames = []
         for packet in self._parser.feed(data):
             if not isinstance(packet, Samples):
@@ -258,60 +252,184 @@ class DenseFrame:
     words: DenseWords
 
 
-def decoded(kernel: str, streams: list[Stream]) -> list[Outcome]:
-    """Decode the streams one by one in a process with this kernel."""
-    os.environ[VARIABLE] = kernel
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.map(measure, streams, chunksize=1)
+# What doubt costs
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A skin whose frames are timed, with its parameters.
+
+    frames: that are rendered, of which the first `warm_up` are not measured. stretch: of frames
+        that the waveform alone shows, up to this share; else others put frames in doubt.
+    """
+
+    name: str
+    skin: Skin
+    values: Mapping[str, Value]
+    frames: int
+    warm_up: int
+    stretch: float = 0.0
+
+    def lines(self) -> dict[str, Line]:
+        """The lines that are measured: a sound one, and those beside it."""
+        amplitude_v, order = self.skin.amplitude_v, self.skin.order
+        if self.stretch:
+            return {SURE: Line(stretch=self.stretch), "chips of one duration": Line()}
+        return {
+            SURE: Line(),
+            f"ρ {DOUBT_RHO:g}": Line(noise_v=amplitude_v * order**0.5 / DOUBT_RHO),
+            "hum of 2 A": Line(hum_v=2 * amplitude_v),
+            "a node 0.6 chip late": Line(late=((2, 0.6),)),
+        }
+
+
+SURE = "sound"
+DOUBT_RHO = 3.0
+"""√N·a/σ at which every frame is in doubt, and hardly any is missed."""
+COST_ROUNDS = 7 if QUICK else 25
+FAST = {
+    name: value
+    for name, value in read_file(ROOT / "config" / "thousand_skin.yaml").items()
+    if name in ("nodes", "order", "chip_us", "frame_period_ms", "samples_per_chip", "scramble")
+}
+COSTS = (
+    Cost("16", Skin(), {}, 60, 20),
+    Cost(
+        "256",
+        Skin(256, default_order(257), chip_s=6.25e-6, period_chips=3400),
+        {"nodes": 256, "chip_us": 6.25, "frame_period_ms": 21.25},
+        *((16, 6) if QUICK else (40, 10)),
+    ),
+    # Without the restarts of config/thousand_skin.yaml, which the independent line does not have.
+    Cost(
+        "900",
+        Skin(900, 912, chip_s=2e-6, period_chips=9980, scramble=True),
+        FAST,
+        *((6, 2) if QUICK else (20, 5)),
+    ),
+    Cost(
+        "paper",
+        Skin(16, 16, first_row=0, sign_seed=None, polarity=-1),
+        {
+            name: value
+            for name, value in read_file(ROOT / "config" / "paper_skin.yaml").items()
+            if name not in ("rows", "columns")
+        },
+        100,
+        WARM_UP,
+        stretch=0.1,
+    ),
+)
+"""Skins of which `us_sure_`, `us_doubt_` and `us_paper` are; by gaps only the paper's."""
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """What a digitizer sends, a frame's period at a time: host time, s, and bytes.
+
+    warm_up: of them, that are not measured.
+    """
+
+    config: SkinConfig
+    chunks: list[tuple[float, bytes]]
+    warm_up: int
+
+    def play(self) -> tuple[list[float], int, int]:
+        """CPU time of each period, s; and how many frames were measured, certain and in doubt."""
+        pipeline, spent_s, sure, doubtful = Pipeline(self.config), list[float](), 0, 0
+        for number, (t_host, data) in enumerate(self.chunks):
+            begin_s = time.thread_time()
+            frames = pipeline.feed(data, t_host)
+            took_s = time.thread_time() - begin_s
+            if number < self.warm_up:
+                continue
+            spent_s.append(took_s)
+            holds = [frame.certificate.holds for frame in frames if frame.certificate is not None]
+            sure, doubtful = sure + sum(holds), doubtful + len(holds) - sum(holds)
+        return spent_s, sure, doubtful
+
+
+def chunked(cost: Cost, line: Line) -> Chunks:
+    """Render a stream of such a skin."""
+    skin, config = cost.skin, SkinConfig.of(dict(cost.values))
+    digitizer = Digitizer(
+        integrated=config.samples_per_chip == 1,
+        marked=config.timing == "line",
+        rail_v=RAIL_V * (skin.nodes / 16) ** 0.5,
+        adc_bits=16,
+    )
+    writer, recording = PacketWriter(), render(skin, Talk(), line, digitizer, cost.frames, [3])
+    chunks = [(0.0, writer.encode(introduction(config, digitizer)))]
+    begins = [frame.start_chips - 1 for frame in recording.frames]
+    for t_chips, t_host, data in packets(recording, writer):
+        if len(chunks) <= len(begins) and t_chips >= begins[len(chunks) - 1]:
+            chunks.append((t_host, b""))
+        chunks[-1] = t_host, chunks[-1][1] + data
+    return Chunks(config, chunks, cost.warm_up)
+
+
+def timed(streams: dict[str, Chunks]) -> dict[str, tuple[float, float]]:
+    """Median CPU time per frame, s, of streams by turns; and the share of frames in doubt."""
+    spent_s: dict[str, list[float]] = {name: [] for name in streams}
+    shares: dict[str, float] = {}
+    for number in range(1 + COST_ROUNDS):
+        for name, stream in streams.items():
+            times_s, sure, doubtful = stream.play()
+            shares[name] = doubtful / max(1, sure + doubtful)
+            spent_s[name] += times_s if number else []  # the first round warms up
+    return {name: (statistics.median(spent_s[name]), shares[name]) for name in streams}
+
+
+def costs(report: Report, rendered: dict[tuple[str, str], Chunks]) -> dict[str, float]:
+    """Table of what frames cost by skin and line; the figures of the last line."""
+    rows, figures = [], dict[str, float]()
+    for cost in COSTS:
+        streams = {line: rendered[cost.name, line] for line in cost.lines()}
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            found = pool.apply(timed, (streams,))
+        rows += [[cost.name, line, 1e6 * took_s, share] for line, (took_s, share) in found.items()]
+        sure_us = 1e6 * found.pop(SURE)[0]
+        if cost.stretch:
+            figures[f"us_{cost.name}"] = sure_us
+        else:
+            doubt_s = statistics.median(took_s for took_s, _ in found.values())
+            figures |= {f"us_sure_{cost.name}": sure_us, f"us_doubt_{cost.name}": 1e6 * doubt_s}
+    report.table(["skin", "line", "µs/frame", "in doubt"], rows)
+    return figures
 
 
 def main() -> None:
     report = Report("pareto", f"CPU time per frame against bit errors, 16 nodes, ρ = {RHO:.2f}")
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # of the processes
-    kernels = KERNELS if compiled else KERNELS[1:]
-    found: dict[tuple[str, str], list[Outcome]] = {}
-    different = 0
+    lines = [(cost, name, line) for cost in COSTS for name, line in cost.lines().items()]
     with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
         jobs = [(way, seed) for seed in range(STREAMS) for way in WAYS]
         streams = pool.starmap(stream, jobs, chunksize=1)
-    for kernel in kernels:
-        for some, outcome in zip(streams, decoded(kernel, streams), strict=True):
-            found.setdefault((some.way.name, kernel), []).append(outcome)
-    points = {key: Point.of(outcomes) for key, outcomes in found.items()}
-    first = kernels[0]
-    for way in WAYS:
-        for one, other in zip(found[way.name, first], found[way.name, "numpy"], strict=True):
-            different += int(np.count_nonzero(one.codes != other.codes))
+        chunks = pool.starmap(chunked, [(cost, line) for cost, _, line in lines], chunksize=1)
+    found: dict[str, list[Outcome]] = {}
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        for some, outcome in zip(streams, pool.map(measure, streams, chunksize=1), strict=True):
+            found.setdefault(some.way.name, []).append(outcome)
+    points = {name: Point.of(outcomes) for name, outcomes in found.items()}
     report.table(
-        ["way", *(f"{kernel}, µs" for kernel in kernels), "bit error rate", "± 95 %",
-         "wrong, not flagged", "lost frames"],
-        [
-            [
-                way.name,
-                *(points[way.name, kernel].cpu_us for kernel in kernels),
-                points[way.name, first].bit_error_rate,
-                points[way.name, first].scatter,
-                points[way.name, first].unflagged,
-                points[way.name, first].lost,
-            ]
-            for way in WAYS
-        ],
-    )  # fmt: skip
-    default = points[DEFAULT.name, first]
+        ["way", "µs", "bit error rate", "± 95 %", "wrong, not flagged", "lost frames"],
+        [[name, *astuple(point)] for name, point in points.items()],
+    )
+    rendered = {(cost.name, name): one for (cost, name, _), one in zip(lines, chunks, strict=True)}
+    default = points[DEFAULT.name]
     report.finish(
-        picture(points, kernels),
+        picture(points),
         rho=round(RHO, 3),
         bound=BOUND,
         default_us=default.cpu_us,
-        default_numpy_us=points[DEFAULT.name, "numpy"].cpu_us,
         default_ber=default.bit_error_rate,
-        different_words=different,
+        **costs(report, rendered),
     )
 
 
 @dataclass(frozen=True)
 class Point:
-    """One way with one kernel; scatter: 95 % of the bit error rate.
+    """Holds what one way costs and errs; scatter: 95 % of the bit error rate.
 
     unflagged: share of words that are wrong without a flag. lost: share of frames.
     """
@@ -335,37 +453,30 @@ class Point:
         )
 
 
-def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Figure:
-    """Bit error rate against CPU time; each way's two kernels are joined by a line.
-
-    Numbers beside the points are those of the legend.
-    """
+def picture(points: dict[str, Point]) -> Figure:
+    """Bit error rate against CPU time; numbers beside the points are those of the legend."""
     figure = Figure(figsize=(10, 5))
     axes = figure.add_subplot()
     for number, way in enumerate(WAYS):
-        some = [points[way.name, kernel] for kernel in kernels]
-        times, rates = [p.cpu_us for p in some], [p.bit_error_rate for p in some]
-        colour, marker = f"C{number % 10}", "o^"[number // 10]
-        axes.plot(times, rates, color=colour, alpha=0.4, lw=1)
+        point, colour = points[way.name], f"C{number % 10}"
+        at = point.cpu_us, point.bit_error_rate
         axes.errorbar(
-            times[0],
-            rates[0],
-            some[0].scatter,
-            fmt=marker,
+            *at,
+            point.scatter,
+            fmt="o^"[number // 10],
             color=colour,
             label=f"{number + 1}  {way.name}",
         )
         axes.annotate(
             f"{number + 1}",
-            (times[0], rates[0]),
+            at,
             (-5 - 4 * (number % 2), 5),
             color=colour,
             textcoords="offset points",
             ha="right",
             fontsize="small",
         )
-        axes.plot(times[1:], rates[1:], marker, color=colour, mfc="none")
-    default = points[DEFAULT.name, kernels[0]]
+    default = points[DEFAULT.name]
     axes.plot(default.cpu_us, default.bit_error_rate, "o", ms=18, mfc="none", color="k")
     axes.annotate(
         "default",
@@ -376,7 +487,6 @@ def picture(points: dict[tuple[str, str], Point], kernels: Sequence[str]) -> Fig
     )
     axes.axhline(BOUND, color="k", ls="--", lw=1, label="matched filter, Q(ρ)")
     axes.set(xscale="log", yscale="log", xlabel="CPU time per frame, µs", ylabel="bit error rate")
-    axes.set_title("filled: compiled kernel; hollow: numpy", fontsize="medium")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

@@ -33,7 +33,6 @@ from matplotlib.figure import Figure
 
 from benchmarks.report import QUICK, Report
 from benchmarks.skip import record
-from tactile_cdma.base.kernel import VARIABLE, compiled
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
@@ -61,7 +60,6 @@ FLOOR_S = 1.0 if QUICK else 5.0
 """Time of each half, s."""
 SIZES = (16, 4096) if QUICK else (16, 64, 256, 1024, 4096, 8192)
 SKINS = [(n, ALL) for n in SIZES] + [(16, SILENT), (4096, SILENT)]
-KERNELS = ("compiled", "numpy") if compiled else ("numpy",)
 GROWTH = (16, 64, 256, 1024, 4096, 16_384)
 GROWTH_FRAMES = 8 if QUICK else 50
 """Least number; small skins take more, so that what a pipeline learns first does not count."""
@@ -83,67 +81,55 @@ class Delivered:
 class Run:
     """Holds what the measured process says of itself after the warm-up.
 
-    cpu, floor: shares of a core, of the driver and of reading alone. received: bytes. decided,
-    in_python: frames that were decided, and those of them that the kernel left to Python.
+    cpu, floor: shares of a core, of the driver and of reading alone. received: bytes. read,
+    searched: frames that were read, and those of them whose timing had to be searched for.
     """
 
     wall_s: float
     cpu: float
     floor: float
     received: int
-    decided: int
-    in_python: int
+    read: int
+    searched: int
     frames: list[Delivered]
 
 
 def main() -> None:
     report = Report("scale", "Driver on a pty, virtual digitizer in another process, in real time")
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes below, as skin_driver sets it
-    rows = {
-        (nodes, scene, kernel): measure(nodes, scene, kernel)
-        for kernel in KERNELS[: 1 if QUICK else None]
-        for nodes, scene in SKINS
-    }
+    rows = {skin: measure(*skin) for skin in SKINS}
     report.table([*next(iter(rows.values()))], [[*row.values()] for row in rows.values()])
-    grown = {kernel: growth(kernel) for kernel in KERNELS}
+    grown = growth()
     report.table(
-        ["nodes", *(f"{kernel} {unit}" for kernel in KERNELS for unit in ("µs/frame", "exponent"))],
-        [
-            [nodes, *(value for kernel in KERNELS for value in grown_row(grown[kernel], nodes))]
-            for nodes in GROWTH
-        ],
+        ["nodes", "µs/frame", "exponent"], [[nodes, *grown_row(grown, nodes)] for nodes in GROWTH]
     )
-    first = KERNELS[0]
     shares = {
-        f"{name}_{nodes}": round(rows[nodes, scene, first][column] / 100, 5)
+        f"{name}_{nodes}": round(rows[nodes, scene][column] / 100, 5)
         for scene, names in ((ALL, ("cpu", "floor")), (SILENT, ("silent", "silent_floor")))
         for nodes in (16, 4096)
         for name, column in zip(names, ("CPU %", "floor %"), strict=True)
     }
     report.finish(
-        figure([row for (_, *at), row in rows.items() if at == [ALL, first]], grown),
+        figure([row for (_, scene), row in rows.items() if scene == ALL], grown),
         **shares,
-        replay_us_16=1e6 * grown[first][16],
-        replay_us_4096=1e6 * grown[first][4096],
-        latency_ms_4096=rows[4096, ALL, first]["latency ms"],
-        exponent=log(grown[first][16_384] / grown[first][1024]) / log(16),
+        replay_us_16=1e6 * grown[16],
+        replay_us_4096=1e6 * grown[4096],
+        latency_ms_4096=rows[4096, ALL]["latency ms"],
+        exponent=log(grown[16_384] / grown[1024]) / log(16),
         wrong_words=sum(row["wrong words"] for row in rows.values()),
         lost_frames=sum(row["lost frames"] for row in rows.values()),
-        in_python_share=in_python_share(
-            [row for (*_, kernel), row in rows.items() if kernel == first]
-        ),
+        searched_share=searched_share([*rows.values()]),
     )
 
 
-def in_python_share(rows: list[dict[str, Any]]) -> float:
-    """Return the share of the frames of all rows that was decided in Python."""
-    in_python, decided = (sum(row[column] for row in rows) for column in ("in Python", "decided"))
-    return float(in_python / max(1, decided))
+def searched_share(rows: list[dict[str, Any]]) -> float:
+    """Return the share of the frames of all rows whose timing was searched for."""
+    searched, read = (sum(row[column] for row in rows) for column in ("searched", "read"))
+    return float(searched / max(1, read))
 
 
-def growth(kernel: str) -> dict[int, float]:
+def growth() -> dict[int, float]:
     """CPU time per frame of replay by number of nodes, s."""
-    os.environ[VARIABLE] = kernel
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return dict(zip(GROWTH, pool.map(replayed, GROWTH, chunksize=1), strict=True))
 
@@ -181,9 +167,8 @@ def long_frame(nodes: int) -> dict[str, Any]:
     }
 
 
-def measure(nodes: int, scene: str, kernel: str) -> dict[str, Any]:
+def measure(nodes: int, scene: str) -> dict[str, Any]:
     """Measure one row of the table."""
-    os.environ[VARIABLE] = kernel
     config = SkinConfig.of(parameters(nodes))
     query = f"sim://?{scene}"
     context = multiprocessing.get_context("spawn")
@@ -208,13 +193,12 @@ def measure(nodes: int, scene: str, kernel: str) -> dict[str, Any]:
     return {
         "nodes": nodes,
         "scene": "all" if scene == ALL else "silent",
-        "kernel": kernel,
         "chips": spec.chips,
         "chip µs": spec.chip_s * 1e6,
         "kB/s": run.received / run.wall_s / 1e3,
         "frames": len(run.frames),
-        "decided": run.decided,
-        "in Python": run.in_python,
+        "read": run.read,
+        "searched": run.searched,
         "floor %": 100 * run.floor,
         "CPU %": 100 * run.cpu,
         "CPU / floor": run.cpu / run.floor,
@@ -257,8 +241,8 @@ def drive(nodes: int, path: str, results: Connection) -> None:
         received = int(driver.pipeline.packet_counts.bytes - counts.bytes)
         made = driver.pipeline.decisions.since(before)
     floor = (floor + read_only(config, path)) / 2
-    decided, in_python = made.total, made.in_python.total()
-    results.send(Run(wall_s, cpu_s / wall_s, floor, received, decided, in_python, measured))
+    run = Run(wall_s, cpu_s / wall_s, floor, received, made.frames, made.searches, measured)
+    results.send(run)
 
 
 def read_only(config: SkinConfig, path: str) -> float:
@@ -328,7 +312,7 @@ def wrong_words(frames: list[Delivered], config: SkinConfig, query: str) -> int:
     return sum(wrong(f, first + n) for f, n in zip(frames, numbers, strict=True))
 
 
-def figure(rows: list[dict[str, Any]], grown: dict[str, dict[int, float]]) -> Figure:
+def figure(rows: list[dict[str, Any]], grown: dict[int, float]) -> Figure:
     """CPU, latency beyond the code itself, and replay, against the number of nodes."""
     picture = Figure(figsize=(13, 3.6), layout="constrained")
     cpu, latency, hot = picture.subplots(1, 3)
@@ -339,11 +323,9 @@ def figure(rows: list[dict[str, Any]], grown: dict[str, dict[int, float]]) -> Fi
     cpu.legend()
     latency.bar(nodes, [row["latency ms"] - row["of it code"] for row in rows])
     latency.set(xlabel="nodes", ylabel="last chip ends → TactileFrame, median, ms")
-    for kernel, seconds in grown.items():
-        hot.loglog(list(seconds), [1e6 * s for s in seconds.values()], "o-", label=kernel)
+    hot.loglog(list(grown), [1e6 * s for s in grown.values()], "o-")
     hot.set(xlabel="nodes, 50 frames/s", ylabel="replay, µs per frame")
     hot.grid(True, alpha=0.3)
-    hot.legend()
     return picture
 
 

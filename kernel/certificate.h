@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /* Chips of a frame → its words, and a certificate: whether what the words leave over is no more than noise, in every
- * direction in which we know what an error looks like. docs/architecture.md tells the idea, framing/limits.py where
+ * direction in which we know what an error looks like. docs/architecture.md tells the idea, words/limits.py where
  * each limit comes from.
  *
  * A frame is words + a level of each bit + what leaks from the chips beside + noise. Five clauses look at the rest.

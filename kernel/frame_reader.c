@@ -13,6 +13,7 @@
 #define LEARNT 8     /* of these, until then it is unknown */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
 #define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
+#define TIED 0.01    /* share by which words elsewhere must explain more to be taken: behind a low-pass, ties differ by so much */
 #define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
 
 struct frame_reader {
@@ -234,7 +235,7 @@ static bool is_possible(const struct frame_reader *reader, const struct fit_line
 {
     const struct frame_rules *rules = &reader->rules;
 
-    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip &&
+    return fit->chip >= rules->least_chip && fit->chip <= rules->most_chip && !(reader->is_free && fit->start < -EDGE) &&
            fit_end(fit, reader->code.span) <= (double)line->size - EDGE + 0.3 * fit->chip;
 }
 
@@ -308,7 +309,7 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
         }
         struct fit *place = &reader->places[reader->place_count++];
         *place = there;
-        if (power > most) {
+        if (power > (1 + TIED) * most) {
             *place = *best;
             *best = there;
             most = power;
@@ -377,8 +378,9 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
         certifier_compare(reader->certifier, &other, words, certificate);
     }
     found->noise = certificate->noise * sqrt((double)reader->code.order);
-    bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise
-                                           : certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
+    bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
+    bool is_misfit = certificate->speakers ? certificate->left > rules->misfit * power + 3 * view->noise : is_hopeless;
+    is_misfit |= reader->is_free && is_hopeless; /* nothing but its words says that there is a frame */
     if (is_misfit && !reader->sparse) { /* of sparse codes it says how many speak */
         reader->carried.chip = 0;
         return FRAME_MISFIT;

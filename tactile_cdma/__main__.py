@@ -5,7 +5,7 @@
 import signal
 import sys
 
-from .base.errors import ParameterError
+from .base.errors import KernelError
 
 
 def main() -> int:
@@ -19,7 +19,7 @@ def main() -> int:
             file=sys.stderr,
         )
         return 1
-    except ParameterError as error:  # in an environment variable
+    except KernelError as error:
         print(f"tactile-cdma: {error}", file=sys.stderr)
         return 1
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.codes import code_book
-from tactile_cdma.code.transform import CompiledTransform
+from tactile_cdma.code.transform import Transform
 from tactile_cdma.config.skin_config import SkinConfig
 from test.support.same_frames import assert_same
 from test.support.simulated import run, stream
@@ -48,14 +48,13 @@ ORDERS = (8, 16, 20, 72, 912, 4096, 16_384)
 
 def transforms(values: dict[int, NDArray[np.float32]]) -> dict[int, bytes]:
     """Return the transform of each order's values. Raises SystemExit if it depends on the lanes."""
-    assert kernel.compiled is not None
     found = {}
     for order, chips in values.items():
         results = set()
         for lanes in (1, 4, 8):
-            if lanes <= kernel.compiled.transform_lanes():
+            if lanes <= kernel.lib.transform_lanes():
                 out = np.empty_like(chips)
-                CompiledTransform(code_book(order).plan, False, lanes).multiply(chips, out)
+                Transform(code_book(order).plan, False, lanes).multiply(chips, out)
                 results.add(out.tobytes())
         if len(results) > 1:
             raise SystemExit(f"order {order}: the bits depend on the number of lanes")
@@ -69,8 +68,6 @@ def main() -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--write", action="store_true", help="keep what this processor makes")
     arguments = parser.parse_args()
-    if kernel.compiled is None:
-        parser.error(f"no compiled kernel: {kernel.why_numpy}")
     configurations = [SkinConfig.of(parameters) for parameters, _ in STREAMS]
     if arguments.write:
         rng = np.random.default_rng(1)

@@ -270,7 +270,7 @@ def build_kernel(venv: Path) -> None:
     place = output([python, "-c", "import sysconfig as s; print(s.get_path('purelib'))"])
     build = [python, "setup.py", "-q", "build_ext", "--build-lib", place]
     run([*build, "--build-temp", str(venv / "build")], venv / "setup.log")
-    # setup.py takes a failure for a machine without a compiler; this one has it (require_tools).
+    # A module that does not load is no good build.
     run([python, "-c", "import tactile_cdma._kernel"], venv / "setup.log")
 
 

@@ -87,12 +87,8 @@ def scale_rows() -> list[tuple[int, float]]:
     """Return nodes, and ms from a frame's begin until it is published: the last bench-scale."""
     table = json.loads(RESULTS.read_text(encoding="utf-8"))["scale"]["tables"][0]
     head, *rows = table
-    at = {name: head.index(name) for name in ("nodes", "scene", "kernel", "latency ms")}
-    return [
-        (row[at["nodes"]], row[at["latency ms"]])
-        for row in rows
-        if (row[at["scene"]], row[at["kernel"]]) == ("all", "compiled")
-    ]
+    at = {name: head.index(name) for name in ("nodes", "scene", "latency ms")}
+    return [(row[at["nodes"]], row[at["latency ms"]]) for row in rows if row[at["scene"]] == "all"]
 
 
 def claims() -> list[Claim]:

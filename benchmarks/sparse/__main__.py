@@ -16,10 +16,9 @@ frames without doubt, of sound ones of ρ ≥ 15 in which up to 0.45 of the chip
 time of the driver node's process on a port, with 4,000 nodes of which 8 % speak, over that with 900
 orthogonal ones that all speak, in as many chips (`thousand_skin.yaml`), with one subscriber each,
 as bench-ros measures it; so are `p50_ms`, from the last byte of a frame to the subscriber's
-callback, and `p50_ms_floor`.
-`decoder_ratio_900` is that of decoding alone, of recorded bytes without the first frames, in which
-the noise is learnt, and without pauses; `decoder_ratio_idle` the same of 1.3 %, as many as beat
-their hearts in a frame.
+callback, and `p50_ms_floor`. `decoder_ratio_900` is that of decoding alone, of recorded bytes
+without the first frames, in which the noise is learnt, and without pauses; `decoder_ratio_idle` the
+same of 1.3 %, as many as beat their hearts in a frame.
 
 `words`: of 4,000 nodes of which 8 % speak, at several ρ; `words_wrong`: claims of these frames, of
 words or silence, that are false. `hug_ms`: from the touch of all 4,000 nodes at once until every
@@ -163,9 +162,7 @@ def figure(
     loads.set(xlabel="nodes that speak / chips per bit", ylabel="share of frames that are certain")
     loads.legend(fontsize="small")
     detection.plot(list(took), [1e6 * each for each in took.values()], "o-")
-    detection.set(
-        xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="reading, µs per frame"
-    )
+    detection.set(xlabel="nodes that speak, of 4,000 on 912 chips", ylabel="reading, µs per frame")
     shares.plot(hugged.t_s, 100 * hugged.right, label="that have their present value")
     shares.plot(hugged.t_s, 100 * hugged.certain, label="whose value is certain now")
     shares.set(ylabel="taxels, %")

@@ -36,6 +36,10 @@ class ParameterError(TactileError, ValueError):
     """An unknown parameter, or a value of the wrong type or out of range: nodez=16, or bits=99."""
 
 
+class KernelError(TactileError, ImportError):
+    """The compiled kernel was not built, or not for this Python and processor."""
+
+
 class PortError(TactileError, OSError):
     """The port does not open, was lost (its cable is pulled, say), or carries no packets."""
 

@@ -1,58 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Chooses what does the arithmetic of every frame: the compiled kernel, or numpy.
+"""Has the compiled kernel called, which does the arithmetic of every frame.
 
-numpy is the reference, and what is left where the kernel was not built. Modules that have both
-forms of a stage ask `compiled` once, when they are loaded or a stage is set up.
-
-The kernel's functions are called by their names in kernel/*.h, as `compiled.words_noise(…)`: cffi
-checks how many arguments there are, and their types. Arrays are handed over by `pointer`, which
-checks how many values there are, structs by `struct`, and objects are held by a `Held`.
+Its functions are called by their names in kernel/*.h, as `lib.words_noise(…)`: cffi checks how many
+arguments there are, and their types. Arrays are handed over by `pointer`, which checks how many
+values there are, structs by `struct`, and objects are held by a `Held`.
 """
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .errors import ParameterError
+from .errors import KernelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-VARIABLE = "TACTILE_CDMA_KERNEL"
-"""Environment variable: numpy or compiled; unset or empty for compiled where there is one."""
+try:
+    _module: Any = import_module("tactile_cdma._kernel")
+except ImportError as error:
+    raise KernelError(
+        f"the compiled kernel does not load ({error}): build it, with a C compiler (apt: gcc "
+        "python3-dev), by pip install . or, in a ROS workspace, colcon build; in a checkout by "
+        "make setup"
+    ) from error
+
+lib, ffi = _module.lib, _module.ffi
+"""The kernel's functions and numbers; what makes and reads values in C."""
 _ARRAYS = {
     "f": "float[]", "d": "double[]", "i": "int32_t[]", "h": "int16_t[]", "b": "int8_t[]",
     "B": "uint8_t[]", "?": "uint8_t[]",
 }  # fmt: skip
 """Types in C of numpy's arrays. Flags are bytes there."""
-
-
-def _choose(wanted: str) -> tuple[Any, Any, str]:
-    """Return the kernel and its cffi, None for numpy; and why numpy. Raises ParameterError."""
-    if wanted not in ("", "numpy", "compiled"):
-        raise ParameterError(
-            f"{VARIABLE} is {wanted!r}; it must be numpy, compiled or empty (compiled where the "
-            "kernel was built)"
-        )
-    if wanted == "numpy":
-        return None, None, f"{VARIABLE} is numpy"
-    try:
-        module: Any = import_module("tactile_cdma._kernel")
-    except ImportError as error:
-        reason = f"the kernel was not built for this Python, or does not load ({error})"
-        if wanted == "compiled":
-            raise ParameterError(f"{VARIABLE} is compiled, but {reason}") from error
-        return None, None, reason
-    return module.lib, module.ffi, ""
-
-
-compiled, ffi, why_numpy = _choose(os.environ.get(VARIABLE, ""))
-"""The kernel's functions, None where numpy is used; cffi's side of them; why numpy, or ""."""
 
 
 def pointer(values: NDArray[Any], *shape: int, written: bool = False) -> Any:

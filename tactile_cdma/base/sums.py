@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts and sums the samples of a frame, compiled or in numpy."""
+"""Converts and sums the samples of a frame."""
 
 from collections.abc import Iterable
 from functools import reduce
@@ -26,9 +26,10 @@ def dot(some: NDArray[F], others: NDArray[F]) -> float:
     return float(np.einsum("i,i->", some, others))
 
 
-def numpy_sums(volts: Floats) -> tuple[float, float]:
-    """Sum, V, and sum of squares, V², of samples (m,)."""
-    return float(volts.sum()), dot(volts, volts)
+def sums(volts: Floats) -> tuple[float, float]:
+    """Add up samples (m,): their sum, V, and the sum of their squares, V²."""
+    found = kernel.lib.samples_add_wide(kernel.pointer(volts, volts.size), volts.size)
+    return found.sum, found.squares
 
 
 def outside(low_v: float, high_v: float, volts: Floats) -> int:
@@ -47,13 +48,3 @@ def to_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> 
     volts[:] = counts
     volts -= np.float32(zero)
     volts *= np.float32(per_count_v)
-
-
-def compiled_sums(volts: Floats) -> tuple[float, float]:
-    """As numpy_sums."""
-    size = volts.size
-    found = kernel.compiled.samples_add_wide(kernel.pointer(volts, size), size)
-    return found.sum, found.squares
-
-
-sums = numpy_sums if kernel.compiled is None else compiled_sums

@@ -3,32 +3,20 @@
 """Correlation with all rows of a code book at once, and its inverse, spreading.
 
 A book is a Kronecker product A ⊗ B ⊗ …, so correlating means multiplying each axis of the chips,
-seen as an array of shape (a, b, …), by its own small matrix: O(N·(a + b + …)) instead of O(N²).
-Each stage multiplies the slowest axis and leaves it as the fastest one, without a copy, as BLAS
-reads transposed matrices; at last the axes are in order again. Small factors are merged for BLAS.
-
-The compiled kernel (kernel/transform.h) does the same with fewer operations.
+seen as an array of shape (a, b, …), by its own small matrix: O(N·(a + b + …)) instead of O(N²). The
+compiled kernel does it (kernel/transform.h).
 """
 
 import math
-import threading
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Floats32
 from ..base.errors import SpecError
-from .codes import MAX_ORDER, CodeBook
+from .codes import CodeBook
 from .frame import FrameSpec
-
-_LARGEST_BLOCK = 128
-"""Order to which factors are merged: few stages, none much larger than it needs. Chosen."""
-_BLAS_PRODUCTS = 1 << 18
-"""Multiplications in one BLAS call. OpenBLAS spreads longer ones over its threads, which then wait
-for each other: milliseconds, on a machine that has anything else to do."""
 
 
 def correlate(chips: Floats32, book: CodeBook, out: Floats32 | None = None) -> Floats32:
@@ -79,11 +67,37 @@ def chips_of(rows: Floats32, spec: FrameSpec) -> Floats32:
     return chips if spec.flips is None else chips * spec.flips
 
 
-class Transform(Protocol):
-    """Product with a code book, prepared once."""
+class Transform(kernel.Held):
+    """Multiplies in the kernel (kernel/transform.h); scaled by 1/N unless spreading."""
+
+    def __init__(self, plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> None:
+        """lanes: 1, 4 or 8; 0 for what the processor has. Raises ValueError for others."""
+        orders = [order for order in plan if order > 2]
+        factors = [CodeBook((order,)).matrix for order in orders]
+        signs = [np.array(m.T if spreading else m, np.int8, order="C") for m in factors]
+        matrices = [kernel.pointer(m, order, order) for m, order in zip(signs, orders, strict=True)]
+        self.order = math.prod(plan)
+        scale = 1.0 if spreading else 1.0 / self.order
+        library = kernel.lib
+        made = library.transform_new(plan.count(2), len(orders), orders, matrices, scale, lanes)
+        super().__init__(made, library.transform_free)
 
     def multiply(self, source: Floats32, out: Floats32, /) -> None:
-        """Multiply vectors (…, N), into contiguous memory of the same size."""
+        """Multiply vectors (…, N). Raises ValueError where out has another shape, or is a part."""
+        count, left = divmod(source.size, self.order)
+        if left:
+            raise ValueError(f"{source.size} values are no vectors of order {self.order}")
+        if source is not out and np.may_share_memory(source, out):
+            raise ValueError("source and out overlap")
+        values = kernel.pointer(source, *source.shape)
+        result = kernel.pointer(out, *source.shape, written=True)
+        kernel.lib.transform_multiply(self.at, values, result, count)
+
+
+@lru_cache(maxsize=64)
+def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
+    """The product with a code book of this plan, scaled by 1/N unless spreading."""
+    return Transform(plan, spreading)
 
 
 def _multiply(
@@ -99,98 +113,3 @@ def _multiply(
         raise SpecError(f"out must be contiguous float32 of shape {values.shape}")
     transform.multiply(values, out)
     return out
-
-
-class _Scratch(threading.local):
-    """Memory for intermediate results; each thread has its own."""
-
-    def __init__(self) -> None:
-        self.values = np.empty(MAX_ORDER, dtype=np.float32)
-
-
-_scratch = _Scratch()
-
-
-@dataclass(frozen=True)
-class _Blocks:
-    """The product in numpy. matrices: of the blocks, applied from the right."""
-
-    order: int
-    matrices: list[Floats32]
-
-    def multiply(self, source: Floats32, out: Floats32, /) -> None:
-        """As Transform."""
-        vectors, results = source.reshape(-1, self.order), out.reshape(-1, self.order)
-        most, last = MAX_ORDER // self.order, len(self.matrices) - 1
-        for start in range(0, len(vectors), most):
-            values, result = vectors[start : start + most], results[start : start + most]
-            spare = _scratch.values[: values.size].reshape(values.shape)
-            for i, matrix in enumerate(self.matrices):  # by turns, so that the last is in result
-                goal = spare if (last - i) % 2 else result
-                self._apply(matrix, values, goal)
-                values = goal
-
-    def _apply(self, matrix: Floats32, values: Floats32, goal: Floats32) -> None:
-        """Multiply the slowest axis of vectors (c, N), and leave it as the fastest one of goal."""
-        count, block = len(values), len(matrix)
-        turned = values.reshape(count, block, -1).transpose(0, 2, 1)
-        goal, columns = goal.reshape(count, -1, block), _BLAS_PRODUCTS // self.order
-        for start in range(0, block, columns):
-            part = slice(start, start + columns)
-            np.matmul(turned, matrix[:, part], out=goal[..., part])
-
-
-@lru_cache(maxsize=64)
-def transform_of(plan: tuple[int, ...], spreading: bool = False) -> Transform:
-    """The product with a code book of this plan, scaled by 1/N unless spreading."""
-    if kernel.compiled is not None:
-        return CompiledTransform(plan, spreading)
-    return numpy_transform(plan, spreading)
-
-
-class CompiledTransform(kernel.Held):
-    """Multiplies in the kernel (kernel/transform.h); scaled by 1/N unless spreading."""
-
-    def __init__(self, plan: tuple[int, ...], spreading: bool, lanes: int = 0) -> None:
-        """lanes: 1, 4 or 8; 0 for what the processor has. Raises ValueError for others."""
-        orders = [order for order in plan if order > 2]
-        factors = [CodeBook((order,)).matrix for order in orders]
-        signs = [np.array(m.T if spreading else m, np.int8, order="C") for m in factors]
-        matrices = [kernel.pointer(m, order, order) for m, order in zip(signs, orders, strict=True)]
-        self.order = math.prod(plan)
-        scale = 1.0 if spreading else 1.0 / self.order
-        library = kernel.compiled
-        made = library.transform_new(plan.count(2), len(orders), orders, matrices, scale, lanes)
-        super().__init__(made, library.transform_free)
-
-    def multiply(self, source: Floats32, out: Floats32, /) -> None:
-        """As Transform. Raises ValueError where out is not of source's shape, or a part of it."""
-        count, left = divmod(source.size, self.order)
-        if left:
-            raise ValueError(f"{source.size} values are no vectors of order {self.order}")
-        if source is not out and np.may_share_memory(source, out):
-            raise ValueError("source and out overlap")
-        values = kernel.pointer(source, *source.shape)
-        result = kernel.pointer(out, *source.shape, written=True)
-        kernel.compiled.transform_multiply(self.at, values, result, count)
-
-
-def numpy_transform(plan: tuple[int, ...], spreading: bool) -> Transform:
-    """That of numpy; the first block of those that correlate scales."""
-    books = [CodeBook(block).matrix for block in _blocks(plan)]
-    matrices = [(book if spreading else book.T).astype(np.float32, order="C") for book in books]
-    order = math.prod(plan)
-    if not spreading:
-        matrices[0] *= np.float32(1.0 / order)
-    return _Blocks(order, matrices)
-
-
-def _blocks(plan: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The plan's factors, merged with their neighbours to blocks of up to _LARGEST_BLOCK."""
-    blocks: list[tuple[int, ...]] = []
-    for factor in plan:
-        if blocks and math.prod(blocks[-1]) * factor <= _LARGEST_BLOCK:
-            blocks[-1] += (factor,)
-        else:
-            blocks.append((factor,))
-    return blocks

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from .codes import code_book
 from .transform import correlate
 
-SHIFTS = (-2, -1, 1, 2)
-"""Chips by which a node may be late or early: SHIFTS in kernel/certificate.c, in that order."""
+MOST_LATE = 2
+"""Chips by which a node may be late or early, as in kernel/certificate.c."""
+SHIFTS = tuple(shift for shift in range(-MOST_LATE, MOST_LATE + 1) if shift)
+"""All of these, rising, as the kernel looks at them."""
 ALIKE = 0.5
 """Correlation from which on two rows are alike. A node that is taken for another one leaves
 1 − ALIKE² of its power over, 0.75 A², which shows as energy."""

@@ -26,10 +26,10 @@ from ..driver.pipeline import Pipeline, TactileFrame
 from ..driver.scrambling import is_understood, mismatch
 from ..driver.stream import Decisions
 from ..framing.frame_reader import hides_silence
-from ..framing.limits import LIMITS
 from ..wire.messages import Status
 from ..wire.packets import PacketParser
 from ..words.health import DOUBLE_SHARE, FAINT_SHARE, NodeHealth, NodeState
+from ..words.limits import LIMITS
 from .report import Check, ok, problem, warning
 
 WRONG_CLOCK = "One silent since power-up, whose LED blinks quickly: wrong clock?"

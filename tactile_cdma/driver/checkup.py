@@ -12,11 +12,11 @@ import numpy as np
 
 from ..base.text import listed
 from ..framing.frames import Clause
-from ..framing.limits import LIMITS
 from ..readings.status import Status as TaxelStatus
 from ..readings.taxels import Readings
 from ..wire.messages import Status
 from ..words.health import NodeState
+from ..words.limits import LIMITS
 from .digitizer import SourceWatch
 from .findings import Finding, Level
 from .pipeline import Pipeline, TactileFrame

@@ -15,18 +15,13 @@ from ..framing.frame_reader import MARKED_SIDE_CHIPS, FrameReader
 from ..framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
 from ..framing.proposals import Proposer
 from ..wire.messages import Info
+from ..words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
 from .timeline import CLOCK_SLACK_S, CLOCK_TOLERANCE, MAX_DEVICE_TIME_US, Pace
 
 ABSURD_V = 1e6
 """Level that no digitizer reports, V: such samples are treated like NaN."""
-LEAST_REST = 16
-"""Gap samples that an estimate of level and noise takes, collected over several short gaps: the
-variance of 16 samples is right to a third (√(2/15))."""
-GAP_WEIGHT = 0.25
-"""Weight of the newest gap in the running noise estimate: averages about seven gaps."""
-MOST_RISE, LEAST_RISE = 4.0, 1e-3
-"""Times that the noise may rise from gap to gap, since a burst within one gap must not excuse the
-next frame; and share of a node's amplitude, RMS, that it may have in any case."""
+LEAST_RISE = 1e-3
+"""Share of a quarter of a node's amplitude, RMS, that noise may have, however little it was."""
 MOST_WAITS = 64
 """Frames that are read after a search in vain until the next one: half a second at 128 Hz."""
 MOST_STRETCHED = 1.12

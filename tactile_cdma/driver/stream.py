@@ -90,7 +90,7 @@ class Stream:
 
     def __init__(self, parser: PacketParser, decisions: Decisions) -> None:
         self.parser, self.decisions = parser, decisions
-        library, scanner = kernel.compiled, parser.scanner
+        library, scanner = kernel.lib, parser.scanner
         self._held = kernel.Held(library.stream_new(scanner.at), library.stream_free)
         self._stream, ffi = self._held.at, kernel.ffi
         self._about = library.stream_subject(self._stream)
@@ -127,7 +127,7 @@ class Stream:
         marked = reader.at if frames and description.gaps is None else kernel.ffi.NULL
         self._answer("stream_describe", rules.at, marked)
         if marked:
-            kernel.compiled.stream_lend(self._stream, where)
+            kernel.lib.stream_lend(self._stream, where)
         self._used = reader, where
 
     def forget(self) -> None:
@@ -142,7 +142,7 @@ class Stream:
         """
         self._expect_idle()
         given = kernel.ffi.from_buffer("uint8_t[]", data)
-        if not kernel.compiled.reader_give(self._reader, given, len(data), t_host, backlog):
+        if not kernel.lib.reader_give(self._reader, given, len(data), t_host, backlog):
             raise RuntimeError("other bytes are not used up")
         self._bytes = given
 
@@ -154,7 +154,7 @@ class Stream:
         """
         if self._frames:
             return Event([], self._frames.popleft(), None, False, *self._read)
-        library, reader = kernel.compiled, self._reader
+        library, reader = kernel.lib, self._reader
         kind = library.reader_follow(reader, file, timeout_ms)
         if kind < 0:
             raise RuntimeError(_ANOTHER_THREAD)
@@ -174,7 +174,7 @@ class Stream:
 
     def _answered(self, kind: int) -> Received | None:
         """Answer what the kernel asks; returns a packet that is for others."""
-        library = kernel.compiled
+        library = kernel.lib
         if kind == library.STREAM_PACKET:
             return self.parser.interpret(*content_of(self._packet))
         if kind == library.STREAM_FOREIGN:
@@ -199,7 +199,7 @@ class Stream:
     def end(self) -> None:
         """Expect no more samples: the frame in progress is read from those that there are."""
         self._expect_idle()
-        kernel.compiled.stream_conclude(self._stream)
+        kernel.lib.stream_conclude(self._stream)
         self._ending = True
 
     def _expect_idle(self) -> None:
@@ -210,7 +210,7 @@ class Stream:
     def _answer(self, function: str, *arguments: Any) -> None:
         """Call one of the kernel's functions that tell whether the stream could take it."""
         self._expect_idle()
-        if not getattr(kernel.compiled, function)(self._stream, *arguments):
+        if not getattr(kernel.lib, function)(self._stream, *arguments):
             raise ValueError(f"{function}: not asked for, does not fit the frames, or no memory")
 
     def _frame(self) -> LineFrame:

@@ -15,12 +15,12 @@ from ..base import kernel
 from ..base.arrays import Floats, Floats32
 from ..base.errors import SpecError
 from ..code.frame import BIPOLAR, MAX_STRETCH, UNIPOLAR, FrameSpec
-from ..code.transform import CompiledTransform
+from ..code.transform import Transform
 from ..code.twins import TWIN, twins
 from ..wire._protocol import TAIL_CHIPS
+from ..words.limits import LIMITS
 from ..words.words import words_memory, words_of
 from .frames import Certificate, LineFrame, Rejections
-from .limits import LIMITS
 from .sparse import SPARSE_LIMITS, sparse_code
 
 REACHES = np.array([0.5, 0.5, 0.25, 0.12])
@@ -38,14 +38,15 @@ a chip at the end of a frame of 32."""
 BLIND_RHO = 2.5
 """ρ below which words are not found, so that their absence says nothing: at ρ = 3 one frame in
 5,000 is missed at order 20 (make bench-error)."""
-CLIPPED, DEAFENED = 0.5, 0.25
+CLIPPED = 0.5
+DEAFENED = CLIPPED / 2
 """Share of samples at a rail at which a line rests there, half of its chips being clipped; and at
 which a lone node has half of its amplitude, where silence begins, halved."""
 KEPT, REFINED, SEARCHED, MISFIT = 0.67, 3e-3, 0.1, 0.5
 """Shares of the chips' power: that samples may have besides (nodes half a chip late have as much
 again); that a carried timing may leave before it is refined (edges 0.04 chip off); with which other
 timings are searched for; and that nothing explains."""
-SILENT_SHARE, SILENT_CHIP = 0.1, 0.4
+SILENT_SHARE, SILENT_CHIP = LIMITS.faint, LIMITS.beside
 """Amplitude of a node below which no samples are a word, RMS; and of a chip that is a mean."""
 RAIL_MARGIN = 1e-3
 """Distance from a rail, relative to the range, within which a sample counts as clipped: one count
@@ -99,14 +100,14 @@ class FrameReader:
         )
         nodes = spec.nodes
         self._held = kernel.Held(
-            kernel.compiled.frame_reader_new(
+            kernel.lib.frame_reader_new(
                 code.at,
                 rules.at,
                 limits.at,
                 kernel.pointer(self.expected_v, nodes, written=True),
                 kernel.pointer(self.broken, nodes),
             ),
-            kernel.compiled.frame_reader_free,
+            kernel.lib.frame_reader_free,
             code,
             rules,
         )
@@ -114,7 +115,7 @@ class FrameReader:
         self._found = kernel.ffi.new("struct frame_found *")
         self._rest = kernel.ffi.new("struct frame_rest *")
         self._memory = words_memory(spec.nodes)
-        self._counts = [0] * kernel.compiled.FRAME_LOOKS
+        self._counts = [0] * kernel.lib.FRAME_LOOKS
 
     def _rules(self, rails_v: Rails) -> dict[str, Any]:
         """Return the members of the kernel's struct frame_rules."""
@@ -158,7 +159,7 @@ class FrameReader:
 
     def propose(self, start: float, chip: float) -> None:
         """Try this timing on the next frame, too: begin and duration of a chip, samples."""
-        kernel.compiled.frame_reader_propose(
+        kernel.lib.frame_reader_propose(
             self.at, kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
         )
 
@@ -168,7 +169,7 @@ class FrameReader:
         measures: both are refined in any case.
         """
         fit = kernel.ffi.new("struct fit *", {"start": start, "chip": chip})
-        kernel.compiled.frame_reader_expect(self.at, fit, scatter, measures)
+        kernel.lib.frame_reader_expect(self.at, fit, scatter, measures)
 
     def explained(self, volts: Floats32, start: float, chip: float, count: int) -> Floats:
         """Return the power that words explain, V², of frames that each begin a chip later.
@@ -181,7 +182,7 @@ class FrameReader:
             kernel.pointer(volts, volts.size),
             kernel.pointer(powers, count, written=True),
         )
-        kernel.compiled.frame_reader_explained(
+        kernel.lib.frame_reader_explained(
             self.at, samples, volts.size, self._rest.level, fit, count, out
         )
         return powers
@@ -192,7 +193,7 @@ class FrameReader:
         volts: (m,), NaN where absurd. final: no more will follow, else `more` tells how many are
         needed.
         """
-        lib, nodes = kernel.compiled, self.spec.nodes
+        lib, nodes = kernel.lib, self.spec.nodes
         self._memory = words_memory(nodes)
         words = lib.words_in(kernel.pointer(self._memory, self._memory.size, written=True), nodes)
         look: int = lib.frame_reader_read(
@@ -211,7 +212,7 @@ class FrameReader:
     def sum_up(self, mean_v: float, variance_v2: float) -> int:
         """Return the verdict on samples in which nobody spoke, of which this is known."""
         self._has_words = False
-        look: int = kernel.compiled.frame_reader_sum_up(
+        look: int = kernel.lib.frame_reader_sum_up(
             self.at, self._rest, mean_v, variance_v2, self._found
         )
         return look
@@ -246,7 +247,7 @@ class FrameReader:
         first_index: of the first sample in the stream.
         """
         look = self.look(np.ascontiguousarray(volts, np.float32))
-        if look > kernel.compiled.FRAME_READ:
+        if look > kernel.lib.FRAME_READ:
             self._counts[look] += 1
             return None
         return self.taken(first_index)
@@ -278,7 +279,7 @@ def line_frame(
 
 def rejections_of(counts: Any) -> Rejections:
     """Return the kernel's counts of rejected frames, by enum frame_look."""
-    lib = kernel.compiled
+    lib = kernel.lib
     return Rejections(
         incomplete=counts[lib.FRAME_INCOMPLETE],
         absurd=counts[lib.FRAME_ABSURD],
@@ -304,8 +305,8 @@ def hides_silence(clipped: float, noise_rms_v: float, spec: FrameSpec) -> bool:
 def _code(spec: FrameSpec, swing_v: float | None, active_share: float) -> kernel.Held:
     """Return the kernel's struct code, with all that it points to."""
     spare = spec.spare_rows
-    correlates = CompiledTransform(spec.book.plan, spreading=False)
-    spreads = CompiledTransform(spec.book.plan, spreading=True)
+    correlates = Transform(spec.book.plan, spreading=False)
+    spreads = Transform(spec.book.plan, spreading=True)
     pairs = np.zeros(0, TWIN)
     if not spec.scramble:
         pairs = twins(spec.order, spec.first_row, spec.nodes)

@@ -13,7 +13,7 @@ from ..base.arrays import Floats32, Indices
 from ..code.frame import FrameSpec
 from ..code.transform import rows_of
 from ..wire._protocol import TURN_MOST_LOG2
-from .limits import LIMITS
+from ..words.limits import LIMITS
 
 CAPACITY, LOST = 0.65, 2.0
 """Nodes that may speak in a frame, of the chips per bit but LOST times their square root: beyond,

@@ -15,6 +15,7 @@ import numpy as np
 from ..base.arrays import Floats, Floats32
 from ..code.frame import MAX_STRETCH, FrameSpec
 from ..code.transform import correlate
+from ..words.limits import LIMITS
 from .samples import Line
 
 SEARCH_PER_S = 8e6
@@ -26,8 +27,6 @@ SURVIVORS = 8
 """Durations that are searched near by all bits, of those that suit the first bits best."""
 CHIPS_AT_ONCE = 1 << 18
 """Chips that are integrated at once: bounds the memory to some 10 MB."""
-NOISE = 5.0
-"""Deviations of a sample's noise beyond which it is loud: the frame's last loud one is its end."""
 
 
 class Proposer:
@@ -54,7 +53,7 @@ class Proposer:
 
     def _by_end(self, line: Line, noise_v2: float) -> Floats:
         """Return durations with which a frame ends where the line falls silent, or a bit later."""
-        least = NOISE * math.sqrt(noise_v2 * self._chip)
+        least = LIMITS.deviations * math.sqrt(noise_v2 * self._chip)
         least = max(least, 0.1 * (self._spec.node_swing_v or 0.0))
         loud = np.flatnonzero(np.abs(line.volts) > least)
         end = int(loud[-1]) + 1 if loud.size else 0

@@ -88,7 +88,9 @@ class Raster:
                 self._square = fade * self._square + (0.0 if slipped else off**2)
             if slots:
                 off_period = (start - self._start) / slots - self._period
-                period = self._period + off_period * min(1.0, max(slots / LEAST_KNOWN, 1 / max(self._known, 1)))
+                period = self._period + off_period * min(
+                    1.0, max(slots / LEAST_KNOWN, 1 / max(self._known, 1))
+                )
                 if abs(period - self._nominal) < CLOCK_ERROR * period:
                     self._period, self._period_error = period, CLOCK_DRIFT
             self._change = abs(chip - self._chip)

@@ -12,8 +12,8 @@ from dataclasses import replace
 from ..base import kernel
 from ..code.frame import FrameSpec
 from ..code.sparse import code_places
-from ..code.transform import CompiledTransform
-from .limits import LIMITS
+from ..code.transform import Transform
+from ..words.limits import LIMITS
 from .load import ALIKE_BELOW, capacity
 
 SLOPE, SPAN = 0.75, 8.0
@@ -47,7 +47,7 @@ SPARSE_LIMITS = replace(LIMITS, left_of_word=TOLERANCE, bit=1.0)
 """A bit that is wrong, or missing, leaves an amplitude squared there, among that of all nodes."""
 
 
-def sparse_code(spec: FrameSpec, spreads: CompiledTransform) -> kernel.Held:
+def sparse_code(spec: FrameSpec, spreads: Transform) -> kernel.Held:
     """Return the kernel's struct sparse_code; spreads: the transform of the book, unscaled."""
     return kernel.struct(
         "sparse_code",

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gathers the pressed taxels of a frame into contacts, compiled or in numpy.
-
-Both ways find the same contacts; sums differ by rounding only.
-"""
+"""Gathers the pressed taxels of a frame into contacts."""
 
 from typing import NamedTuple
 
@@ -11,9 +8,8 @@ import numpy as np
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32, Indices
-from ..places.adjacency import connected
 from ..places.layout import Layout
-from .status import Status, is_certain
+from .status import Status
 from .taxels import Coverage, Readings
 
 RIM = 0.3
@@ -51,101 +47,14 @@ class Gathered(NamedTuple):
     torn: Bools
 
 
-class NumpyGatherer:
-    """Gathers frame by frame; it keeps each taxel's contact, and whether it had a reading."""
+class Gatherer:
+    """Gathers frame by frame, in the kernel (kernel/contacts.h).
+
+    It keeps each taxel's contact, and whether it had a reading.
+    """
 
     def __init__(self, layout: Layout) -> None:
-        self._beside = np.ascontiguousarray(layout.neighbours.T, dtype=np.intp)
-        self._moments = moments_of(layout)
-        self._place = np.full(len(layout), -1)  # index of each taxel's contact; -1: none
-        self._unread = np.ones(len(layout), dtype=bool)  # taxels without a reading
-        none = np.zeros(0, dtype=np.intp)
-        self._linked = none, none  # taxels and their labels, see connected, which is slow
-
-    def forget(self) -> None:
-        """Start over: no taxel was in contact, or had a reading."""
-        self._place[:], self._unread[:] = -1, True
-
-    def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
-        """The contacts of a frame, see ContactThresholds; an uncertain reading is none."""
-        coverage = readings.coverage(contact_pa)
-        certain = is_certain(readings.status)
-        pressure_pa = np.where(certain, readings.pressure_pa, np.float32(np.nan))
-        before, self._unread = self._unread, np.isnan(pressure_pa)
-        if not (pressure_pa > contact_pa).any() and (self._place < 0).all():
-            return _NOTHING._replace(coverage=coverage)
-        taxels, labels, starts = self._touched(pressure_pa, contact_pa, release_pa)
-        places = self._place[taxels]
-        self._place[:] = -1
-        self._place[taxels] = labels
-        if not len(starts):
-            return _NOTHING._replace(coverage=coverage)
-        saturated = readings.status[taxels] & _SATURATED > 0
-        dim = self._unread | (readings.status & _SATURATED > 0) | (pressure_pa < -contact_pa)
-        at_least = dim[taxels] | self._beside_any(dim, taxels)
-        changed = before != self._unread
-        torn = changed[taxels] | self._beside_any(changed, taxels)
-        felt_pa, moments = pressure_pa[taxels], self._moments.take(taxels, axis=0)
-        sums = np.add.reduceat(moments * felt_pa[:, None].astype(np.float64), starts)
-        rim, labels_of_rim = self._rim(pressure_pa, RIM * release_pa)
-        np.add.at(sums, labels_of_rim, self._moments[rim] * pressure_pa[rim, None])
-        return Gathered(
-            coverage,
-            goes_on=np.array_equal(places, labels),
-            taxels=taxels,
-            places=places,
-            bounds=[*starts.tolist(), len(taxels)],
-            moments=np.column_stack([sums, np.add.reduceat(moments[:, 0], starts)]),
-            pressure_max_pa=np.maximum.reduceat(felt_pa, starts),
-            saturated=_any(saturated, starts),
-            lower_bound=_any(at_least, starts),
-            torn=_any(torn, starts),
-        )
-
-    def _touched(
-        self, pressure_pa: Floats32, contact_pa: float, release_pa: float
-    ) -> tuple[Indices, ...]:
-        """The taxels in contact, contact by contact, the strongest contact first.
-
-        Returns the taxels, (k,), rising within each contact; the index of each taxel's contact,
-        (k,), 0…c − 1; and the start of each contact in these arrays, (c,).
-        """
-        taxels = (pressure_pa > release_pa).nonzero()[0]
-        if not np.array_equal(taxels, self._linked[0]):
-            self._linked = taxels, connected(taxels, self._beside)
-        labels, felt_pa = self._linked[1], pressure_pa[taxels]
-        alive = (felt_pa > contact_pa) | (self._place[taxels] >= 0)
-        load = np.bincount(labels, felt_pa * self._moments[taxels, 0])
-        load *= np.bincount(labels, alive) > 0
-        strongest = (-load).argsort(kind="stable")
-        place = np.empty_like(strongest)
-        place[strongest] = np.arange(len(load))
-        places = place[labels]
-        order = places.argsort(kind="stable")
-        places = places[order]
-        starts = places.searchsorted(np.arange(np.count_nonzero(load) + 1))
-        kept = starts[-1]  # what is not a contact yet comes last
-        return taxels[order[:kept]], places[:kept], starts[:-1]
-
-    def _beside_any(self, flags: Bools, taxels: Indices) -> Bools:
-        """(k,) bool, taxels with at least one neighbour whose flag is set; flags: (t,)."""
-        if not flags.any():
-            return np.zeros(len(taxels), dtype=bool)
-        return np.asarray(flags[self._beside.take(taxels, axis=1)].any(axis=0))
-
-    def _rim(self, pressure_pa: Floats32, rim_pa: float) -> tuple[Indices, ...]:
-        """Pressed taxels adjacent to contacts, and the indices of these contacts."""
-        weak = ((pressure_pa > rim_pa) & (self._place < 0)).nonzero()[0]
-        place = self._place[self._beside[:, weak]].max(axis=0)
-        beside = place >= 0
-        return weak[beside], place[beside]
-
-
-class CompiledGatherer:
-    """As NumpyGatherer, in the kernel (kernel/contacts.h)."""
-
-    def __init__(self, layout: Layout) -> None:
-        count, library = len(layout), kernel.compiled
+        count, library = len(layout), kernel.lib
         self._place, self._notes = np.empty(count, np.int32), np.empty(count, np.uint8)
         self._taxels, self._flags = np.empty((2, count), np.int32), np.empty((3, count), np.bool_)
         self._starts = np.empty(count + 1, np.int32)
@@ -189,16 +98,16 @@ class CompiledGatherer:
         self.forget()
 
     def forget(self) -> None:
+        """Start over: no taxel was in contact, or had a reading."""
         self._place[:], self._notes[:] = -1, 1
 
     def gather(self, readings: Readings, contact_pa: float, release_pa: float) -> Gathered:
+        """The contacts of a frame, see ContactThresholds; an uncertain reading is none."""
         skin, size = self._skin.at, self._place.size
         skin.contact_pa, skin.release_pa, skin.rim_pa = contact_pa, release_pa, RIM * release_pa
         pressure_pa = kernel.pointer(readings.pressure_pa, size)
         status = kernel.pointer(readings.status, size)
-        count = kernel.compiled.contacts_gather(
-            skin, pressure_pa, status, self._kept.at, self._found.at
-        )
+        count = kernel.lib.contacts_gather(skin, pressure_pa, status, self._kept.at, self._found.at)
         if count > size:
             raise ValueError("neighbours: one is no taxel")
         *tally, moved = self._tally.tolist()
@@ -212,9 +121,6 @@ class CompiledGatherer:
         return Gathered(coverage, goes_on, taxels, places, bounds, sums, peaks_pa, *flags)
 
 
-Gatherer = NumpyGatherer if kernel.compiled is None else CompiledGatherer
-
-
 def moments_of(layout: Layout) -> Floats:
     """(t, 10) float64: load, load·position, force and torque per pascal on each taxel.
 
@@ -225,14 +131,6 @@ def moments_of(layout: Layout) -> Floats:
     return np.hstack([area, area * places, area * inwards, area * np.cross(places, inwards)])
 
 
-def _any(flags: Bools, starts: Indices) -> Bools:
-    """(c,) bool, contacts with at least one flag set; flags: (k,), contact by contact."""
-    if not flags.any():
-        return np.zeros(len(starts), dtype=bool)
-    return np.logical_or.reduceat(flags, starts)
-
-
-_SATURATED = np.uint8(Status.SATURATED)
 _NO_TAXELS, _NO_FLAGS = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool)
 _NOTHING = Gathered(
     *(Coverage(), True, _NO_TAXELS, _NO_TAXELS, [0], np.zeros((0, 11))),

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..base import kernel
 from ..base.arrays import Bools, Floats, Floats32
-from ..framing.limits import LIMITS
 from ..words.health import WEAK_RHO, NodeHealth
+from ..words.limits import LIMITS
 from ..words.words import Words, words_memory, words_of
 from .pressure import PressureChain
 from .status import Status
@@ -100,13 +100,13 @@ class Readout(kernel.Held):
             source=pointer(source, len(source)) if len(source) else kernel.ffi.NULL,
             sums=pointer(health.sums, *health.sums.shape),
         )
-        made = kernel.compiled.readout_new(settings.at, skin.at)
-        super().__init__(made, kernel.compiled.readout_free, settings, skin)
+        made = kernel.lib.readout_new(settings.at, skin.at)
+        super().__init__(made, kernel.lib.readout_free, settings, skin)
         self._memory, self._nodes = words_memory(nodes), nodes
         given = words_of(self._memory, nodes, 0.0)
         self._given = [(name, getattr(given, name)) for name in _OF_WORDS]
         where = pointer(self._memory, self._memory.size)
-        self._words = kernel.ffi.new("struct words *", kernel.compiled.words_in(where, nodes))
+        self._words = kernel.ffi.new("struct words *", kernel.lib.words_in(where, nodes))
         self.found = Found(np.empty((2, taxels), np.float32), np.empty(taxels, np.uint8))
         self._frame = kernel.struct(
             "readout_frame",
@@ -138,6 +138,6 @@ class Readout(kernel.Held):
         if drift_v is not self._of_baseline[0] or tare_pa is not self._of_baseline[1]:
             self._of_baseline = drift_v, tare_pa
             self._pointers = tuple(kernel.pointer(one, self._nodes) for one in self._of_baseline)
-        kernel.compiled.readout_read(
+        kernel.lib.readout_read(
             self.at, self._words, counts, now_s, stale_after_s, *self._pointers, self._frame.at
         )

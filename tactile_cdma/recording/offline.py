@@ -6,10 +6,13 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from ..base.errors import CaptureError
 from ..code.frame import SPARSE
 from ..config.parameters import GAP, LINE, NATURAL_SIGNS, Value
 from ..config.skin_config import FRAME_PARAMETERS, SkinConfig
+from ..driver.description import ABSURD_V
 from ..driver.digitizer import Source
 from ..driver.pipeline import Pipeline, TactileFrame
 from ..framing.frame_reader import FrameReader
@@ -43,7 +46,8 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
             spec, capture.rate_hz, active_share=config.active_share, side_chips=SIDE_CHIPS
         )
         timing = GapTiming(reader, capture.rate_hz)
-        for frame in timing.feed(0, volts) + timing.flush():
+        checked = np.where(np.abs(volts) < ABSURD_V, volts, np.float32(np.nan))
+        for frame in timing.feed(0, checked) + timing.flush():
             if frame.words is not None:
                 yield start_s + frame.start / capture.rate_hz, frame.words
 

@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import struct
 import zlib
-from array import array
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 from ..base import kernel
-from ._protocol import MAX_GAP, MAX_SAMPLES, VERSION, PacketType, Result
-from .cobs import cobs_decode, cobs_encode
+from ._protocol import MAX_SAMPLES, VERSION, Result
+from .cobs import cobs_encode
 from .messages import PACKETS, WIRE, Info, OtherVersion, Packet, Received, Rejected, Samples
 
 SEQUENCES = 2**16
@@ -84,8 +83,7 @@ class PacketParser:
 
     def __init__(self, most_repeated: int = MAX_REPEATED) -> None:
         """most_repeated: 0 where packets are repeated on purpose, as by a recording in a loop."""
-        kind = Scanner if kernel.compiled is None else CompiledScanner
-        self.scanner: Scanner | CompiledScanner = kind(most_repeated)
+        self.scanner = Scanner(most_repeated)
         self._refused = Counters()  # what was intact, but cannot be used
 
     @property
@@ -131,13 +129,13 @@ class PacketParser:
         return Rejected(type_byte, reason, sequence) if type_byte & _COMMAND_BIT else None
 
 
-class CompiledScanner(kernel.Held):
+class Scanner(kernel.Held):
     """Does what PacketParser does with bytes, without knowing what they mean: kernel/scanner.h."""
 
     def __init__(self, most_repeated: int) -> None:
-        made = kernel.compiled.scanner_new(most_repeated)
-        super().__init__(made, kernel.compiled.scanner_free)
-        self._told = kernel.compiled.scanner_told(made)
+        made = kernel.lib.scanner_new(most_repeated)
+        super().__init__(made, kernel.lib.scanner_free)
+        self._told = kernel.lib.scanner_told(made)
 
     def counts(self) -> dict[str, int]:
         """Return the fields of Counters that a scanner knows."""
@@ -145,11 +143,11 @@ class CompiledScanner(kernel.Held):
 
     def held(self) -> int:
         """Count the bytes of an incomplete packet that are held back."""
-        return int(kernel.compiled.scanner_held(self.at))
+        return int(kernel.lib.scanner_held(self.at))
 
     def feed(self, data: bytes) -> list[Found]:
         """Return type, sequence and payload of the packets that these bytes complete."""
-        library, packets, taken = kernel.compiled, [], 0
+        library, packets, taken = kernel.lib, [], 0
         packet, given = kernel.ffi.new("struct scanner_packet *"), kernel.ffi.from_buffer(data)
         at = kernel.ffi.cast("uint8_t *", given)
         while taken < len(data):
@@ -160,13 +158,13 @@ class CompiledScanner(kernel.Held):
         return packets
 
     def skip(self) -> None:
-        kernel.compiled.scanner_skip(self.at)
-        kernel.compiled.scanner_tell(self.at)
+        kernel.lib.scanner_skip(self.at)
+        kernel.lib.scanner_tell(self.at)
 
 
 def content_of(packet: Any) -> Found:
     """Return what the kernel's struct scanner_packet holds."""
-    library, ffi = kernel.compiled, kernel.ffi
+    library, ffi = kernel.lib, kernel.ffi
     samples = library.scanner_samples(packet)
     payload: bytes | SampleBytes
     if samples:
@@ -176,109 +174,6 @@ def content_of(packet: Any) -> Found:
     else:
         payload = bytes(ffi.buffer(packet.payload, packet.size))
     return packet.type, packet.sequence, payload
-
-
-class Scanner:
-    """As CompiledScanner."""
-
-    def __init__(self, most_repeated: int) -> None:
-        self._most_repeated = most_repeated
-        self._partial = bytearray()  # bytes after the last delimiter
-        self._skipping = False  # until the next delimiter: the run is too long for a packet, or cut
-        self._expected: int | None = None
-        # For each sequence number the CRC of its last packet, or _NEVER or _MISSING.
-        self._past = array("q", [_NEVER]) * SEQUENCES
-        self._repeated = 0  # in a row
-        self._seen = Counters()
-
-    def counts(self) -> dict[str, int]:
-        seen = replace(self._seen)
-        if not seen.packets:
-            seen.text_bytes += _text(self._partial)
-        return {name: getattr(seen, name) for name in _COUNTERS}
-
-    def held(self) -> int:
-        """Return the bytes of an incomplete packet that are held back."""
-        return len(self._partial)
-
-    def feed(self, data: bytes) -> list[Found]:
-        """Return type, sequence and payload of the packets that these bytes complete."""
-        self._seen.bytes += len(data)
-        *runs, rest = data.split(b"\0")
-        if runs and self._partial:
-            runs[0] = b"".join((self._partial, runs[0]))
-            self._partial.clear()
-        packets: list[Found] = []
-        for run in runs:
-            if self._skipping:  # this ends it
-                self._skipping = False
-                self._no_packet(run)
-            elif run and (packet := self._parse(run)) is not None:
-                packets.append(packet)
-        if self._skipping:
-            self._no_packet(rest)
-        else:
-            self._partial += rest
-            if len(self._partial) > _MAX_RUN:
-                self._seen.resyncs += 1
-                self._skipping = True
-                self._no_packet(self._partial)
-                self._partial.clear()
-        return packets
-
-    def skip(self) -> None:
-        self._partial.clear()
-        self._skipping = True
-
-    def _parse(self, run: bytes) -> Found | None:
-        if len(run) > _MAX_RUN:
-            self._seen.resyncs += 1
-            self._no_packet(run)
-            return None
-        try:
-            raw = cobs_decode(run)
-        except ValueError:
-            self._seen.framing_errors += 1
-            self._no_packet(run)
-            return None
-        if zlib.crc32(raw) != _RESIDUE or len(raw) < _CRC.size:
-            self._seen.crc_errors += 1
-            self._no_packet(run)
-            return None
-        self._seen.packets += 1
-        if len(raw) < _HEADER.size + _CRC.size:
-            self._seen.malformed += 1
-            return None
-        type_byte, sequence = _HEADER.unpack_from(raw)
-        (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
-        if sequence == self._expected or self._count_step(type_byte, sequence, crc):
-            self._past[sequence], self._repeated = crc, 0
-            self._expected = (sequence + 1) % SEQUENCES
-        elif type_byte in (PacketType.SAMPLES, PacketType.PACKED, PacketType.QUIET):
-            return None
-        return type_byte, sequence, raw[_HEADER.size : -_CRC.size]
-
-    def _no_packet(self, run: bytes | bytearray) -> None:
-        if not self._seen.packets:
-            self._seen.text_bytes += _text(run)
-
-    def _count_step(self, type_byte: int, sequence: int, crc: int) -> bool:
-        """Count a packet out of sequence by the rules of PacketParser; False for a repetition."""
-        if self._expected is None:
-            return True
-        gap = (sequence - self._expected) % SEQUENCES
-        if gap <= MAX_GAP:
-            self._seen.lost_packets += gap
-            for ahead in range(gap):
-                self._past[(self._expected + ahead) % SEQUENCES] = _MISSING
-            return True
-        known = self._past[sequence] in (crc, _MISSING) and not type_byte & _COMMAND_BIT
-        if known and self._repeated < self._most_repeated:
-            self._repeated += 1
-            self._seen.repeated_packets += 1
-            return False
-        self._seen.jumps += 1
-        return True
 
 
 class PacketWriter:
@@ -312,10 +207,6 @@ def diagnose(counters: Counters) -> str:
 def wrap(body: bytes) -> bytes:
     """Make a body ready to travel: with its CRC, COBS-encoded, delimited."""
     return cobs_encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
-
-
-def _text(run: bytes | bytearray) -> int:
-    return len(run) - len(run.translate(None, _TEXT))
 
 
 _HEADER = WIRE["Header"]

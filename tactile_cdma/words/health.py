@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base.arrays import Floats32
 from ..code.frame import FrameSpec
+from .limits import LIMITS
 
 JUDGE_FRAMES = 32
 """Frames with words in them between two verdicts. Chosen: 0.4 s at 78 Hz."""
@@ -24,7 +25,7 @@ MOST_FAINT, FAINT_FADES = 8.0, 0.98
 """Frames with a faint word on a silent node's row, more than it spoke in, from which on it is weak;
 and what each verdict leaves of their number. Chosen: one that speaks faintly once in 78 frames gets
 to 20, noise (amplitude.BY_CHANCE) to 1."""
-DOUBLE_SHARE, FAINT_SHARE = 1.6, 0.25
+DOUBLE_SHARE, FAINT_SHARE = LIMITS.two, LIMITS.faint_bit
 """Shares of the expected amplitude above which a node's words are those of two, as Limits.two; and
 below which nothing on its row is a word of a node that is too weak."""
 WEAK_RHO = 8.0

@@ -87,7 +87,7 @@ def _zeros(nodes: int) -> tuple[Bools, NDArray[np.int32], Floats32]:
 
 def words_memory(nodes: int) -> NDArray[np.uint8]:
     """Return memory for the words of a frame: see words_in in kernel/words.h."""
-    return np.empty(kernel.compiled.WORDS_BYTES * nodes, np.uint8)
+    return np.empty(kernel.lib.WORDS_BYTES * nodes, np.uint8)
 
 
 def words_of(memory: NDArray[np.uint8], nodes: int, noise_rms_v: float) -> Words:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from tactile_cdma.base import kernel
 from tactile_cdma.code.encode import frame_levels, line_chips
-from tactile_cdma.driver import pipeline
 from tactile_cdma.ros.driver.diagnostics import ENTRIES, NO_FRAMES
 from tactile_cdma.ros.driver.node import SkinNode
 from tactile_cdma.sim import line
@@ -187,7 +184,6 @@ def test_more_nodes_at_once_than_sparse_codes_tell_apart_speak_by_turns() -> Non
         assert int(client.value("stream", "frames beyond the capacity")) > 0
 
 
-@pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
 def test_why_frames_are_decided_in_python_is_told_while_they_are() -> None:
     """The line of a skin under load is clipped; when nobody speaks, nothing is left to doubt."""
     with hurrying(port="sim://?scene=all&threshold=0&rail=1") as (_, client):
@@ -199,14 +195,6 @@ def test_why_frames_are_decided_in_python_is_told_while_they_are() -> None:
         wait_for(lambda: int(client.value("stream", "decided by the kernel") or 0) > 40)
         wait_for(lambda: client.value("stream", "decided in Python (%)") == "0.0")
         wait_for(lambda: client.value("stream", "why in Python") == "")
-
-
-def test_frames_are_decided_in_python_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline, "kernel", SimpleNamespace(compiled=None))
-    with hurrying(port="sim://?scene=press") as (_, client):
-        wait_for(lambda: client.value("stream", "why in Python").startswith("numpy "))
-    assert client.value("stream", "decided in Python (%)") == "100.0"
-    assert client.value("stream", "decided by the kernel") == "0"
 
 
 def test_a_wrong_rate_is_told() -> None:

@@ -23,12 +23,12 @@ class Stamped(NamedTuple):
     claimed_s: float
 
 
-def silent_pipeline(compiled: bool = True) -> tuple[Pipeline, PacketWriter]:
+def silent_pipeline() -> tuple[Pipeline, PacketWriter]:
     """Of a skin of 16 nodes whose digitizer has introduced itself."""
     config = SkinConfig.of({"nodes": 16, "order": 20, "frame_period_ms": 1e3 * PERIOD_S})
     writer = PacketWriter()
     assert math.isclose(config.spec.frame_s, FRAME_S)
-    pipeline = Pipeline(config, compiled=compiled)
+    pipeline = Pipeline(config)
     pipeline.feed(writer.encode(introduction(config, quiet_uv=2000)), 0.0)
     assert pipeline.problem is None
     return pipeline, writer

@@ -10,6 +10,7 @@ import pytest
 
 from tactile_cdma.code.encode import line_chips
 from tactile_cdma.code.frame import DEFAULT_AMPLITUDE_V, UNIPOLAR, FrameSpec
+from tactile_cdma.driver.description import ABSURD_V
 from tactile_cdma.framing.frame_reader import FrameReader, Rails
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.framing.gaps.gap_timing import SIDE_CHIPS, GapTiming
@@ -96,6 +97,7 @@ def words_of(frame: LineFrame) -> dict[int, int]:
 
 
 def run(timing: GapTiming, volts: np.ndarray, cuts: list[int] | None = None) -> list[LineFrame]:
+    volts = np.where(np.abs(volts) < ABSURD_V, volts, np.float32(np.nan))
     frames = []
     for begin, end in zip([0, *(cuts or [])], [*(cuts or []), volts.size], strict=True):
         frames += timing.feed(begin, volts[begin:end])

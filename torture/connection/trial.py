@@ -16,7 +16,7 @@ import numpy as np
 
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.driver import Driver
-from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
+from tactile_cdma.driver.pipeline import TactileFrame
 from tactile_cdma.sim.options import SimOptions
 
 from ..outcome import Outcome, Plan, Tally
@@ -56,12 +56,8 @@ class Trial:
         plug: Plug,
         faults: Callable[[Trial], Turns],
         parameters: Mapping[str, object] | None = None,
-        compiled: bool = True,
     ) -> None:
-        """fault: for the table. faults: put them in, in turns. parameters: of the driver.
-
-        compiled: see Pipeline.
-        """
+        """fault: for the table. faults: put them in, in turns. parameters: of the driver."""
         self.fault, self.plug, self._faults = fault, plug, faults
         self.said = ""
         self.hold_s = 0.0
@@ -71,8 +67,6 @@ class Trial:
         self.limit_s = 10.0 if plan.quick else 30.0
         config = SkinConfig.of(dict(parameters or {}))
         self.driver = Driver(config, plug.url, BAUD, self._consume, self._note)
-        if not compiled:
-            self.driver.pipeline = Pipeline(config, compiled=False)
 
     def run(self) -> Turns:
         """Start the driver, put the faults in, and stop it, whatever the port is doing then."""

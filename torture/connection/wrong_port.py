@@ -170,14 +170,13 @@ STRANGERS: dict[str, tuple[Callable[[Rng], Stranger], tuple[str, ...]]] = {
 
 
 def strange(plan: Plan, folder: Path) -> list[Trial]:
-    """Trials of every stranger, before the digitizer and after it; every other one with numpy."""
+    """Trials of every stranger, before the digitizer and after it."""
     return [
         Trial(
             "wrong baud rate" if "baud" in name else "another device on the port",
             plan,
             Tty(folder / f"stranger{number}"),
             visits(name, rng_of(plan, 4, number), 1 if plan.quick else 10),
-            compiled=number % 2 == plan.seed % 2,
         )
         for number, name in enumerate(STRANGERS)
     ]

@@ -11,16 +11,20 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from ...base import kernel
 from ...base.arrays import Floats32
 from ...base.errors import SpecError
+from ...words.limits import GAP_WEIGHT, LEAST_REST, MOST_RISE
+from ...words.words import silent
 from ..frame_reader import FrameReader, rejections_of
-from ..frames import LineFrame, Rejections
+from ..frames import Certificate, LineFrame, Rejections
 from ..raster import Raster
-from .search import Burst, Gap, GapSearch
+from .search import FAINT, Burst, Gap, GapSearch
 
 _log = logging.getLogger(__name__)
 
@@ -30,14 +34,10 @@ SETTLING = 1.5
 """Chips after a frame in which the line comes to rest, and before it: low-passes, late nodes."""
 SCATTERS = 4.0
 """Standard deviations by which frames may be off the raster that places them (6e-5)."""
-LEAST_REST = 16
-"""Gap samples that an estimate of level and noise takes: their variance is right to a third."""
-GAP_WEIGHT = 0.25
-"""Weight of the newest gap in the running noise estimate: averages about seven gaps."""
-MOST_RISE = 4.0
-"""Times that the noise may rise from gap to gap: a burst in one must not excuse the next frame."""
 SURE_NOISE = 0.3
 """Share of a slot's noise that may be a word: variances of slot and gap are right to a tenth."""
+FORGET = 0.999
+"""Factor on a learnt amplitude in each silent slot: halves it in 9 s at 78 Hz."""
 LOST_AGAIN = 3
 """Stretches in a row that hold no frame, after which the line's level is measured anew."""
 
@@ -71,16 +71,19 @@ class GapTiming:
             )
         # From a frame's first loud sample to the instant at which it must be over.
         self._reach = math.ceil(search.longest + 3 * search.chip)
-        self._rest_size = int(min(search.gap, spec.order * search.chip))
-        self._counts = [0] * kernel.compiled.FRAME_LOOKS
+        # A level that holds words on row 0 is known by all of a gap, that of hum by what is near.
+        near = math.inf if spec.first_row == 0 else spec.order * search.chip
+        self._rest_size = int(min(search.gap, near))
+        self._counts = [0] * kernel.lib.FRAME_LOOKS
         self._volts = np.empty(0, np.float32)  # from stream index _begin on
         self._begin = self._cursor = self._end = self.due = 0
         self._raster = Raster(search.period, spec.span_chips)
         self._next = 0.0  # start of the next slot
-        self._heard_one = self._fresh = False
+        self._heard_one = self._fresh = self._is_placed = False
         self._level: float | None = None  # of the line at rest, V
         self._noise = 0.0  # variance of a chip's level there, V²
         self._failures = 0
+        self._loudest_v = 0.0  # word, where the amplitude is not specified
         self.reset()
 
     @property
@@ -144,14 +147,18 @@ class GapTiming:
     def _schedule(self) -> None:
         """Set when the next decision is due."""
         self._expected = None
+        expected = self._raster.expect(self._next)
         if self._level is None:  # a whole gap must be in view
             self.due = self._cursor + math.ceil(self._search.period) + self._reach
-            return
-        self.due = max(math.ceil(self._next), self._cursor) + self._reach
-        expected = self._raster.expect(self._next)
-        if expected is not None and expected.sure and expected.start >= self._cursor:
-            self._expected = expected
-            self.due = math.ceil(expected.start + self._reader.due_chips * expected.chip)
+        else:
+            self.due = max(math.ceil(self._next), self._cursor) + self._reach
+            if expected is not None and expected.sure and expected.start >= self._cursor:
+                self._expected = expected
+                self.due = math.ceil(expected.start + self._reader.due_chips * expected.chip)
+        if (self._expected is not None) != self._is_placed:
+            self._is_placed = self._expected is not None
+            told = "places frames" if self._is_placed else "is lost"
+            _log.debug("raster %s at sample %d", told, self._cursor)
 
     def _take(self, begin: int, end: int) -> Floats32:
         """Return samples begin…end − 1, as far as they are kept."""
@@ -173,7 +180,7 @@ class GapTiming:
 
     def _placed(self, end: int, final: bool) -> list[LineFrame] | None:
         """Return the frame where the raster expects it; None where none is there."""
-        expected, lib = self._expected, kernel.compiled
+        expected, lib = self._expected, kernel.lib
         assert expected is not None
         first = max(self._begin, math.floor(expected.start - SIDE_CHIPS * expected.chip))
         self._learn_rest(expected.start)
@@ -208,7 +215,7 @@ class GapTiming:
 
     def _searched(self, end: int, final: bool) -> list[LineFrame]:
         """Return what is in the samples from the cursor to `end`: frames, or none yet."""
-        lib, search, begin = kernel.compiled, self._search, self._cursor
+        lib, search, begin = kernel.lib, self._search, self._cursor
         volts = self._take(begin, end)
         if math.isnan(float(volts.sum())):
             self._counts[lib.FRAME_ABSURD] += 1
@@ -217,8 +224,8 @@ class GapTiming:
         volts = _without_impulses(volts)
         gaps = search.gaps(volts, self._level)
         why, seen = lib.FRAME_INCOMPLETE, None
-        for gap in gaps:
-            burst = search.first_burst(volts, gap)
+        for gap, moves in product(gaps, search.views):
+            burst = search.first_burst(volts, gap, moves)
             if burst is None:
                 continue
             seen = seen or (gap, burst)
@@ -232,19 +239,25 @@ class GapTiming:
             why = self._read(self._take(begin, end), volts, gap, burst)
             if why == lib.FRAME_READ:
                 frame = self._reader.taken(begin + self._first)
-                if frame.speakers:
+                certificate = frame.certificate
+                is_sure = certificate is not None and certificate.holds
+                if frame.speakers and (is_sure or not burst.may_be_noise):
                     return self._emit(frame)
                 why = lib.FRAME_NOISY  # of silence, the place is not known
-        if seen is None:
-            if gaps and not final:
-                self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
-            return [] if final else self._pass_idle(end)
+        if seen is not None and not seen[1].may_be_noise:
+            return self._reject(why, begin + max(search.bit, search.quiet_after(volts, *seen)))
+        if gaps and not final:
+            self._level, self._noise = gaps[0].level, self._noise or self._noise_of(gaps[0])
+        return [] if final else self._pass_idle(end)
+
+    def _reject(self, why: int, until: int) -> list[LineFrame]:
+        """Count samples up to an index that hold no frame, but something that was sent."""
         self._counts[why] += 1
         self._failures += 1
-        _log.debug("no frame at sample %d", begin)
+        _log.debug("no frame up to sample %d", until)
         if self._failures == LOST_AGAIN:
             self._level, self._noise, self._failures = None, 0.0, 0
-        self._skip_to(begin + max(search.bit, search.quiet_after(volts, *seen)))
+        self._skip_to(until)
         return []
 
     def _noise_of(self, gap: Gap) -> float:
@@ -256,7 +269,7 @@ class GapTiming:
 
         calm: the same samples without impulses.
         """
-        lib, spec, reader = kernel.compiled, self._spec, self._reader
+        lib, spec, reader = kernel.lib, self._spec, self._reader
         if not self._noise:
             self._noise = self._noise_of(gap)
         reader.learn_rest(gap.level, self._noise)
@@ -280,6 +293,7 @@ class GapTiming:
     def _emit(self, frame: LineFrame) -> list[LineFrame]:
         """Return a frame, after the silent slots before it."""
         search, chip = self._search, frame.chip_samples
+        frame = self._with_learnt(frame)
         frames: list[LineFrame] = []
         # Without an earlier frame, what lies before this one may be the rest of another.
         if self._heard_one:
@@ -300,6 +314,21 @@ class GapTiming:
         self._schedule()
         return frames
 
+    def _with_learnt(self, frame: LineFrame) -> LineFrame:
+        """Return a frame as the amplitude of those before has it, where none is specified.
+
+        What is far fainter than their words, such as hum on row 0, may be silence.
+        """
+        if self._reader.swing_v is not None or frame.words is None or frame.certificate is None:
+            return frame
+        loudest_v = float(frame.words.amplitude_v.max()) if frame.speakers else 0.0
+        if loudest_v < FAINT * self._loudest_v:
+            self._loudest_v *= FORGET
+            return self._doubted(replace(frame, speakers=0))
+        if frame.certificate.holds:
+            self._loudest_v = max(loudest_v, self._loudest_v)
+        return frame
+
     def _pass_idle(self, end: int) -> list[LineFrame]:
         """Nothing up to `end`, but a frame may begin within the last frame's length before it."""
         frames = self._idle_slots(end - self._reach)
@@ -308,39 +337,47 @@ class GapTiming:
         return frames
 
     def _idle_slots(self, until: float) -> list[LineFrame]:
-        """Return silent slots that begin up to an index; where noise hides words, none."""
+        """Return silent slots that begin up to an index; none where a rail or noise hides words."""
         frames = []
         while self._next <= until:
-            look = self._silent_slot(self._next)
-            if look > kernel.compiled.FRAME_READ:
-                self._counts[look] += 1
+            self._loudest_v *= FORGET
+            look, is_sure = self._silent_slot(self._next)
+            if look == kernel.lib.FRAME_SILENT:
+                frame = self._reader.taken(round(self._next))
+                frames.append(frame if is_sure else self._doubted(frame))
             else:
-                frames.append(self._reader.taken(round(self._next)))
+                self._counts[look] += 1
             self._next += self._search.period
         return frames
 
-    def _silent_slot(self, slot: float) -> int:
-        """Return the kernel's verdict on a slot in which no burst is seen.
+    def _silent_slot(self, slot: float) -> tuple[int, bool]:
+        """Return the kernel's verdict on a slot in which no burst is seen, and whether it is sure.
 
-        A word that is too faint for one shows in the power of the whole slot.
+        A word that is too faint for a burst shows in the power of the whole slot.
         """
-        lib, search = kernel.compiled, self._search
+        lib, search, reader = kernel.lib, self._search, self._reader
         before = (search.period - search.shortest) / 2
         volts = self._take(math.floor(slot - before), math.ceil(slot - before + search.period))
         if self._level is None or volts.size < search.shortest:
-            return int(lib.FRAME_INCOMPLETE)
+            return lib.FRAME_INCOMPLETE, False
+        if reader.is_deaf(volts):
+            return lib.FRAME_AT_RAIL, False
         mean, variance = float(volts.mean(dtype=np.float64)), float(volts.var(dtype=np.float64))
+        if search.misses_one(max(self._noise, variance / search.chip)):
+            return lib.FRAME_NOISY, False
         noise = self._noise * search.chip
         more = abs(variance + (mean - self._level) ** 2 - noise) + SURE_NOISE * noise
-        if self._reader.is_deaf(volts):
-            return int(lib.FRAME_AT_RAIL)
-        look = self._reader.sum_up(mean, variance)
-        if (
-            look == lib.FRAME_SILENT
-            and more * search.period > self._reader.silent_power * search.shortest
-        ):
-            return int(lib.FRAME_NOISY)
-        return look
+        is_sure = more * search.period <= reader.silent_power * search.shortest
+        return reader.sum_up(mean, variance), is_sure
+
+    def _doubted(self, frame: LineFrame) -> LineFrame:
+        """Return a silent slot in which any node may have spoken faintly."""
+        nodes, noise_v = self._spec.nodes, frame.noise_rms_v
+        words = silent(nodes, noise_v).doubted(np.ones(nodes, np.bool_))
+        row_noise_v = noise_v / math.sqrt(self._spec.order)
+        swing_v = self._reader.swing_v or math.nan
+        nothing = Certificate(noise_v**2, row_noise_v, swing_v, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return replace(frame, words=words, certificate=nothing)
 
 
 def _without_impulses(volts: Floats32) -> Floats32:

@@ -41,6 +41,8 @@ BIAS = 1.2
 """Factor on the least variance of many windows, which is too low: for ten of 20 levels."""
 BURST_SLACK = 1.5, 60.0
 """Chips by which a burst's ends are uncertain: edges, and what noise adds at an SNR of 1."""
+TIED = 0.01
+"""Share of the energy by which frames that explain it as well differ behind a low-pass."""
 MOST_SILENT = 64
 """Most silent chips that a frame may begin with; bounds the search."""
 TURNS = 4
@@ -65,13 +67,13 @@ class Gap:
 class Burst(NamedTuple):
     """The loud part of a line: samples first…last, each uncertain by `slack` samples.
 
-    variance: of half-chip means in the gap, V².
+    may_be_noise: whether noise is once in a while as loud.
     """
 
     first: float
     last: float
     slack: float
-    variance: float
+    may_be_noise: bool
 
 
 class GapSearch:
@@ -132,18 +134,34 @@ class GapSearch:
             return [middle] if uneven < 0.2 * (high.level - low.level) else found[:2]
         return found
 
-    def first_burst(self, volts: Floats32, gap: Gap) -> Burst | None:
+    @property
+    def views(self) -> tuple[bool, ...]:
+        """In which views bursts are looked for, see first_burst.
+
+        A word on row 0 may hold the line at one level, where its moves show nothing.
+        """
+        return (False, True) if self._steady else (True,)
+
+    def first_burst(self, volts: Floats32, gap: Gap, moves: bool) -> Burst | None:
         """Return the earliest burst: the strongest one may have a weaker one before it.
 
-        volts: (m,), V. None where there is nothing but noise.
+        volts: (m,), V. moves: loud is what moves from chip to chip, which hum does not, else what
+        is off the gap's level. None where there is nothing but noise.
         """
-        found, levels = None, self._moving(volts, gap)
+        found, levels = None, self._halves(volts) - gap.level
+        if moves:
+            before = np.concatenate((levels[:1], levels[:1], levels[:-2]))
+            levels = (levels - before) * math.sqrt(0.5)
         while burst := self._burst(levels, gap.variance):
+            if found and burst.may_be_noise:
+                break  # the frame after it is in view
+            if moves:  # so far after its end
+                burst = burst._replace(last=burst.last - 2 * self.half)
             found = burst
-            before = int((found.first - self.chip) / self.half)
-            if before * self.half < self.shortest:
+            end = int((found.first - self.chip) / self.half)
+            if end * self.half < self.shortest:
                 break
-            levels = levels[:before]
+            levels = levels[:end]
         return found
 
     def frame(
@@ -157,7 +175,7 @@ class GapSearch:
         clocks = self._chip_lines(volts, burst)
         for chip in ((burst.last - burst.first) / self._spec.span_chips, *chips):
             clocks += [(chip, burst.first), (chip, burst.last)]
-        best, found = 0.0, None
+        found: list[tuple[float, float, float]] = []
         for chip, edge in clocks:
             low, high = self._range(burst, chip)
             low = edge + math.ceil((low - edge) / chip) * chip
@@ -165,10 +183,22 @@ class GapSearch:
             if count < 1:
                 continue
             energy = chip * self._reader.explained(volts, low, chip, count)
-            most = int(np.argmax(energy))
-            if energy[most] > best:
-                best, found = float(energy[most]), (low + most * chip, chip)
-        return found
+            found += [(e, low + i * chip, chip) for i, e in enumerate(energy.tolist())]
+        if not found:
+            return None
+        # Two nodes that cancel at the start of every bit are possible, but not likely.
+        likely = (1 - TIED) * max(found)[0]
+        _, start, chip = min(
+            (each for each in found if each[0] >= likely),
+            key=lambda each: (round(abs(each[1] - burst.first) / self.chip), -each[0]),
+        )
+        return start, chip
+
+    def misses_one(self, noise: float) -> bool:
+        """Whether a node that speaks alone may pass for noise: variance of a chip's level, V²."""
+        swing_v = self._reader.swing_v
+        variance = noise * self.chip / self.half
+        return swing_v is not None and swing_v**2 < 2 * self._least_snr * variance
 
     def quiet_after(self, volts: Floats32, gap: Gap, burst: Burst) -> int:
         """Return where the line is first as quiet as the gap after a burst that is no frame."""
@@ -212,25 +242,13 @@ class GapSearch:
         if before.size:
             first += int(before[0]) - min(first, bit * group)
         if after.size:
-            last += int(after[-1]) + 1 - group - (0 if self._steady else 2)  # see _moving
+            last += int(after[-1]) + 1 - group
         edges, by_noise = BURST_SLACK
         slack = self.chip * (edges + by_noise * variance / power)
         if not (before.size and after.size):
             slack += self.half * (group - 1)
-        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, variance)
-
-    def _moving(self, volts: Floats32, gap: Gap) -> Floats:
-        """Return what words move the levels of half chips by, (m // half,), V.
-
-        That is against a chip before, which hum is not; but against the gap where a word may hold
-        the line at one level.
-        """
-        levels = self._halves(volts) - gap.level
-        if self._steady:
-            return levels
-        before = np.concatenate((levels[:1], levels[:1], levels[:-2]))
-        moves: Floats = (levels - before) * math.sqrt(0.5)
-        return moves
+        may_be_noise = power < 2 * self._least_snr * variance
+        return Burst(first * self.half - 0.5, last * self.half - 0.5, slack, may_be_noise)
 
     def _halves(self, volts: Floats32) -> Floats:
         """Return means of consecutive half chips, (m // half,)."""

@@ -1,25 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fast correlation equals the matrix product for orders of every kind, within a stated error.
-
-All by the compiled kernel and by numpy.
-"""
+"""Fast correlation equals the matrix product for orders of every kind, within a stated error."""
 
 import threading
 import tracemalloc
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import SpecError
-from tactile_cdma.code import transform
 from tactile_cdma.code.codes import code_book
-from tactile_cdma.code.transform import correlate, numpy_transform, spread
+from tactile_cdma.code.transform import correlate, spread
 from test.support.examples import examples
 
 BLOCKS = [1, 2, 4, 12, 20, 64, 128, 148, 244, 388]  # one dense block
@@ -29,18 +22,6 @@ LARGE = [676, 1020, 1032, 2040]
 USUAL, BOUND = 2.0**-22, 2.0**-17
 """Error of a correlation over the RMS of its chips: in noise, and in the worst frames, where all
 products of a sum are equal and its roundings add up."""
-
-
-@pytest.fixture(autouse=True, scope="module", params=["compiled", "numpy"])
-def way(request: pytest.FixtureRequest) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param == "numpy":
-            patch.setattr(kernel, "compiled", None)
-        elif kernel.compiled is None:
-            pytest.skip(kernel.why_numpy)
-        transform.transform_of.cache_clear()
-        yield
-    transform.transform_of.cache_clear()
 
 
 def reference(chips: np.ndarray, order: int, rows: np.ndarray) -> np.ndarray:
@@ -179,22 +160,6 @@ def test_threads_do_not_disturb_each_other() -> None:
     for thread in threads:
         thread.join()
     assert not wrong
-
-
-@pytest.mark.parametrize("order", [64, 148, 160, 388, 1024, 4096, 4144, 65_536])
-def test_no_product_is_long_enough_to_wake_other_blas_threads(
-    order: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    matmul, sizes = np.matmul, []
-
-    def spy(a: np.ndarray, b: np.ndarray, **kwargs: Any) -> np.ndarray:
-        sizes.append(a.shape[-2] * a.shape[-1] * b.shape[-1])
-        return matmul(a, b, **kwargs)
-
-    monkeypatch.setattr(np, "matmul", spy)
-    ones = np.ones((37, order), dtype=np.float32)
-    numpy_transform(code_book(order).plan, False).multiply(ones, np.empty_like(ones))
-    assert 0 < max(sizes) <= 2**18
 
 
 def test_misuse_is_refused_with_a_reason() -> None:

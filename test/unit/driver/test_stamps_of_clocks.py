@@ -26,18 +26,17 @@ HELD_UP = [
 ]
 
 
-def found(clock: Clock, compiled: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def found(clock: Clock) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Times since the event, errors and claims of all stamps, s; how many steps were counted."""
-    pipeline, writer = silent_pipeline(compiled)
+    pipeline, writer = silent_pipeline()
     rows = np.array(stamped(pipeline, writer, reads(clock, FRAMES, seed=1)))
     true_s, off_s, claimed_s = rows.T
     assert (np.abs(off_s) <= claimed_s).all()
     return true_s - BEGIN_S - AT_S, np.abs(off_s), claimed_s, pipeline.counters.clock_steps
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_the_first_second_is_a_guess_and_says_so(compiled: bool) -> None:
-    since_s, off_s, claimed_s, steps = found(Clock(), compiled)
+def test_the_first_second_is_a_guess_and_says_so() -> None:
+    since_s, off_s, claimed_s, steps = found(Clock())
     assert np.isinf(claimed_s[since_s < -AT_S + 0.5]).all()
     assert np.isfinite(claimed_s[since_s > -AT_S + 1.1]).all()
     assert np.median(claimed_s[since_s > 0]) < 2e-3

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks.doubt.touches import conditions
-from tactile_cdma.base import kernel
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.readings.contact import ContactThresholds, ContactTracker
@@ -25,11 +24,11 @@ Edit = Callable[[int, Samples | Quiet], Samples | Quiet | None]
 
 
 def heard(
-    edit: Edit, compiled: bool = True, url: str = IDLE, frames: int = 80, **parameters: object
+    edit: Edit, url: str = IDLE, frames: int = 80, **parameters: object
 ) -> list[TactileFrame]:
     """Frames of a stream whose packets of samples are edited, by the number of the frame."""
     config = SkinConfig.of(parameters)  # type: ignore[arg-type]
-    pipeline, writer = Pipeline(config, compiled=compiled), PacketWriter()
+    pipeline, writer = Pipeline(config), PacketWriter()
     found, number = [], -1
     for packet in PacketParser().feed(stream(config, url, frames)):
         kept: Received | None = packet
@@ -39,11 +38,6 @@ def heard(
         data = writer.encode(packet if kept is None else kept)
         found += [] if kept is None else pipeline.feed(data, packet_s(packet))
     return found + pipeline.flush()
-
-
-@pytest.fixture(params=[False] if kernel.compiled is None else [False, True])
-def compiled(request: pytest.FixtureRequest) -> bool:
-    return bool(request.param)
 
 
 def packet_s(packet: object) -> float:
@@ -60,10 +54,8 @@ def unheard(frame: TactileFrame) -> int:
 
 
 @pytest.mark.parametrize("lost", [40, 47])
-def test_after_a_lost_frame_every_node_is_unheard_until_its_heartbeat(
-    compiled: bool, lost: int
-) -> None:
-    frames = heard(lambda n, packet: None if n == lost else packet, compiled)
+def test_after_a_lost_frame_every_node_is_unheard_until_its_heartbeat(lost: int) -> None:
+    frames = heard(lambda n, packet: None if n == lost else packet)
     tracker = ContactTracker(SkinConfig.of({}).layout, ContactThresholds(1000, 500))
     untouched = {f.sequence: tracker.update(f.readings, f.t_middle).untouched for f in frames}
     [gap] = [b.sequence for a, b in pairwise(frames) if b.sequence > a.sequence + 1]
@@ -80,34 +72,30 @@ def test_after_a_lost_frame_every_node_is_unheard_until_its_heartbeat(
     assert spoken.all()
 
 
-def test_where_nodes_repeat_only_those_are_unheard_that_spoke_before_the_loss(
-    compiled: bool,
-) -> None:
+def test_where_nodes_repeat_only_those_are_unheard_that_spoke_before_the_loss() -> None:
     """A press ends in the lost frames: its nodes speak in every frame until then."""
     url = "sim://?seed=1&scene=moving&heartbeat=20"
-    frames = heard(
-        lambda n, packet: None if 40 <= n < 60 else packet, compiled, url, nodes_repeat=True
-    )
+    frames = heard(lambda n, packet: None if 40 <= n < 60 else packet, url, nodes_repeat=True)
     [(last, first)] = [(a, b) for a, b in pairwise(frames) if b.sequence > a.sequence + 1]
     silent = ~first.words.active
     assert (last.words.active & silent).any()
     assert np.array_equal(is_unheard(first.readings.status), last.words.active & silent)
 
 
-def test_where_every_node_speaks_in_every_frame_none_is_unheard(compiled: bool) -> None:
+def test_where_every_node_speaks_in_every_frame_none_is_unheard() -> None:
     url = "sim://?seed=1&scene=moving&threshold=0"
-    frames = heard(lambda n, packet: None if n % 5 == 4 else packet, compiled, url, 40)
+    frames = heard(lambda n, packet: None if n % 5 == 4 else packet, url, 40)
     assert len(frames) > 25
     assert not any(map(unheard, frames))
 
 
-def test_after_a_restart_of_the_stream_every_node_is_unheard(compiled: bool) -> None:
+def test_after_a_restart_of_the_stream_every_node_is_unheard() -> None:
     """Also where time goes on and no frame seems to be missing."""
 
     def begins_anew(number: int, packet: Samples | Quiet) -> Samples | Quiet:
         return packet if number < 40 else replace(packet, first_index=packet.first_index - 20_000)
 
-    frames = heard(begins_anew, compiled)
+    frames = heard(begins_anew)
     assert [unheard(f) for f in frames[25:38]] == [0] * 13
     assert max(map(unheard, frames[38:45])) >= 14
     assert unheard(frames[-1]) == 0

@@ -37,7 +37,7 @@ def heard(spec: FrameSpec, rate_hz: float, volts: np.ndarray) -> list[dict[int, 
 
 
 @pytest.mark.parametrize("rate", [4.0, 8.13, 10.0, 20.0])
-@pytest.mark.parametrize("inverted_level", [0.3, 0.15])
+@pytest.mark.parametrize("inverted_level", [0.3, 0.2])
 def test_the_papers_words(rate: float, inverted_level: float) -> None:
     wire = Wire(PAPER, rate)
     wire.amplitude_v = inverted_level
@@ -229,7 +229,7 @@ def test_the_log_tells_when_the_raster_places_frames_and_when_no_more(
     noise = wire.rng.normal(0, 3, round(9 * wire.period)).astype(np.float32)
     timing.feed(volts.size, noise)
     timing.feed(10**9, noise)
-    assert "no frame at sample" in caplog.text and "raster is lost" in caplog.text
+    assert "no frame up to sample" in caplog.text and "raster is lost" in caplog.text
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
@@ -275,7 +275,7 @@ def test_a_slot_in_noise_that_hides_words_is_not_called_silent(rho: float, told:
     volts = np.random.default_rng(6).normal(0, noise_v, 20 * 1024).astype(np.float32)
     timing = gap_timing(replace(DEFAULT, amplitude_v=0.3), 4 / DEFAULT.chip_s)
     frames = timing.feed(0, volts) + timing.flush()
-    assert bool(frames) == told
+    assert any(not frame.speakers for frame in frames) == told
     assert len(frames) + timing.rejections.total > 10
 
 
@@ -472,9 +472,9 @@ def test_an_oscillating_amplifier_hides_no_frame_but_the_one_after_it(
     inside = slice(round(first * wire.period), round(last * wire.period))
     phase = 2 * np.pi * cycles_per_frame / wire.period * np.arange(volts.size)
     volts[inside] += (2.4 * np.sin(phase[inside])).astype("f4")
-    heard = [f for f in run(gap_timing(DEFAULT, wire.rate_hz), volts) if f.levels is not None]
+    heard = [f for f in run(gap_timing(DEFAULT, wire.rate_hz), volts) if f.speakers]
     after = [f for f in heard if f.start > (last + 1) * wire.period]
-    assert [words_of(f, DEFAULT) for f in after] == [s.words for s in wire.sent[last + 1 :]]
+    assert [words_of(f) for f in after] == [s.words for s in wire.sent[last + 1 :]]
 
 
 def test_a_learnt_amplitude_is_forgotten_in_silence() -> None:

@@ -68,7 +68,6 @@ def quoted() -> list[tuple[str, str, list[float]]]:
          "at 3·√n·A, {:.2f} dB", worst),
         (RESULTS_PAGE, "{:.0f} words were wrong and {:.0f} frames lost in {:,.0f} frames", paper),
         (RESULTS_PAGE, "in {:.2f} ms. Frames found", [of("pareto", "default_us", 1e-3)]),
-        (RESULTS_PAGE, "decode {:.0f} of 1.2", [of("pareto", "different_words")]),
         (RESULTS_PAGE, "Of {:,.0f} words", doubt[:1]),
         (RESULTS_PAGE, "conditions, {:.0f} were false without a flag", doubt[1:]),
         (RESULTS_PAGE, "{:.2f} % of the right words and {:.2f} % of the true silences", flagged),

@@ -20,8 +20,8 @@ from tactile_cdma.readings.calibration import AdcScale, Calibration, PressureCur
 from tactile_cdma.readings.contact import ContactTracker
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
-from tactile_cdma.words.words import Words, silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import Words, silent
 
 FRAME_S = 0.0128
 ADC = AdcScale()

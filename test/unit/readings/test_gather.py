@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.places.layout import Layout
 from tactile_cdma.places.layout_shapes import cylinder
-from tactile_cdma.readings.gather import RIM, CompiledGatherer, Gatherer, NumpyGatherer, moments_of
+from tactile_cdma.readings.gather import RIM, Gatherer, moments_of
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Readings
 from test.support.examples import examples
@@ -103,21 +102,12 @@ class Searched:
 @examples(30)
 @given(st.integers(0, 2), st.integers(0, 2**32), st.sampled_from([0.02, 0.2, 0.7]))
 def test_contacts_are_those_of_a_search(which: int, seed: int, density: float) -> None:
-    kinds = [NumpyGatherer] if kernel.compiled is None else [CompiledGatherer, NumpyGatherer]
-    gatherers, searched = [kind(LAYOUTS[which]) for kind in kinds], Searched(LAYOUTS[which])
+    gatherer, searched = Gatherer(LAYOUTS[which]), Searched(LAYOUTS[which])
     for number, readings in enumerate(frames(LAYOUTS[which], seed, density)):
         if number == 15:
-            for gatherer in gatherers:
-                gatherer.forget()
+            gatherer.forget()
             searched.held, searched.unread = {}, set(range(len(LAYOUTS[which])))
-        found, *others = (each.gather(readings, CONTACT_PA, RELEASE_PA) for each in gatherers)
-        for other in others:
-            assert found[:2] == other[:2] and found.bounds == other.bounds
-            for ours, theirs in zip(
-                map(np.asarray, found[2:]), map(np.asarray, other[2:]), strict=True
-            ):
-                assert ours.dtype == theirs.dtype
-                np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-14)
+        found = gatherer.gather(readings, CONTACT_PA, RELEASE_PA)
         expected = searched.gather(readings)
         assert len(found.moments) == len(expected) == len(found.bounds) - 1
         labels = np.arange(len(expected)).repeat(np.diff(found.bounds))
@@ -143,10 +133,9 @@ def test_a_whole_skin_is_one_contact_and_what_was_given_stays() -> None:
     assert first.moments[0, 0] == pytest.approx(2 * second.moments[0, 0])
 
 
-@pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 @pytest.mark.parametrize("neighbour", [-1, 60, 2**31 - 1])
 def test_a_neighbour_that_is_no_taxel_is_refused(neighbour: int) -> None:
-    gatherer, pressure_pa = CompiledGatherer(LAYOUTS[1]), np.full(60, 2e3, dtype=np.float32)
+    gatherer, pressure_pa = Gatherer(LAYOUTS[1]), np.full(60, 2e3, dtype=np.float32)
     gatherer._skin.at.neighbours[7 * gatherer._skin.at.near] = neighbour
     with pytest.raises(ValueError, match="neighbours: one is no taxel"):
         readings = Readings(pressure_pa, pressure_pa, np.zeros(60, dtype=np.uint8))

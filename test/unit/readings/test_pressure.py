@@ -18,8 +18,8 @@ from tactile_cdma.readings.drift import DriftTracker, nodes_beside
 from tactile_cdma.readings.pressure import PressureChain
 from tactile_cdma.readings.status import Status
 from tactile_cdma.readings.taxels import Taxels
-from tactile_cdma.words.words import silent
 from tactile_cdma.words.health import NodeHealth
+from tactile_cdma.words.words import silent
 
 NODES, LSB_V = 4, AdcScale().lsb_v
 CURVE = PressureCurve.two_stage()

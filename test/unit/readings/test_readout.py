@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.code.amplitude import ACTIVE_SHARE
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.separate import NodeLevels, node_levels
@@ -24,8 +23,6 @@ from tactile_cdma.words.decode import Words, decode
 from tactile_cdma.words.health import JUDGE_FRAMES, NodeHealth, NodeState
 from test.support.correlations import lines
 from test.support.examples import examples
-
-pytestmark = pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 
 STALE_S = 1.0
 

@@ -12,14 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.config.skin_config import SkinConfig
-from tactile_cdma.driver.compiled_stream import CompiledStream
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.driver.session import Session
-from tactile_cdma.driver.stream import NumpyStream
 from tactile_cdma.sim.options import SimOptions
-from tactile_cdma.wire.reader import numpy_read
 from test.support.damaged_frames import another_word, nobody
 from torture.connection import interruptions, wrong_port
 from torture.connection.judge import ConnectionJudge, Digitizer
@@ -55,23 +51,16 @@ def test_a_slice_of_the_campaign(tmp_path: Path) -> None:
     assert not found[1].said.startswith("0 packets")
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_garbage_on_a_steady_port_is_told_and_the_driver_can_be_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiled: bool
-) -> None:
+def test_garbage_on_a_steady_port_is_told_and_the_driver_can_be_stopped(tmp_path: Path) -> None:
     """All strangers at once, who speak on while the driver stops."""
-    if not compiled:
-        monkeypatch.setattr("tactile_cdma.driver.stream.read_file", numpy_read)
     trials = []
     for number, (name, (make, _)) in enumerate(wrong_port.STRANGERS.items()):
         rng = np.random.default_rng(number)
         faults = partial(wrong_port.usurps, stranger=make(rng), rng=rng)
         plug = Tty(tmp_path / str(number))
-        trials.append(Trial(name, PLAN, plug, faults, {"frame_period_ms": 50.0}, compiled))
+        trials.append(Trial(name, PLAN, plug, faults, {"frame_period_ms": 50.0}))
     side_by_side([trial.run() for trial in trials], at_once=len(trials))
     assert [trial.outcome() for trial in trials if not trial.outcome().good] == []
-    kind = CompiledStream if compiled and kernel.compiled else NumpyStream
-    assert {type(trial.driver.pipeline.stream) for trial in trials} == {kind}
 
 
 class Line:

@@ -6,19 +6,13 @@ import importlib.util
 import os
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import CaptureError
-from tactile_cdma.driver import pipeline
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
-from tactile_cdma.driver.stream import NumpyStream
-from tactile_cdma.driver.timeline import Arrival
-from tactile_cdma.wire import packets
 from tactile_cdma.wire.packets import Scanner
 from torture.fuzz import bombs, campaign, corpus, garbage, streams
 from torture.fuzz.harnesses import FIRMWARE
@@ -141,12 +135,6 @@ def test_crashes_slowness_and_bad_messages_are_found(monkeypatch: pytest.MonkeyP
     assert kinds_of(planted(len), 1) == {SLOW}
 
 
-def without_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Packets are found, and followed, in Python."""
-    for module in (packets, pipeline):
-        monkeypatch.setattr(module, "kernel", SimpleNamespace(compiled=None))
-
-
 def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     feed = Pipeline.feed
 
@@ -160,20 +148,20 @@ def test_wrong_frames_and_miscounted_losses_are_found(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Pipeline, "feed", wrong)
     assert kinds_of(TARGETS["line"], 1) == {WRONG}
     monkeypatch.setattr(Pipeline, "feed", feed)
-    without_kernel(monkeypatch)
-    monkeypatch.setattr(Scanner, "_count_step", lambda self, *packet: True)
+    counts = Scanner.counts
+    forgotten = {"lost_packets": 0}
+    monkeypatch.setattr(Scanner, "counts", lambda self: counts(self) | forgotten)
     assert kinds_of(TARGETS["line"], 20) == {UNCOUNTED}
 
 
-@pytest.mark.skipif(kernel.compiled is None, reason="the kernel is not used")
-def test_kernels_that_differ_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    take = NumpyStream._take
+def test_a_stream_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    feed = Pipeline.feed
 
-    def forgetful(stream: NumpyStream, arrival: Arrival) -> None:
-        if arrival.packet.sequence != 12:
-            take(stream, arrival)
+    def forgetful(self: Pipeline, data: bytes, t_host: float) -> list[TactileFrame]:
+        return feed(self, data[:1000], t_host)
 
-    monkeypatch.setattr(NumpyStream, "_take", forgetful)
+    streams.read_both_ways(b"")  # the true stream is known
+    monkeypatch.setattr(Pipeline, "feed", forgetful)
     with trying(TARGETS["both ways"]) as attempt:
         found = attempt(b"")
     assert found is not None and found.kind == WRONG
@@ -183,10 +171,8 @@ def test_a_parser_that_depends_on_the_split_is_found(monkeypatch: pytest.MonkeyP
     feed = Scanner.feed
 
     def forgetful(self: Scanner, data: bytes) -> list:
-        self._partial.clear()
-        return feed(self, data)
+        return feed(self, data[:-1] if len(data) < 4 else data)
 
-    without_kernel(monkeypatch)
     monkeypatch.setattr(Scanner, "feed", forgetful)
     assert kinds_of(TARGETS["packets"]) == {WRONG}
 

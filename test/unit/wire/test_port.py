@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_cdma.base import kernel
 from tactile_cdma.base.errors import PortError
 from tactile_cdma.wire.discovery import held_back, is_away
 from tactile_cdma.wire.messages import Start
@@ -64,7 +63,6 @@ def test_a_tty_gives_all_bytes_in_order() -> None:
         assert port.read()[0] == b""
 
 
-@pytest.mark.skipif(kernel.compiled is None, reason=kernel.why_numpy)
 def test_one_read_takes_a_whole_packet_however_it_comes() -> None:
     """A tty gives 4 kB at once; and a packet that does not end holds nothing up for long."""
     packet = bytes(SENT).replace(b"\0", b"\1") + b"\0"

@@ -14,6 +14,13 @@ from statistics import NormalDist
 
 FALSE_ALARM = 3e-5
 """α, the probability with which a clause fails by chance: two frames of a skin in half an hour."""
+LEAST_REST = 16
+"""Samples of the line at rest that an estimate of its level and noise takes: their variance is
+right to a third (√(2/15))."""
+GAP_WEIGHT = 0.25
+"""Weight of the newest gap in the running estimate of noise, which averages about seven gaps."""
+MOST_RISE = 4.0
+"""Times that the noise may rise from gap to gap: a burst must not excuse the next frame."""
 
 
 @dataclass(frozen=True, slots=True)
