@@ -48,7 +48,7 @@ def decode_scope(capture: ScopeCapture, config: SkinConfig) -> Iterator[tuple[fl
         timing = GapTiming(reader, capture.rate_hz)
         checked = np.where(np.abs(volts) < ABSURD_V, volts, np.float32(np.nan))
         for frame in timing.feed(0, checked) + timing.flush():
-            if frame.words is not None:
+            if frame.words is not None and frame.speakers:
                 yield start_s + frame.start / capture.rate_hz, frame.words
 
 

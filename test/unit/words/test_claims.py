@@ -17,12 +17,13 @@ from test.support.independent_line import Line, Skin, Talk, render
 FEW = Talk(speakers=(0, 2, 3, 5), share=0.6, stay=8)
 OLD = Skin(order=16, first_row=0, sign_seed=None, polarity=-1, period_chips=208)
 FALSE_ONCE = {
-    0: (68, 74, 221, 344, 416, 541, 624, 806, 1124),
-    1: (497, 827, 896),
+    0: (68, 74, 221, 416, 541, 624, 806, 1124),
+    1: (497, 827),
     2: (34, 48, 126),
-    3: (129, 199),
+    3: (129,),
 }
-"""Of random mixtures, by their seeds and their names in `make bench-doubt`."""
+"""Random mixtures, by their seeds and names in `make bench-doubt`. Three more are false still: see
+docs/results.md."""
 LONG = Skin(nodes=39, order=40, period_chips=520)
 
 
