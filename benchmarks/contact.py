@@ -96,7 +96,7 @@ def felt(profile: Profile, centre_m: Floats, radius_m: float, sensing: str = ARE
 
 
 class Feeling:
-    """The driver's chain from the nodes' voltages to contacts."""
+    """Runs the driver's chain from the nodes' voltages to contacts."""
 
     def __init__(self, curves: Curves | None = None) -> None:
         """curves: of the sensors and of their calibration; None: the default."""
@@ -290,7 +290,7 @@ def times(report: Report) -> dict[tuple[int, str], tuple[float, float]]:
 
 
 class Plain:
-    """The plain search: from taxel to taxel, then sums contact by contact."""
+    """Searches plainly: from taxel to taxel, then sums contact by contact."""
 
     def __init__(self, layout: Layout) -> None:
         self._beside = layout.neighbours.tolist()
@@ -339,7 +339,7 @@ Force = Callable[[float], float]
 
 
 def track(model: SensorModel, place: Place, force_n: Force, seconds: float) -> Track:
-    """Both cues under a soft contact, 2.5 pitches wide at 10 N and growing as Hertz's does.
+    """Give both cues under a soft contact, 2.5 pitches wide at 10 N and growing as Hertz's does.
 
     Energy: of what a high-pass of the tracker's time constant leaves of the taxels' shares in the
     force, for the force itself may change in any grip.
@@ -367,7 +367,7 @@ def somewhere(rng: np.random.Generator) -> Floats:
 
 
 def grip(model: SensorModel, force_n: float, rng: np.random.Generator, swing: float) -> Track:
-    """A grip that does not move; its force pulsates by a share of itself, at 0.5 to 3 Hz."""
+    """Hold a grip that does not move; its force pulsates by a share of itself, at 0.5 to 3 Hz."""
     there, rate_hz, phase = somewhere(rng), rng.uniform(0.5, 3.0), rng.uniform(0, 2 * math.pi)
     return track(
         model,
@@ -399,7 +399,7 @@ def rolling(model: SensorModel, force_n: float, rng: np.random.Generator) -> Tra
 
 
 def slide(model: SensorModel, force_n: float, rng: np.random.Generator, mm_s: float) -> Track:
-    """A grip that is held for BEFORE_S, then slides."""
+    """Hold a grip for BEFORE_S, then let it slide."""
     there, towards = somewhere(rng), direction(rng)
     return track(
         model,
@@ -463,7 +463,7 @@ def slips(report: Report) -> Slips:
 
 
 def in_words(delays: Floats) -> str:
-    """Share of slides seen, and the median of their delays."""
+    """Return the share of slides seen, and the median of their delays."""
     seen = np.isfinite(delays)
     if not seen.any():
         return "0 %"

@@ -6,12 +6,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.wire._protocol import MAX_SAMPLES
 from tactile_cdma.wire.messages import Info, Samples
 from tactile_cdma.wire.packets import PacketWriter
 from test.support import simulated
-from test.support.independent_line import Digitizer, Recording
+from test.support.independent_line import Digitizer, Recording, Skin
+
+
+def config_of(skin: Skin, digitizer: Digitizer, **more: float) -> SkinConfig:
+    """Return what a user sets for such a skin; more: other parameters."""
+    values: dict[str, Value] = {
+        "nodes": skin.nodes,
+        "bits": skin.bits,
+        "parity": skin.parity,
+        "order": skin.order,
+        "first_row": skin.first_row,
+        "scramble": skin.scramble,
+        "codes": "sparse" if skin.sparse else "orthogonal",
+        "sign_seed": -1 if skin.sign_seed is None else skin.sign_seed,
+        "chip_us": 1e6 * skin.chip_s,
+        "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
+        "drive": skin.drive,
+        "polarity": skin.polarity,
+        "amplitude_mv": 1e3 * skin.amplitude_v,
+        "timing": "line" if digitizer.marked else "gap",
+        "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
+    }
+    return SkinConfig.of({**values, **more})
 
 
 def introduction(config: SkinConfig, digitizer: Digitizer) -> Info:

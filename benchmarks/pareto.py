@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.line_packets import introduction, packets
+from benchmarks.line_packets import config_of, introduction, packets
 from benchmarks.report import QUICK, ROOT, Report
 from tactile_cdma.config.parameters import Value, read_file
 from tactile_cdma.config.skin_config import SkinConfig
@@ -65,7 +65,7 @@ RAIL_V = 12.0
 
 @dataclass(frozen=True)
 class Way:
-    """One way to sample and decode the skin; the defaults are those of the parameters.
+    """Is one way to sample and decode the skin; the defaults are those of the parameters.
 
     late: nodes start late. sparse: codes are. dense: nothing but a product.
     """
@@ -92,19 +92,18 @@ class Way:
         )
 
     @property
-    def config(self) -> SkinConfig:
-        skin = self.skin
-        return SkinConfig.of(
-            {
-                "order": skin.order,
-                "first_row": skin.first_row,
-                "parity": skin.parity,
-                "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
-                "timing": self.timing,
-                "samples_per_chip": self.samples_per_chip,
-                "codes": "sparse" if self.sparse else "orthogonal",
-            }
+    def digitizer(self) -> Digitizer:
+        return Digitizer(
+            samples_per_chip=self.samples_per_chip if self.samples_per_chip > 1 else 4,
+            integrated=self.samples_per_chip == 1,
+            marked=self.timing == "line",
+            rail_v=RAIL_V,
+            adc_bits=16,
         )
+
+    @property
+    def config(self) -> SkinConfig:
+        return config_of(self.skin, self.digitizer)
 
 
 DEFAULT = Way("line, 4 per chip")
@@ -127,7 +126,7 @@ WAYS = (
 
 @dataclass(frozen=True)
 class Stream:
-    """What a digitizer sends, as (host time in s, bytes); warm_up comes before what is measured.
+    """Is what a digitizer sends, (host time in s, bytes); warm_up comes before what is measured.
 
     truths: of the frames that are measured.
     """
@@ -140,7 +139,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one way made of one stream.
+    """Holds what one way made of one stream.
 
     cpu_s: per frame. codes: (frames, n), SILENT where no word was heard. lost: frames.
     unflagged: wrong words that are not flagged as doubtful, missing ones included.
@@ -159,16 +158,9 @@ def stream(way: Way, seed: int) -> Stream:
     delays = rng.uniform(0, MOST_LATE_CHIPS if way.late else 0.0, skin.nodes)
     noise_v = skin.amplitude_v * skin.order**0.5 / RHO
     line = Line(noise_v=noise_v, late=tuple(enumerate(delays)))
-    digitizer = Digitizer(
-        samples_per_chip=way.samples_per_chip if way.samples_per_chip > 1 else 4,
-        integrated=way.samples_per_chip == 1,
-        marked=way.timing == "line",
-        rail_v=RAIL_V,
-        adc_bits=16,
-    )
     writer = PacketWriter()
-    warm_up = [(0.0, writer.encode(introduction(way.config, digitizer)))]
-    recording = render(skin, Talk(), line, digitizer, WARM_UP + FRAMES, [seed, 2])
+    warm_up = [(0.0, writer.encode(introduction(way.config, way.digitizer)))]
+    recording = render(skin, Talk(), line, way.digitizer, WARM_UP + FRAMES, [seed, 2])
     reads: list[tuple[float, bytes]] = []
     begin = recording.frames[WARM_UP].start_chips - 1
     for t_chips, t_host, data in packets(recording, writer):
@@ -207,7 +199,7 @@ def measure(some: Stream) -> Outcome:
 
 
 class DenseProduct:
-    """The least that decodes marked frames of nodes that all speak: one product, and its signs."""
+    """Decodes marked frames of nodes that all speak by the least: one product, and its signs."""
 
     def __init__(self, config: SkinConfig) -> None:
         spec, self._per_chip = config.spec, config.samples_per_chip
@@ -218,7 +210,7 @@ class DenseProduct:
         self._held, self._t_start = 0, 0.0
 
     def feed(self, data: bytes, _: float) -> list[DenseFrame]:
-        """The frames that these bytes complete."""
+        """Return the frames that these bytes complete."""
         frames = []
         for packet in self._parser.feed(data):
             if not isinstance(packet, Samples):
@@ -437,7 +429,7 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Point:
-    """One way; scatter: 95 % of the bit error rate.
+    """Holds what one way costs and errs; scatter: 95 % of the bit error rate.
 
     unflagged: share of words that are wrong without a flag. lost: share of frames.
     """

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from tactile_cdma.config.parameters import Value, read_file
 from test.support.domains import own_domain
 
 if TYPE_CHECKING:
@@ -93,6 +94,12 @@ def machine() -> dict[str, str | int | None]:
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
+
+
+def configured(name: str) -> dict[str, Value]:
+    """Return the parameters of a file of config/, for any port, and the simulator's amplifier."""
+    values = read_file(ROOT / "config" / f"{name}.yaml")
+    return {key: value for key, value in values.items() if key not in ("port", "amplitude_mv")}
 
 
 def be_alone() -> None:

@@ -44,7 +44,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from tactile_cdma.config.parameters import Value, read_file
+from tactile_cdma.config.parameters import Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.sim.digitizer import VirtualDigitizer
 from tactile_cdma.sim.options import SimOptions
@@ -54,16 +54,9 @@ from tactile_cdma.wire.messages import Samples
 from tactile_cdma.wire.packets import PacketParser
 from tactile_cdma.wire.reader import READ_SIZE
 
-from .report import QUICK, ROOT, Report, be_alone
+from .report import QUICK, ROOT, Report, be_alone, configured
 from .scale import streaming
 from .skip import pressed
-
-
-def configured(name: str) -> dict[str, Value]:
-    """Return the parameters of a file of config/, for any port and amplifier."""
-    values = read_file(ROOT / "config" / f"{name}.yaml")
-    return {key: value for key, value in values.items() if key not in ("port", "amplitude_mv")}
-
 
 CASES: dict[int, dict[str, Value]] = {
     16: {},  # the paper's timing, 4 raw samples per chip

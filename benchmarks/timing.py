@@ -29,14 +29,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
-from benchmarks.report import QUICK, ROOT, Report
+from benchmarks.report import QUICK, Report, configured
 from benchmarks.scale import replay
 from benchmarks.skip import record
 from tactile_cdma.base.kernel import lib
 from tactile_cdma.code.encode import word_bits
 from tactile_cdma.code.frame import FrameSpec
 from tactile_cdma.code.transform import rows_of
-from tactile_cdma.config.parameters import GAP, Value, read_file
+from tactile_cdma.config.parameters import GAP, Value
 from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.digitizer import quiet_uv
 from tactile_cdma.driver.pipeline import Pipeline
@@ -65,11 +65,7 @@ DELAYS = (0.5,) if QUICK else (0.1, 0.25, 0.5)
 DELAY_BESIDE_RATE = 0.3
 SCRAMBLED: dict[int, dict[str, Value]] = {
     16: {},
-    900: {
-        name: value
-        for name, value in read_file(ROOT / "config" / "thousand_skin.yaml").items()
-        if name not in ("port", "amplitude_mv")  # the simulator's converter is not theirs
-    },
+    900: configured("thousand_skin"),
 }
 """Skins whose decoding is timed with and without the scrambler: parameters by nodes."""
 SCRAMBLED_ROUNDS = 5 if QUICK else 15

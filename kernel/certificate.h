@@ -63,10 +63,11 @@ struct certificate_view {
 };
 
 /* left: V², mean square of what the words leave over. noise: V RMS of a level of a row. swing: A, V. value: of every
- * clause. kurtosis: of what sparse codes leave over. understood: but for words of few nodes, which are uneven, the energy
- * is no more than noise. crowded: the sparse codes of those who spoke are not told apart. */
+ * clause. usual, kurtosis: of what sparse codes leave over, V² of a chip that may be noise, and the shape of all. understood:
+ * but for words of few nodes, which are uneven, the energy is no more than noise. crowded: the sparse codes of those who
+ * spoke are not told apart. */
 struct certificate {
-    double left, noise, swing, value[CERTIFICATE_CLAUSES], kurtosis;
+    double left, noise, swing, value[CERTIFICATE_CLAUSES], usual, kurtosis;
     size_t speakers;
     bool understood, crowded;
 };

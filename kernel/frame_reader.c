@@ -118,7 +118,7 @@ size_t frame_reader_due(const struct frame_reader *reader)
     if (rules->integrated)
         return rules->size;
     double end = reader->carried.chip > 0 ? fit_end(&reader->carried, reader->code.span) + 0.5 : 0;
-    return (size_t)ceil(fmax((double)rules->size, end) + rules->tail * rules->chip);
+    return (size_t)ceil(fmax((double)rules->size, end) + rules->tail * rules->chip - EDGE);
 }
 
 /* ---- samples ----------------------------------------------------------------------------------- */
@@ -343,6 +343,16 @@ static double noise_of_frames(const struct frame_reader *reader)
     return reader->count < LEARNT ? 0 : least;
 }
 
+/* Whether what a frame's words leave is noise, as far as can be told without knowing how much there is. */
+static bool shows_noise(const struct frame_reader *reader, const struct certificate *certificate)
+{
+    bool holds = true;
+
+    for (size_t clause = 0; clause < CERTIFICATE_CLAUSES; clause++)
+        holds &= clause == CLAUSE_ENERGY || certificate->value[clause] < 1;
+    return reader->sparse ? certificate->understood : holds;
+}
+
 /* Whether frames of so much noise are as Gaussian as that, which they would not be if the noise were that of a node or a
  * tone in them all. A node has lowered the kurtosis by 2 (A² / noise)². */
 static bool is_noise(const struct frame_reader *reader, const struct certificate_limits *limits, double noise)
@@ -412,8 +422,8 @@ static enum frame_look read_means(struct frame_reader *reader, const float *volt
     found->chip = 1;
     double power = sums_power(reader->chips, chips) / (double)chips;
     enum frame_look look = certify(reader, &view, NULL, rest, power, 0, words, found);
-    if (!reader->sparse || found->certificate.understood) { /* else much of what is left is words */
-        reader->seen[reader->count % SEEN].left = found->certificate.left;
+    if (shows_noise(reader, &found->certificate)) {
+        reader->seen[reader->count % SEEN].left = reader->sparse ? found->certificate.usual : found->certificate.left;
         reader->seen[reader->count++ % SEEN].kurtosis = found->certificate.kurtosis;
     }
     if (look == FRAME_READ && count > chips) /* a value was taken twice */

@@ -82,6 +82,7 @@ struct stream *stream_new(struct scanner *scanner)
     stream->now = &stream->arrivals[0];
     stream->other = &stream->arrivals[1];
     stream->asked = STREAM_GOES_ON;
+    stream->start = stream->gap_begin = -1;
     return stream;
 }
 

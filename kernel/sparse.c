@@ -299,6 +299,24 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
+/* How much of what is left may be noise, V² of a chip: all, or as much as in the median bit if there is more in others. */
+static double usual_left(const struct sparse *sparse, const struct detector *detector, double left)
+{
+    const struct code *code = &sparse->code;
+    double power[WORDS_MOST_BITS], swing = (double)code->swing;
+
+    for (size_t bit = 0; bit < code->bits; bit++) {
+        double here = sums_power(detector->left + bit * code->order, code->order) / (double)code->order;
+        size_t at = bit;
+        for (; at > 0 && power[at - 1] > here; at--)
+            power[at] = power[at - 1];
+        power[at] = here;
+    }
+    double median = power[code->bits / 2];
+    double most = median * certificate_chance((double)code->order, sparse->limits.deviations);
+    return power[code->bits - 1] < most + sparse->limits.left * swing * swing ? left : median;
+}
+
 /* Fourth moment of what is left over its power squared: 3 for noise; the chips of one node have 1, those of a tone 1.5. */
 VECTORS static double kurtosis_of(const float *left, size_t count, double power)
 {
@@ -347,9 +365,10 @@ void sparse_read(struct sparse *sparse, const struct certificate_view *view, con
         for (size_t i = 0; i < nodes; i++)
             words->doubtful[i] |= !words->active[i];
     double swing = (double)code->swing, left = sums_power(detector->left, chips) / (double)chips;
+    certificate->usual = usual_left(sparse, detector, certificate->left);
     certificate->kurtosis = kurtosis_of(detector->left, chips, fmax(left, 1e-12 * swing * swing));
     if (!detector->settled) {
         double power = (sums_power(view->chips, chips) / (double)chips - view->noise) / (swing * swing);
-        certificate->speakers = (size_t)fmax(0, round(power));
+        certificate->speakers = (size_t)fmin(fmax(0, round(power)), (double)nodes);
     }
 }

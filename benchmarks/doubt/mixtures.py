@@ -48,7 +48,7 @@ Effect: TypeAlias = Callable[["Mixture", Draw], "Mixture"]
 
 @dataclass(frozen=True)
 class Mixture(LineCondition):
-    """A condition with as many frames as its size allows."""
+    """Is a condition with as many frames as its size allows."""
 
     def run(self, frames: int, seed: int) -> tuple[Tally, list[str]]:
         """See LineCondition."""
@@ -57,7 +57,7 @@ class Mixture(LineCondition):
 
     @property
     def speakers(self) -> int:
-        """How many nodes transmit in a frame."""
+        """Return how many nodes transmit in a frame."""
         of = self.talk.speakers if isinstance(self.talk.speakers, int) else self.skin.nodes
         return self.talk.together or max(1, round(self.talk.share * of))
 
@@ -72,7 +72,7 @@ class Mixture(LineCondition):
 
     @property
     def weakest(self) -> float:
-        """Share of its amplitude that a node needs, to be more than noise."""
+        """Return the share of its amplitude that a node needs, to be more than noise."""
         rho = math.sqrt(self.skin.order) * self.swing_v / self.line.noise_v
         return max(WEAKEST, LEAST_RHO / rho)
 
@@ -85,7 +85,7 @@ class Mixture(LineCondition):
         return replace(self, digitizer=replace(self.digitizer, **changes))
 
     def some(self, draw: Draw) -> list[int]:
-        """One to three nodes."""
+        """Draw one to three nodes."""
         count = min(self.skin.nodes, int(draw.integers(1, 4)))
         return [int(node) for node in draw.choice(self.skin.nodes, count, replace=False)]
 
@@ -234,7 +234,7 @@ EFFECTS: tuple[Effect, ...] = (
 
 
 def conditions() -> Iterator[Mixture]:
-    """The first mixtures, and the scrambled twins of those whose skins are plain and can be."""
+    """Yield the first mixtures, and scrambled twins of those whose skins are plain and can be."""
     yield from map(mixture_of, range(DRAWN))
     for number in range(TWINS):
         if mixture_of(number).can_scramble:
@@ -242,10 +242,15 @@ def conditions() -> Iterator[Mixture]:
 
 
 def mixture_of(number: int) -> Mixture:
-    """The mixture of a number."""
+    """Return the mixture of a number."""
     if number >= MIXTURES:
-        _, _, drawn = (plain := mixture_of(number - MIXTURES)).name.partition(":")
-        return replace(plain, name=f"mixture {number}:{drawn}").scrambled()
+        _, _, effects = (plain := drawn(number - MIXTURES)).name.partition(":")
+        return replace(plain, name=f"mixture {number}:{effects}").scrambled()
+    return drawn(number)
+
+
+def drawn(number: int) -> Mixture:
+    """Draw a mixture by a seed."""
     draw = np.random.default_rng(number)
     timing = str(draw.choice(list(TIMINGS)))
     skin, count = draw_skin(draw), int(draw.integers(1, 5))
@@ -272,7 +277,7 @@ def mixture_of(number: int) -> Mixture:
 
 
 def draw_skin(draw: Draw) -> Skin:
-    """A skin of any order and word length, whose nodes' sum the converter has room for."""
+    """Draw a skin of any order and word length, whose nodes' sum the converter has room for."""
     order, drive = int(draw.choice(ORDERS)), str(draw.choice(["bipolar"] * 5 + ["unipolar"]))
     bipolar = drive == "bipolar"
     first = int(not (bipolar and draw.random() < 0.2))
@@ -296,7 +301,7 @@ def draw_skin(draw: Draw) -> Skin:
 
 
 def draw_talk(skin: Skin, draw: Draw) -> Talk:
-    """All nodes at once, few, or those that have something to say."""
+    """Draw who talks: all nodes at once, few, or those that have something to say."""
     words = str(draw.choice(["random", "random", "slow", "equal", "extreme"]))
     few, most = int(draw.integers(1, 4)), min(1.0, MOST_SPEAK / skin.nodes)
     kinds = (

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_cdma.config.skin_config import SkinConfig
 from tactile_cdma.driver.pipeline import Pipeline, TactileFrame
 from tactile_cdma.wire.packets import PacketWriter
 from tactile_cdma.words.words import Words
@@ -31,7 +30,7 @@ from test.support.independent_line import (
     row_sign,
 )
 
-from ..line_packets import introduction, packets
+from ..line_packets import config_of, introduction, packets
 from .tally import Tally, total
 
 Bools: TypeAlias = NDArray[np.bool_]
@@ -54,7 +53,7 @@ LEAST_SCRAMBLED = 4
 
 @dataclass(frozen=True)
 class LineCondition:
-    """A line and what the decoder is told about it.
+    """Puts the driver to a line, and says what it is told about that.
 
     learnt: the amplitude is not in the configuration. lost: share of the packets that do not
     arrive. rough: so disturbed that right words may be flagged, and lost.
@@ -71,7 +70,7 @@ class LineCondition:
 
     @property
     def most_speakers(self) -> int:
-        """Number of nodes that may transmit in one frame."""
+        """Return the number of nodes that may transmit in one frame."""
         talk, speakers = self.talk, self.talk.speakers
         if talk.together or not talk.share:
             return talk.together
@@ -81,7 +80,7 @@ class LineCondition:
 
     @property
     def can_scramble(self) -> bool:
-        """Whether this is a plain skin that could be scrambled."""
+        """Return whether this is a plain skin that could be scrambled."""
         skin = self.skin
         seeded = skin.sign_seed is not None and not (skin.scramble or skin.sparse)
         return seeded and skin.drive == "bipolar" and skin.order >= LEAST_SCRAMBLED
@@ -98,7 +97,7 @@ class LineCondition:
 
 
 class Decoded(NamedTuple):
-    """A frame as published: its start, chips, its words, and which nodes count as broken."""
+    """Is a frame as published: its start, chips, its words, and which nodes count as broken."""
 
     start_chips: float
     words: Words
@@ -108,7 +107,7 @@ class Decoded(NamedTuple):
 def decode(
     recording: Recording, learnt: bool = False, lost: float = 0.0, seed: int = 0
 ) -> list[Decoded]:
-    """What the driver makes of a recording; see play."""
+    """Return what the driver makes of a recording; see play."""
     chip_s = recording.skin.chip_s
     return [
         Decoded(frame.t_start / chip_s, frame.words, pipeline.health.invalid.copy())
@@ -124,12 +123,14 @@ def play(
     how: str = LOST,
     **parameters: float,
 ) -> Iterator[tuple[TactileFrame, Pipeline]]:
-    """The driver's frames of a recording, one by one, and what makes them.
+    """Yield the driver's frames of a recording, one by one, and what makes them.
 
     lost: share of the packets that do not arrive as they should, drawn by the seed. how: see
     arrivals. parameters: of the driver.
     """
-    config, writer = config_of(recording, learnt, **parameters), PacketWriter()
+    unknown = {"amplitude_mv": 0.0} if learnt else {}
+    config = config_of(recording.skin, recording.digitizer, **unknown, **parameters)
+    writer = PacketWriter()
     pipeline = Pipeline(config)
     pipeline.feed(writer.encode(introduction(config, recording.digitizer)), 0.0)
     if pipeline.problem:
@@ -158,31 +159,6 @@ def arrivals(
         }
         yield t_host, (broken[how] if is_hit else data) + late
         before, late = data, data if is_hit and how == LATE else b""
-
-
-def config_of(recording: Recording, learnt: bool = False, **more: float) -> SkinConfig:
-    """What a user sets for a recording; more: other parameters."""
-    skin, digitizer = recording.skin, recording.digitizer
-    return SkinConfig.of(
-        {
-            "nodes": skin.nodes,
-            "bits": skin.bits,
-            "parity": skin.parity,
-            "order": skin.order,
-            "first_row": skin.first_row,
-            "scramble": skin.scramble,
-            "codes": "sparse" if skin.sparse else "orthogonal",
-            "sign_seed": -1 if skin.sign_seed is None else skin.sign_seed,
-            "chip_us": 1e6 * skin.chip_s,
-            "frame_period_ms": 1e3 * skin.chip_s * skin.period_chips,
-            "drive": skin.drive,
-            "polarity": skin.polarity,
-            "amplitude_mv": 0.0 if learnt else 1e3 * skin.amplitude_v,
-            "timing": "line" if digitizer.marked else "gap",
-            "samples_per_chip": 1 if digitizer.integrated else digitizer.samples_per_chip,
-            **more,
-        }
-    )
 
 
 def compare(recording: Recording, decoded: list[Decoded], line: Line) -> tuple[Tally, list[str]]:
@@ -231,19 +207,19 @@ def compare(recording: Recording, decoded: list[Decoded], line: Line) -> tuple[T
 
 
 def _off(frame: Decoded, truth: Truth) -> tuple[bool, float]:
-    """How badly a decoded frame fits a true one: silent ones last, then by the start."""
+    """Return how badly a decoded frame fits a true one: silent ones last, then by the start."""
     spoke = bool((truth.codes != SILENT).any())
     return bool(frame.words.active.any()) != spoke, abs(frame.start_chips - truth.start_chips)
 
 
 def _flags(frame: Decoded) -> Bools:
-    """What is published as doubtful or broken, (n,)."""
+    """Return what is published as doubtful or broken, (n,)."""
     flags: Bools = frame.words.doubtful | frame.invalid
     return flags
 
 
 def _count(truth: Truth, frame: Decoded | None, tie: bool) -> Tally:
-    """The words of one frame."""
+    """Count the words of one frame."""
     spoke = truth.codes != SILENT
     words = int(np.count_nonzero(spoke))
     if frame is None:
@@ -265,7 +241,7 @@ def _count(truth: Truth, frame: Decoded | None, tie: bool) -> Tally:
 
 
 def _complaint(number: int, truth: Truth, frame: Decoded) -> str:
-    """One frame's unflagged words."""
+    """Describe one frame's unflagged words."""
     active, codes = frame.words.active, frame.words.codes
     told = np.where(active, codes, SILENT)
     wrong = np.flatnonzero((told != truth.codes) & ~_flags(frame))

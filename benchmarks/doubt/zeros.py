@@ -37,7 +37,7 @@ KNEE_KPA, END_KPA, VREF_V = 50.0, 140.0, 3.3
 
 @dataclass(frozen=True)
 class Tared(Talk):
-    """Nodes under loads, of which the first is tared.
+    """Puts nodes under loads, of which the first is tared.
 
     loads_kpa: on the pressed nodes, one after the other; below 0: torn by as much. all_pressed: all
     nodes are; else one, drawn for each recording. rest_v: voltage of a sensor without load.
@@ -67,7 +67,7 @@ class Tared(Talk):
 
 @dataclass(frozen=True)
 class ZeroCondition:
-    """What presses, and what the user sets and does.
+    """Says what presses, and what the user sets and does.
 
     v0_v: the parameter. is_tared: with force, after the first load. rough: see Condition.
     """
@@ -147,6 +147,6 @@ CASES = (
 
 
 def conditions() -> Iterator[ZeroCondition]:
-    """All conditions."""
+    """Yield all conditions."""
     for condition in CASES:
         yield replace(condition, name=f"zeros: {condition.name}")

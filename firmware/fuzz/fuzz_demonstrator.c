@@ -7,6 +7,7 @@
 
 #include "../digitizer/rp2040/demo/memories.h"
 #include "fuzz.h"
+#include "reference.h"
 #include "setup.h"
 
 #define MOST_STEPS 64
@@ -21,13 +22,17 @@ static uint16_t spelt(uint32_t number)
 {
     const struct demo_node *node = &demo.nodes[number];
     uint16_t order = node->record.order, code = 0;
+    uint32_t state = node->record.scramble;
 
+    MUST(state != 0, WRONG_VALUE);
     for (uint32_t bit = 0; bit < node->record.bits; bit++) {
         uint32_t right = 0;
         for (uint32_t k = 0; k < order; k++) {
             uint32_t place = k + (-order & 7u); /* the last chip of a row ends an octet */
             uint32_t chip = node->row[place / 8] >> place % 8 & 1u;
-            chip ^= node->record.sign < 0;
+            if (k == 0 || place % 8 == 0)
+                state = scrambled(state);
+            chip ^= (node->record.sign < 0) ^ (state >> 24 >> place % 8 & 1u);
             right += chip == (demo.chips[bit * order + k] >> number & 1u);
         }
         MUST(right == 0 || right == order, WRONG_VALUE);

@@ -158,14 +158,6 @@ static void check_record(const struct tp_node_record *record, bool accepted)
     MUST(accepted == is_within_limits(record), WRONG_VALUE);
 }
 
-/* The scrambler's next state, whose top octet is the next one of the sequence. */
-static uint32_t scrambled(uint32_t state)
-{
-    uint8_t old = (uint8_t)(state ^ state << 1), newest = (uint8_t)(state >> 24);
-
-    return state >> 8 | (uint32_t)(uint8_t)(newest ^ newest >> 3 ^ old ^ old >> 1) << 24;
-}
-
 #define MOST_OCTETS (11u * 4096 / 8) /* of a frame */
 
 /* The octets of a sparse code, from docs/protocol.md: octet q + m is that of q and those of q + a, XORed. */

@@ -14,6 +14,14 @@
 #include "pulses.h"
 #include "tactile_protocol.h"
 
+/* The scrambler's next state, whose top octet is the next one of the sequence. */
+static inline uint32_t scrambled(uint32_t state)
+{
+    uint8_t old = (uint8_t)(state ^ state << 1), newest = (uint8_t)(state >> 24);
+
+    return state >> 8 | (uint32_t)(uint8_t)(newest ^ newest >> 3 ^ old ^ old >> 1) << 24;
+}
+
 /* ---- framing.c ------------------------------------------------------------------------------- */
 
 /* Encodes and decodes packets as simply as possible. */

@@ -34,15 +34,25 @@ def read_chips(
 def read_frame(
     chips: ArrayLike, spec: FrameSpec, noise_v: float = 0.0, active_share: float = 0.5
 ) -> LineFrame:
-    """Return what the kernel reads of one frame's chips, two samples each, in a line at rest."""
+    """Return what `hear` does, of a frame that is not rejected."""
+    frame = hear(chips, spec, noise_v, active_share)
+    assert frame is not None, "rejected"
+    return frame
+
+
+def hear(
+    chips: ArrayLike, spec: FrameSpec, noise_v: float = 0.0, active_share: float = 0.5
+) -> LineFrame | None:
+    """Return what the kernel reads of one frame's chips, two samples each, in a line at rest.
+
+    None: it is rejected.
+    """
     reader = FrameReader(spec, 2 / spec.chip_s, active_share=active_share)
     reader.learn_rest(0.0, noise_v**2)
     levels = np.zeros(spec.span_chips)
     levels[spec.places] = np.asarray(chips).ravel()
     volts = np.concatenate((np.repeat(levels, 2), np.zeros(8)))
-    frame = reader.read(volts.astype(np.float32))
-    assert frame is not None, reader.rejections
-    return frame
+    return reader.read(volts.astype(np.float32))
 
 
 class ChipLine:

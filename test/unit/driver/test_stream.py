@@ -560,6 +560,13 @@ def test_rules_that_do_not_fit_are_refused() -> None:
     made._answer("stream_describe", rules, reader)
 
 
+def test_a_stream_that_ends_before_it_is_described_has_no_frame() -> None:
+    pipeline = Pipeline(SkinConfig.of(SMALL))
+    assert pipeline.flush() == []
+    pipeline.feed(b"no packets\0", 0.0)
+    assert pipeline.flush() == []
+
+
 def test_answers_that_nobody_asked_for_are_refused() -> None:
     made = Stream(PacketParser(), Decisions())
     made.give(b"\1\2", 0.0, False)

@@ -23,6 +23,7 @@ from tactile_cdma.driver.timeline import (
 from tactile_cdma.framing.frames import LineFrame
 from tactile_cdma.wire._protocol import MAX_GAP
 from tactile_cdma.wire.messages import FrameLayout, Info, Quiet, Samples, Status
+from tactile_cdma.words.words import words_memory
 
 SPEC = FrameSpec()
 RATE_HZ = 80_000
@@ -90,7 +91,7 @@ class Line:
 
 
 def heard_at(index: float) -> LineFrame:
-    return LineFrame(index, 4.0, None, None, 0, False, math.nan, 0.0, 0.0)
+    return LineFrame(index, 4.0, None, None, 0, False, math.nan, 0.0, 0.0, words_memory(1))
 
 
 def test_packets_in_a_row_continue_from_index_zero() -> None:

@@ -99,7 +99,7 @@ def silences(read: Words) -> Bools:
 
 def stranger(spec: FrameSpec = SPEC) -> Floats:
     """The chips of a node that flips them by another seed."""
-    return node_chips(9, spec.nodes, spec.order, spec.bits, seed=4).ravel()
+    return node_chips(9, spec.nodes, spec.order, spec.bits, seed=4).ravel().astype(np.float64)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
@@ -129,19 +129,18 @@ def test_bits_that_are_mistaken_in_pairs_are_turned() -> None:
     for _ in range(200):
         words = dict.fromkeys(rig.some(29), int(rig.rng.integers(256)))
         read = rig.read(rig.sent(words))
-        found += certain(read)[read.active].all() and told(read) == words
+        found += bool(certain(read)[read.active].all()) and told(read) == words
     assert found >= 198
 
 
 def test_frames_of_the_shortest_codes_are_right_or_flagged() -> None:
-    """Bits are as long as the most by which nodes are looked for that are late."""
     rig, found = Rig(replace(SPEC, nodes=20, order=8), known=False), 0
     for _ in range(LEARNT):
         rig.read(rig.sent({5: 3}))
     for count in (0, 1, 1, 3, 20):
         words = rig.some(count)
         read = rig.read(rig.sent(words))
-        found += certain(read).all() and told(read) == words
+        found += bool(certain(read).all()) and told(read) == words
         assert certain(read).all() == (count <= 1)
     assert found == 3
 
@@ -345,7 +344,8 @@ def test_noise_that_rises_is_believed_after_a_while_only() -> None:
 def _one(rig: Rig, level: Floats, twice: bool = False) -> Floats:
     """A word of node 7, or two that differ, of this level, (k,), in each bit."""
     bits = rig.rng.choice([-1.0, 1.0], (1 + twice, SPEC.bits)).sum(axis=0)
-    return ((level * bits)[:, None] * chips_of_node(7)).ravel()
+    chips: Floats = ((level * bits)[:, None] * chips_of_node(7)).ravel()
+    return chips
 
 
 @pytest.mark.parametrize(
