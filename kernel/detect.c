@@ -41,16 +41,16 @@ VECTORS static double take_level(size_t count, const float *restrict flips, floa
 
 /* What words leave of chips: told are the words' in all places, onsager the share of what was left before. */
 VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
-                         const int32_t *restrict places, float onsager, const float *restrict flips, float level,
-                         float *restrict left)
+                         const int32_t *restrict places, float onsager, const float *restrict flips,
+                         float level, float *restrict left)
 {
     for (size_t i = 0; i < count; i++)
         left[i] = chips[i] - told[places[i]] + onsager * left[i] - level * flips[i];
 }
 
 /* Means of |r| over the bits, scaled; sums: `step` values from bit to bit. */
-VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums, float scale,
-                                 float *restrict loud)
+VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums,
+                                 float scale, float *restrict loud)
 {
     for (size_t i = 0; i < rows; i += LANES) {
         floats8 sum = {0};
@@ -423,8 +423,8 @@ void detector_find(struct detector *detector, const float *chips, double damping
 
 /* The pair of a bit's words, or one twice, of which turning the bits leaves least. Returns the power, per
  * chip, that this adds. rests: what is left on the rows of so many words. */
-static double best_pair(const struct listed *found, const float *words, const float *rests, const float *alike,
-                        size_t pair[2])
+static double best_pair(const struct listed *found, const float *words, const float *rests,
+                        const float *alike, size_t pair[2])
 {
     double best = INFINITY;
 

@@ -21,10 +21,10 @@
 struct detect_rules {
     double least;      /* of a word that is taken off, and noise of a level up to which words are hard */
     double slope;      /* of what tanh rises by, soft bits do, to ±1 */
-    double span;       /* of the odds' logarithm, over which the share of a word that is believed rises to 1 */
+    double span;       /* of the odds' logarithm, in which the share of a word that is believed rises to 1 */
     double hard;       /* deviations of noise: least mean |r| of a hard word */
-    double near;       /* share of what is left by which hard words may differ from soft ones and be final, and
-                        * by which less is to be left in the next turn, or words get hard */
+    double near;       /* share of what is left by which hard words may differ from soft ones and be final,
+                        * and by which less is to be left in the next turn, or words get hard */
     double settled;    /* share of what is left by which amplitudes may change in the end; squared: of A² */
     size_t turns;      /* after which a frame is given up, and pairs of bits that are turned in a bit */
 };
