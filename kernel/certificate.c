@@ -10,6 +10,7 @@
 
 #define SIDE 2            /* chips by which nodes may be off, and beside a frame that are asked to be at rest */
 #define HALF_NORMAL 0.8   /* mean of |x| of a normal variable of deviation 1, √(2/π) */
+#define HIDDEN_NODE 0.5   /* A²: half of what one node leaves that is not understood, however many others leave more */
 #define HALF_SCATTER 0.6  /* and its deviation, √(1 − 2/π) */
 
 static const int SHIFTS[] = {-2, -1, 1, 2};
@@ -321,6 +322,20 @@ static bool find_faint(const struct certifier *certifier, const struct reading *
     return any;
 }
 
+/* ρ of faint nodes: what is on their own rows is none of the noise on these. */
+static void measure_faint(const struct certifier *certifier, const struct reading *reading, const struct words *words)
+{
+    const struct code *code = &certifier->code;
+    const double order = (double)code->order, tiny = 1e-12 * reading->swing * reading->swing;
+
+    for (size_t i = 0; i < code->nodes; i++)
+        if (words->faint[i]) {
+            double own = (double)certifier->power[code->first + i] * order;
+            double noise = fmax((reading->total - own) / fmax(reading->free - (double)code->bits, 1), tiny);
+            words->rho[i] = words->amplitude[i] / (float)sqrt(noise / order);
+        }
+}
+
 /* Atoms in place: the row on which most is left. */
 static double row_atoms(const struct certifier *certifier, const struct reading *reading)
 {
@@ -567,7 +582,7 @@ static bool hides_nodes(const struct certifier *certifier, const struct reading 
     const struct certificate_limits *limits = &certifier->limits;
     double known = reading->view->noise * certificate_chance(reading->free, limits->deviations);
     double words_left = limits->left_of_word * limits->left_of_word * (double)reading->speakers;
-    double most = (limits->hidden + words_left) * reading->swing * reading->swing;
+    double most = (limits->hidden + fmin(words_left, HIDDEN_NODE)) * reading->swing * reading->swing;
     int uneven = 0;
 
     if (noise * limits->silent_rho > reading->swing)
@@ -759,7 +774,9 @@ void certifier_read(struct certifier *certifier, const struct certificate_view *
 
     const struct words_code sent = {code->nodes, (unsigned)code->bits, code->parity, code->sign_mask};
     words_decide(&certifier->measures, &sent, certifier->expected, (float)(1 / fmax(noise, 1e-12)), &certifier->limits.words, words);
-    bool parts = find_faint(certifier, &reading, words) && any_weak(certifier, reading.swing, words);
+    bool any_faint = find_faint(certifier, &reading, words), parts = any_faint && any_weak(certifier, reading.swing, words);
+    if (any_faint)
+        measure_faint(certifier, &reading, words);
     value[CLAUSE_ENERGY] = energy(certifier, &reading);
     certifier->edges = limits->edges * reading.weakest * sqrt((double)reading.speakers);
     if (view->is_compared)

@@ -41,16 +41,16 @@ VECTORS static double take_level(size_t count, const float *restrict flips, floa
 
 /* What words leave of chips: told are the words' in all places, onsager the share of what was left before. */
 VECTORS static void take(size_t count, const float *restrict chips, const float *restrict told,
-                         const int32_t *restrict places, float onsager, const float *restrict flips, float level,
-                         float *restrict left)
+                         const int32_t *restrict places, float onsager, const float *restrict flips,
+                         float level, float *restrict left)
 {
     for (size_t i = 0; i < count; i++)
         left[i] = chips[i] - told[places[i]] + onsager * left[i] - level * flips[i];
 }
 
 /* Means of |r| over the bits, scaled; sums: `step` values from bit to bit. */
-VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums, float scale,
-                                 float *restrict loud)
+VECTORS static void average_loud(size_t rows, size_t bits, size_t step, const float *restrict sums,
+                                 float scale, float *restrict loud)
 {
     for (size_t i = 0; i < rows; i += LANES) {
         floats8 sum = {0};
@@ -65,7 +65,8 @@ struct odds {
     float per, bits, half, odds, span;
 };
 
-VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of, float *restrict belief)
+VECTORS static void believe(size_t rows, const float *restrict loud, const struct odds *of,
+                            float *restrict belief)
 {
     const struct odds odds = *of; /* the same for all, whatever is written */
     const float turn = 2 * 0.69314718f;
@@ -79,9 +80,10 @@ VECTORS static void believe(size_t rows, const float *restrict loud, const struc
     }
 }
 
-/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in others it
- * is a guess who has. */
-VECTORS static size_t list_above(size_t rows, const float *restrict values, float least, int32_t *restrict codes)
+/* Lists the codes that have more than the least; returns how many. Most eights of codes have none, and in
+ * others it is a guess who has. */
+VECTORS static size_t list_above(size_t rows, const float *restrict values, float least,
+                                 int32_t *restrict codes)
 {
     const floats8 limit = (floats8){0} + least;
     size_t count = 0;
@@ -99,8 +101,9 @@ VECTORS static size_t list_above(size_t rows, const float *restrict values, floa
     return count;
 }
 
-/* The soft words of one bit of those that will be taken off, by levels that rise to ±1 and the amplitude of a node, V. In
- * the detector's `straight` and `squares`: by how many levels they follow, and those of the bits. */
+/* The soft words of one bit of those that will be taken off, by levels that rise to ±1 and the amplitude of
+ * a node, V. In the detector's `straight` and `squares`: by how many levels they follow, and those of the
+ * bits. */
 VECTORS static void say(const struct detector *detector, const float *restrict sums, float rise, float swing,
                         float *restrict words)
 {
@@ -151,7 +154,8 @@ struct detector *detector_new(const struct code *code, const struct sparse_book 
     detector->code = *code;
     detector->book = *book;
     detector->step = rows + APART_BY;
-    detector->floats = calloc(2 * chips + code->bits * detector->step + 2 * words + 6 * rows + CACHE_LINE, sizeof(float));
+    const size_t size = 2 * chips + code->bits * detector->step + 2 * words + 6 * rows + CACHE_LINE;
+    detector->floats = calloc(size, sizeof(float));
     detector->nodes = malloc(4 * rows * sizeof(int32_t));
     if (!(detector->floats && detector->nodes)) {
         detector_free(detector);
@@ -194,8 +198,8 @@ static void clear_unused(const struct detector *detector, float *values)
         values[detector->book.numbers[row]] = 0;
 }
 
-/* Levels of all codes in what is left of the chips, with the words that were taken off; and how loud each is. Bit by
- * bit, because all of one fits the nearest cache. */
+/* Levels of all codes in what is left of the chips, with the words that were taken off; and how loud each
+ * is. Bit by bit, because all of one fits the nearest cache. */
 static void correlate(struct detector *detector)
 {
     const struct sparse_book *book = &detector->book;
@@ -264,8 +268,8 @@ static void fade(const struct detector *detector, float damping)
     }
 }
 
-/* Soft words: of each, the share that is believed, of a bit that rises to ±1. Returns the mean sum of the derivatives of a
- * bit's words by their levels. */
+/* Soft words: of each, the share that is believed, of a bit that rises to ±1. Returns the mean sum of the
+ * derivatives of a bit's words by their levels. */
 static double soften(struct detector *detector, double noise, double odds, float damping)
 {
     const struct sparse_book *book = &detector->book;
@@ -273,7 +277,8 @@ static double soften(struct detector *detector, double noise, double odds, float
     struct listed *next = &detector->next;
     double swing = (double)detector->code.swing, per = swing / noise, slopes = 0;
     float rise = (float)(rules->slope * per) / (float)detector->code.order;
-    struct odds of = {(float)per, (float)detector->code.bits, (float)(swing * per / 2), (float)odds, (float)rules->span};
+    struct odds of = {(float)per, (float)detector->code.bits, (float)(swing * per / 2), (float)odds,
+                      (float)rules->span};
     float *belief = detector->belief, *straight = detector->straight, *squares = detector->squares;
 
     believe(book->rows, detector->loud, &of, belief);
@@ -307,7 +312,8 @@ static void harden(struct detector *detector, float least)
                         next->words + bit * book->rows);
 }
 
-/* Power by which the next words change, per chip; INFINITY if they are not the same but for their amplitudes. */
+/* Power by which the next words change, per chip; INFINITY if they are not the same but for their
+ * amplitudes. */
 static double change_of(const struct detector *detector)
 {
     const struct listed *now = &detector->now, *next = &detector->next;
@@ -339,8 +345,8 @@ static void take_off(struct detector *detector, double level, float onsager)
         transform_multiply(book->walsh, spread, told, 1);
         for (size_t i = 0; i < now->count; i++)
             spread[now->codes[i]] = 0;
-        take(code->order, detector->chips + first, told, book->places + first, onsager, code->flips + first, known,
-             detector->left + first);
+        take(code->order, detector->chips + first, told, book->places + first, onsager, code->flips + first,
+             known, detector->left + first);
     }
     if (isnan(level))
         detector->level = take_level(code->bits * code->order, code->flips, detector->left);
@@ -348,8 +354,8 @@ static void take_off(struct detector *detector, double level, float onsager)
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
-/* Hard words of levels in which so much was left; whether they are final, which none are that noise would hide. were_hard: those before were; are_whole: what is
- * left is of these alone. */
+/* Hard words of levels in which so much was left; whether they are final, which none are that noise would
+ * hide. were_hard: those before were; are_whole: what is left is of these alone. */
 static bool are_final(struct detector *detector, double power, bool were_hard, bool are_whole)
 {
     const struct detect_rules *rules = &detector->book.rules;
@@ -358,7 +364,8 @@ static bool are_final(struct detector *detector, double power, bool were_hard, b
 
     double least = rules->hard * sqrt(power / (double)order);
     harden(detector, (float)fmax(rules->least * swing, least));
-    double change = detector->change = change_of(detector), most = settled * fmax(power, settled * swing * swing);
+    double change = detector->change = change_of(detector);
+    double most = settled * fmax(power, settled * swing * swing);
     return are_whole && least < swing && (were_hard || change < rules->near * power) &&
            change * (double)detector->next.count / (double)chips < most;
 }
@@ -368,7 +375,8 @@ static void take_turns(struct detector *detector, bool soft, double damping)
 {
     const struct detect_rules *rules = &detector->book.rules;
     const size_t chips = detector->code.bits * detector->code.order;
-    const double order = (double)detector->code.order, swing2 = (double)(detector->code.swing * detector->code.swing);
+    const double order = (double)detector->code.order;
+    const double swing2 = (double)(detector->code.swing * detector->code.swing);
     double before = INFINITY, odds = 0;
     bool were_hard = true, are_whole = true; /* the words before */
 
@@ -413,9 +421,10 @@ void detector_find(struct detector *detector, const float *chips, double damping
     take_turns(detector, true, damping);
 }
 
-/* The pair of a bit's words, or one twice, of which turning the bits leaves least. Returns the power, per chip, that this
- * adds. rests: what is left on the rows of so many words. */
-static double best_pair(const struct listed *found, const float *words, const float *rests, const float *alike, size_t pair[2])
+/* The pair of a bit's words, or one twice, of which turning the bits leaves least. Returns the power, per
+ * chip, that this adds. rests: what is left on the rows of so many words. */
+static double best_pair(const struct listed *found, const float *words, const float *rests,
+                        const float *alike, size_t pair[2])
 {
     double best = INFINITY;
 
@@ -423,7 +432,8 @@ static double best_pair(const struct listed *found, const float *words, const fl
         float one = 4 * words[i] * (words[i] + rests[i]);
         for (size_t j = 0; j <= i; j++) {
             float other = 4 * words[j] * (words[j] + rests[j]);
-            float both = i == j ? one : one + other + 8 * words[i] * words[j] * alike[found->codes[i] ^ found->codes[j]];
+            float product = alike[found->codes[i] ^ found->codes[j]];
+            float both = i == j ? one : one + other + 8 * words[i] * words[j] * product;
             if ((double)both < best) {
                 best = (double)both;
                 pair[0] = i;

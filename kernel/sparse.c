@@ -16,7 +16,7 @@ struct sparse {
     struct detector *detectors[2]; /* of a frame, and of another try of it */
     float *alike;                  /* (k, 2^m) products of codes, per chip, at the XOR of these */
     double *triangle;              /* (most that are told apart)² */
-    float *levels, *swings;        /* (k, n), (n) V, of those who were heard, side by side: theirs, and as expected */
+    float *levels, *swings;        /* (k, n), (n) V: of those who were heard, side by side, and as expected */
     int32_t *masks;                /* (n) of these, as code.sign_mask */
     struct words_measures measures;
     uint8_t *memory;               /* of what they said: */
@@ -35,8 +35,10 @@ static bool make_products(struct sparse *sparse)
     if (!(sparse->alike && sparse->triangle))
         return false;
     for (size_t bit = 0; bit < code->bits; bit++)
-        for (size_t i = 0; i < code->order; i++)
-            sparse->alike[bit * book->rows + (size_t)book->places[bit * code->order + i]] = 1.0f / (float)code->order;
+        for (size_t i = 0; i < code->order; i++) {
+            size_t place = (size_t)book->places[bit * code->order + i];
+            sparse->alike[bit * book->rows + place] = 1.0f / (float)code->order;
+        }
     transform_multiply(book->walsh, sparse->alike, sparse->alike, code->bits);
     return true;
 }
@@ -63,11 +65,12 @@ static bool make_words(struct sparse *sparse)
     return true;
 }
 
-struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits, const float *expected)
+struct sparse *sparse_new(const struct code *code, const struct certificate_limits *limits,
+                          const float *expected)
 {
     const struct sparse_book *book = &code->sparse->book;
-    bool is_possible = code->bits && code->bits <= WORDS_MOST_BITS && code->order && code->nodes < book->rows &&
-                       transform_order(book->walsh) == book->rows;
+    bool is_possible = code->bits && code->bits <= WORDS_MOST_BITS && code->order &&
+                       code->nodes < book->rows && transform_order(book->walsh) == book->rows;
     struct sparse *sparse = is_possible ? calloc(1, sizeof *sparse) : NULL;
 
     if (!sparse)
@@ -100,9 +103,10 @@ void sparse_free(struct sparse *sparse)
 
 /* ---- the clauses --------------------------------------------------------------------------------- */
 
-/* Whether no other bits of those who spoke would give nearly the same chips. To turn two bits or more changes the power of
- * a bit's chips by 8 λ amplitudes squared, or more, where λ is the least eigenvalue of the codes' products: by the pivots
- * of Cholesky's decomposition. chance: A², by which noise of a bit may be off. */
+/* Whether no other bits of those who spoke would give nearly the same chips. To turn two bits or more
+ * changes the power of a bit's chips by 8 λ amplitudes squared, or more, where λ is the least eigenvalue of
+ * the codes' products: by the pivots of Cholesky's decomposition. chance: A², by which noise of a bit may be
+ * off. */
 static bool are_told_apart(const struct sparse *sparse, const struct listed *found, double chance)
 {
     const size_t rows = sparse->sparse.book.rows;
@@ -138,26 +142,29 @@ static double more_than_noise(const struct sparse *sparse, size_t count)
     return (limits->left + limits->left_of_word * limits->left_of_word * (double)count) * swing * swing;
 }
 
-/* Noise of a chip, V², beyond which words are uncertain. What is lost of a word in a bit, or turned, leaves more than an
- * amplitude squared there; what it says then is noise, of which little reaches the margin of a word that is claimed. */
+/* Noise of a chip, V², beyond which words are uncertain. What is lost of a word in a bit, or turned, leaves
+ * more than an amplitude squared there; what it says then is noise, of which little reaches the margin of a
+ * word that is claimed. */
 static double most_noise(const struct sparse *sparse)
 {
     const struct certificate_limits *limits = &sparse->limits;
-    double swing = (double)sparse->code.swing, margin = (double)limits->words.low_margin / limits->deviations;
+    double swing = (double)sparse->code.swing, order = (double)sparse->code.order;
+    double margin = (double)limits->words.low_margin / limits->deviations;
 
-    return fmax(1 / by_chance(sparse, sparse->code.order), (double)sparse->code.order * margin * margin) * swing * swing;
+    return fmax(1 / by_chance(sparse, sparse->code.order), order * margin * margin) * swing * swing;
 }
 
 /* The certificate of what a detector has found. */
-static void judge(const struct sparse *sparse, const struct detector *detector, const struct certificate_view *view,
-                  struct certificate *certificate)
+static void judge(const struct sparse *sparse, const struct detector *detector,
+                  const struct certificate_view *view, struct certificate *certificate)
 {
     const struct code *code = &sparse->code;
     const struct listed *found = &detector->next;
     const size_t chips = code->bits * code->order, count = found->count;
     const double swing = (double)code->swing, free = fmax((double)chips - (double)count - 1, 1);
-    struct certificate_rest rest = {.left = detector->left, .bits = code->bits, .order = code->order, .free = free,
-                                    .noise = view->noise, .more = more_than_noise(sparse, count), .swing = swing,
+    struct certificate_rest rest = {.left = detector->left, .bits = code->bits, .order = code->order,
+                                    .free = free, .noise = view->noise, .swing = swing,
+                                    .more = more_than_noise(sparse, count),
                                     .better = detector->settled ? detector->change : 0, .speakers = count};
     float loudest = 0;
 
@@ -185,8 +192,9 @@ static bool is_sure(const struct certificate *certificate)
 }
 
 /* Judges other words, and whether they are better; then they replace the best ones. */
-static void prefer(const struct sparse *sparse, const struct certificate_view *view, const struct detector *other,
-                   const struct detector **best, struct certificate *certificate)
+static void prefer(const struct sparse *sparse, const struct certificate_view *view,
+                   const struct detector *other, const struct detector **best,
+                   struct certificate *certificate)
 {
     struct certificate found;
 
@@ -222,8 +230,10 @@ static const struct detector *find(struct sparse *sparse, const struct certifica
 
 /* ---- words --------------------------------------------------------------------------------------- */
 
-/* Decides the words of those who were heard, side by side, and puts them in their places. noise: V RMS of a level. */
-static void tell_words(struct sparse *sparse, const struct detector *detector, double noise, const struct words *words)
+/* Decides the words of those who were heard, side by side, and puts them in their places. noise: V RMS of a
+ * level. */
+static void tell_words(struct sparse *sparse, const struct detector *detector, double noise,
+                       const struct words *words)
 {
     const struct code *code = &sparse->code;
     const struct listed *found = &detector->next;
@@ -241,7 +251,8 @@ static void tell_words(struct sparse *sparse, const struct detector *detector, d
         said->active[i] = said->amplitude[i] > code->active_share * sparse->swings[i];
     }
     const struct words_code sent = {found->count, (unsigned)code->bits, code->parity, sparse->masks};
-    words_decide(&sparse->measures, &sent, sparse->swings, (float)(1 / fmax(noise, 1e-12)), &sparse->limits.words, said);
+    words_decide(&sparse->measures, &sent, sparse->swings, (float)(1 / fmax(noise, 1e-12)),
+                 &sparse->limits.words, said);
     for (size_t i = 0; i < found->count; i++) {
         int32_t node = detector->nodes[found->codes[i]];
         words->active[node] = said->active[i];
@@ -299,7 +310,8 @@ static void find_faint(const struct sparse *sparse, const struct detector *detec
 
 /* ---- a frame ------------------------------------------------------------------------------------- */
 
-/* How much of what is left may be noise, V² of a chip: all, or as much as in the median bit if there is more in others. */
+/* How much of what is left may be noise, V² of a chip: all, or as much as in the median bit if there is more
+ * in others. */
 static double usual_left(const struct sparse *sparse, const struct detector *detector, double left)
 {
     const struct code *code = &sparse->code;
@@ -317,7 +329,8 @@ static double usual_left(const struct sparse *sparse, const struct detector *det
     return power[code->bits - 1] < most + sparse->limits.left * swing * swing ? left : median;
 }
 
-/* Fourth moment of what is left over its power squared: 3 for noise; the chips of one node have 1, those of a tone 1.5. */
+/* Fourth moment of what is left over its power squared: 3 for noise; the chips of one node have 1, those of
+ * a tone 1.5. */
 VECTORS static double kurtosis_of(const float *left, size_t count, double power)
 {
     float sums[8] = {0};

@@ -113,7 +113,8 @@ INLINE void decide_by(const bool parity, const struct words_measures *measures, 
     for (size_t i = 0; i < nodes; i++) {
         float amplitude = amplitudes[i], two = limit.two * expected[i], rho = amplitude * per_noise;
         float margin = least[i] / (amplitude < 1e-30f ? 1e-30f : amplitude);
-        int doubt = (rho < limit.low_rho) | (margin < limit.low_margin), is_odd = 0;
+        int uneven = (margin < limit.clear_margin) | (most[i] > (2 - limit.clear_margin) * amplitude), is_odd = 0;
+        int doubt = (rho < limit.low_rho) | (margin < limit.low_margin) | ((rho > limit.even_rho) & uneven);
         uint32_t word = (uint32_t)(signs[i] ^ sign_mask[i]);
         if (parity) {
             is_odd = odd_of(word);

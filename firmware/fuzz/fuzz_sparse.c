@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
-/* The driver's detection of sparse codes (kernel/detect.h, sparse.h) on frames of known words, and whatever the input
- * adds to them, any level or none. What is claimed to be taken off, and left over, must add up to the chips in plain
- * sums; what is certain on an undisturbed line must be what was sent. */
+/* The driver's detection of sparse codes (kernel/detect.h, sparse.h) on frames of known words, and whatever
+ * the input adds to them, any level or none. What is claimed to be taken off, and left over, must add up to
+ * the chips in plain sums; few words on an undisturbed line, and whatever is certain there, must be what was
+ * sent. */
 #include "fuzz.h"
 #include "sparse.h"
 
@@ -56,8 +57,26 @@ static void check_sum(const struct detector *detector, const float *chips)
     }
 }
 
+/* The words found are those that were sent. */
+static void check_found(const struct detector *detector, const int16_t *sent)
+{
+    const struct listed *found = &detector->next;
+    size_t speakers = 0;
+
+    for (size_t node = 0; node < detector->code.nodes; node++)
+        speakers += sent[node] >= 0;
+    MUST(found->count == speakers, WRONG_VALUE);
+    for (size_t i = 0; i < found->count; i++)
+        for (size_t bit = 0; bit < detector->code.bits; bit++) {
+            int16_t word = sent[detector->nodes[found->codes[i]]];
+            bool is_one = found->words[bit * detector->book.rows + i] > 0;
+            MUST(word >= 0 && is_one == (word >> bit & 1), WRONG_VALUE);
+        }
+}
+
 /* What is certain on an undisturbed line was sent; elsewhere flags are 0 or 1. */
-static void check_words(const struct code *code, const struct words *words, const int16_t *sent, bool is_sound)
+static void check_words(const struct code *code, const struct words *words, const int16_t *sent,
+                        bool is_sound)
 {
     for (size_t node = 0; node < code->nodes; node++) {
         int32_t word = 0;
@@ -79,7 +98,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     struct transform *walsh = transform_new(taps[0], 0, NULL, NULL, 1, 0);
     const struct sparse_code sparse_code = {
         .book = {.rows = rows, .walsh = walsh, .places = places, .numbers = numbers,
-                 .rules = {.least = 0.1, .slope = 0.75, .span = 8, .hard = 2.2, .near = 0.1, .settled = 0.01, .turns = 24}},
+                 .rules = {.least = 0.1, .slope = 0.75, .span = 8, .hard = 2.2, .near = 0.1, .settled = 0.01,
+                           .turns = 24}},
         .capacity = nodes < order / 4 ? nodes : order / 4, .hidden = 0.5, .damping = 0.6, .faintest = 0.56,
         .may_cancel = true};
     static const int32_t sign_mask[MOST_ROWS];
@@ -87,8 +107,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
                               .scrambled = true, .swing = 1, .active_share = 0.5f, .flips = flips,
                               .sign_mask = sign_mask, .sparse = &sparse_code};
     const struct certificate_limits limits = {
-        .words = {5, 0.4f, 1.6f, 1.25f, 8, 0.5f}, .deviations = 4, .left = 0.1, .left_of_word = 0.03, .bit = 1,
-        .chip = 0.7, .faint = 0.1, .faint_deviations = 3.3, .silent_rho = 10};
+        .words = {5, 0.4f, 0.65f, 16, 1.6f, 1.25f, 8, 0.5f}, .deviations = 4, .left = 0.1, .left_of_word = 0.03,
+        .bit = 1, .chip = 0.7, .faint = 0.1, .faint_deviations = 3.3, .silent_rho = 10};
     int16_t sent[MOST_ROWS];
     bool is_sound = true;
     static float chips[MOST_BITS * MOST_ORDER], expected[MOST_ROWS];
@@ -119,6 +139,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     detector_find(detector, chips, damping);
     if (detector->settled)
         check_sum(detector, chips);
+    if (is_sound && detector->settled && bits >= 8 && order >= 64 && speakers <= order / 8)
+        check_found(detector, sent);
     detector_free(detector);
 
     for (size_t node = 0; node < nodes; node++)

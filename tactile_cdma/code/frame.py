@@ -198,7 +198,7 @@ class FrameSpec:
 
     @cached_property
     def code_numbers(self) -> Indices:
-        """Of sparse codes, that of every row, (2^m,)."""
+        """The number of the sparse code of every row, (2^m,)."""
         return code_numbers(code_digits(self.nodes, self.order))
 
     @cached_property

@@ -70,7 +70,7 @@ def groups_for_all(spec: FrameSpec) -> int:
 
 
 def _products(spec: FrameSpec) -> Floats32:
-    """Of codes i and j, over the chips per bit, at i XOR j, (k, 2^m)."""
+    """Return products of codes i and j over the chips per bit, at i XOR j, (k, 2^m)."""
     assert spec.flips is not None, "sparse codes are scrambled"
     products = np.empty((spec.line_bits, spec.row_count), np.float32)
     # Those of code 0, whose chips are the flips, with all.

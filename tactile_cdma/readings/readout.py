@@ -18,9 +18,9 @@ from .pressure import PressureChain
 from .status import Status
 
 _BITS = "silent", "low_snr", "stale", "saturated", "uncalibrated", "masked", "faulty"
-"""Of Status, that the kernel sets."""
+"""Flags of Status that the kernel sets."""
 _OF_WORDS = "active", "doubtful", "doubled", "odd", "faint", "codes", "amplitude_v", "rho", "margin"
-"""Of Words, what the kernel reads."""
+"""Fields of Words that the kernel reads."""
 
 
 class Kept(NamedTuple):

@@ -86,7 +86,7 @@ class Readings:
 
     @property
     def certain_voltage_v(self) -> Floats32:
-        """As voltage_v, and NaN where the reading is in doubt or held from before a loss."""
+        """Voltages (n,), V; NaN where the reading is in doubt or held from before a loss."""
         return np.where(is_certain(self.status), self.voltage_v, np.float32(np.nan))
 
     def coverage(self, contact_pa: float) -> Coverage:

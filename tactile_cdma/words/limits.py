@@ -56,6 +56,8 @@ class Limits:
         nodes: broken nodes are few, while wrong timing makes all words uneven.
     low_rho, low_margin: ρ below which 3e-6 of the words hold a wrong bit, k·Q(ρ) for k = 10; share
         of a word's amplitude below which its weakest bit is uncertain.
+    clear_margin, even_rho: the same where ρ is so high that noise makes no word so uneven (0.35 are
+        5.6 of its deviations): what inverts a bit leaves another level than the word's, mostly.
     two, shared: share above which a level is that of two nodes (equal bits give 2); above which a
         word may be that of more than one (random bits of three give 1.5).
     clear_rho, lower: ρ above which noise gives no word levels of two nodes (0.6 A are 4.8 of its
@@ -87,6 +89,8 @@ class Limits:
     uneven: float = 0.25
     low_rho: float = 5.0
     low_margin: float = 0.4
+    clear_margin: float = 0.65
+    even_rho: float = 16.0
     two: float = 1.6
     shared: float = 1.25
     clear_rho: float = 8.0

@@ -59,7 +59,7 @@ class Words:
         return confidence
 
     def doubted(self, nodes: Bools) -> Words:
-        """The same words, of which those of some nodes (n,) bool are doubtful, too.
+        """Return these words, of which those of some nodes (n,) bool are doubtful, too.
 
         Of a silent node this says that it may have spoken.
         """
