@@ -42,7 +42,9 @@ def spec_of(nodes: int, **fields: object) -> FrameSpec:
 
 @pytest.mark.parametrize("nodes", [1, 2, 1000, 4096, 16_383, 65_535])
 def test_every_word_survives_at_any_number_of_nodes(nodes: int) -> None:
-    spec, rng = spec_of(nodes), np.random.default_rng(nodes)
+    """Of most nodes scrambled ones: to find which rows a delay makes alike would take minutes."""
+    scramble = nodes > 16_383
+    spec, rng = spec_of(nodes, scramble=scramble), np.random.default_rng(nodes)
     codes, active = rng.integers(0, 1024, nodes), rng.random(nodes) < 0.7
     words = read_chips(line_chips(spec, codes, active), spec)
     assert np.array_equal(words.active, active)
@@ -50,21 +52,24 @@ def test_every_word_survives_at_any_number_of_nodes(nodes: int) -> None:
 
 
 @pytest.mark.parametrize("nodes", [16, 1000])
-def test_a_node_a_hundred_times_weaker_than_the_others_is_read_once_it_is_known(nodes: int) -> None:
-    """What edges may leave of the others hides it: of a line without noise."""
+@pytest.mark.parametrize("share", [0.3, 0.15])
+def test_a_node_of_a_third_of_the_amplitude_is_read_once_it_is_known(
+    nodes: int, share: float
+) -> None:
+    """And one of less is not silent."""
     spec, rng = spec_of(nodes), np.random.default_rng(2)
     codes, weak = rng.integers(0, 1024, nodes), nodes // 2
     amplitude_v = np.full(nodes, A)
-    amplitude_v[weak] *= 1e-2
+    amplitude_v[weak] *= share
     reader = FrameReader(spec, 2 / spec.chip_s)
     reader.learn_rest(0.0, 0.0)
     reader.expected_v[weak] = amplitude_v[weak]
     volts = np.repeat(line_chips(spec, codes, amplitude_v=amplitude_v).ravel(), 2)
     frame = reader.read(np.concatenate((volts, np.zeros(8, np.float32))))
     assert frame is not None and frame.words is not None
-    assert np.delete(frame.words.active, weak).all()
-    assert np.array_equal(np.delete(frame.words.codes, weak), np.delete(codes, weak))
-    assert frame.words.doubtful[weak] or frame.words.codes[weak] == codes[weak]
+    read = frame.words.codes == codes
+    assert np.delete(read, weak).all()
+    assert read[weak] if share == 0.3 else frame.words.doubtful[weak]
 
 
 def line_frames(volts: np.ndarray, spec: FrameSpec = SPEC, per_chip: int = 4) -> list[LineFrame]:
