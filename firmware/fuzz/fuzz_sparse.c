@@ -107,7 +107,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
                               .scrambled = true, .swing = 1, .active_share = 0.5f, .flips = flips,
                               .sign_mask = sign_mask, .sparse = &sparse_code};
     const struct certificate_limits limits = {
-        .words = {5, 0.4f, 0.65f, 16, 1.6f, 1.25f, 8, 0.5f}, .deviations = 4, .left = 0.1, .left_of_word = 0.03,
+        .words = {5, 0.4f, 0.65f, 16, 1.6f, 1.25f, 6.7f, 0.5f}, .deviations = 4, .left = 0.1, .left_of_word = 0.03,
         .bit = 1, .chip = 0.7, .faint = 0.1, .faint_deviations = 3.3, .silent_rho = 10};
     int16_t sent[MOST_ROWS];
     bool is_sound = true;

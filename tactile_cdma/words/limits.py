@@ -60,7 +60,7 @@ class Limits:
         5.6 of its deviations): what inverts a bit leaves another level than the word's, mostly.
     two, shared: share above which a level is that of two nodes (equal bits give 2); above which a
         word may be that of more than one (random bits of three give 1.5).
-    clear_rho, lower: ρ above which noise gives no word levels of two nodes (0.6 A are 4.8 of its
+    clear_rho, lower: ρ above which noise gives no word levels of two nodes (0.6 A are 4.0 of its
         deviations); share of a word's strongest level below which its weakest is of fewer nodes.
     """
 
@@ -93,7 +93,7 @@ class Limits:
     even_rho: float = 16.0
     two: float = 1.6
     shared: float = 1.25
-    clear_rho: float = 8.0
+    clear_rho: float = 6.7
     lower: float = 0.5
 
 

@@ -82,8 +82,8 @@ def test_a_scrambled_skin_is_decoded(samples_per_chip: int, parity: bool) -> Non
         seen |= {*truth.codes.tolist()}
     assert len(seen) > 40
     doubtful = sum(f.words.doubtful.any() for f in frames)
-    # of chip means the level at rest is a guess: now and then a frame is said to be in doubt
-    assert doubtful <= (1 if samples_per_chip == 1 else 0)
+    # of chip means level and noise at rest are learnt: the first eight frames may be in doubt
+    assert doubtful <= (8 if samples_per_chip == 1 else 0)
     assert not run(SkinConfig.of({**values, "scramble": False}), data)
 
 

