@@ -14,8 +14,6 @@ from hypothesis import strategies as st
 
 from tactile_cdma.base import kernel
 from tactile_cdma.code.codes import code_book, is_feasible
-from tactile_cdma.code.frame import FrameSpec
-from tactile_cdma.code.separate import frame_fields, frame_settings
 from tactile_cdma.code.transform import Transform, correlate
 from test.support.programs import run_program, run_python
 
@@ -124,9 +122,8 @@ def test_misuse_of_a_transform_is_refused() -> None:
 
 def test_misuse_is_refused_and_says_what_is_wrong() -> None:
     lib, pointer = kernel.lib, kernel.pointer
-    spec = FrameSpec(nodes=5, order=8)
-    rows, frame = np.zeros((10, 8), np.float32), frame_settings(spec)
-    assert lib.words_noise(frame, pointer(rows, 10, 8), 6, 2) == 0
+    rows = np.ones((10, 8), np.float32)
+    assert lib.samples_add(pointer(rows, 10, 8), 80).sum == 80
     for wrong, error in (
         (rows[:, :9], r"shape \(10, 9\), not \(10, 8\)"),
         (rows[0], r"shape \(10, 9\), not \(8,\)"),
@@ -136,32 +133,28 @@ def test_misuse_is_refused_and_says_what_is_wrong() -> None:
     with pytest.raises(ValueError, match="not C-contiguous"):
         pointer(rows[:, ::2], 10, 4)
     with pytest.raises(TypeError, match=r"float \*.*double\[\]"):
-        lib.words_noise(frame, pointer(rows.astype(np.float64), 10, 8), 6, 2)
-    with pytest.raises(TypeError, match="words_noise expected 4 arguments, got 3"):
-        lib.words_noise(frame, pointer(rows, 10, 8), 6)
-    with pytest.raises(TypeError, match="struct words_frame"):
-        lib.words_noise(kernel.ffi.new("struct fit *"), pointer(rows, 10, 8), 6, 2)
+        lib.samples_add(pointer(rows.astype(np.float64), 10, 8), 80)
+    with pytest.raises(TypeError, match="samples_add expected 2 arguments, got 1"):
+        lib.samples_add(pointer(rows, 10, 8))
+    with pytest.raises(TypeError, match="struct frame_reader"):
+        lib.frame_reader_due(kernel.ffi.new("struct fit *"))
 
 
 def test_structs_take_exactly_their_members_by_name() -> None:
-    spec = FrameSpec(nodes=5, order=8)
-    members = frame_fields(spec)
-    made = kernel.struct("words_frame", **members).at
-    assert {name: getattr(made, name) for name in members} == pytest.approx(members)
-    whole = dict.fromkeys(("start", "scatter", "chip", "slips"), 1.0)
-    with pytest.raises(TypeError, match="struct gap_expected of the kernel has no slipz"):
-        kernel.struct("gap_expected", **whole, slipz=1.0)
-    del whole["slips"]
-    with pytest.raises(TypeError, match="struct gap_expected of the kernel: slips is missing"):
-        kernel.struct("gap_expected", **whole)
-    edges = np.array([0, 4, 8], np.int32)
-    held = kernel.struct(
-        "frame_edges", count=3, whole=edges, share=np.zeros(3), number=np.ones(2), places=edges
-    )
-    count = sys.getrefcount(edges)
-    assert held.at.all.whole[2] == 8
+    whole = {"start": -0.5, "chip": 8.0}
+    made = kernel.struct("fit", **whole).at
+    assert {name: getattr(made, name) for name in whole} == whole
+    with pytest.raises(TypeError, match="struct fit of the kernel has no chipz"):
+        kernel.struct("fit", **whole, chipz=1.0)
+    del whole["chip"]
+    with pytest.raises(TypeError, match="struct fit of the kernel: chip is missing"):
+        kernel.struct("fit", **whole)
+    volts = np.array([0, 4, 8], np.float32)
+    held = kernel.struct("fit_line", size=3, volts=volts, sums=np.zeros(4), level=0.0)
+    count = sys.getrefcount(volts)
+    assert held.at.volts[2] == 8
     del held
-    assert sys.getrefcount(edges) < count, "it kept the array, and no longer"
+    assert sys.getrefcount(volts) < count, "it kept the array, and no longer"
 
 
 def test_the_kernel_knows_nothing_of_python() -> None:

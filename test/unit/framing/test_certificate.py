@@ -15,7 +15,7 @@ from tactile_cdma.code.twins import twins
 from tactile_cdma.framing import frame_reader
 from tactile_cdma.framing.frame_reader import FrameReader
 from tactile_cdma.framing.frames import Clause, LineFrame
-from tactile_cdma.framing.limits import FALSE_ALARM, LIMITS
+from tactile_cdma.words.limits import FALSE_ALARM, LIMITS
 from test.support.independent_line import SILENT, Skin, code_book
 
 A = 0.3
