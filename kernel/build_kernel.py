@@ -96,7 +96,6 @@ builder.set_source(
     include_dirs=["kernel"],
     extra_compile_args=compiled_by(),
     libraries=["m"],
-    py_limited_api=True,
 )
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 /* The driver's detection of sparse codes (kernel/detect.h, sparse.h) on frames of known words, and whatever the input
  * adds to them, any level or none. What is claimed to be taken off, and left over, must add up to the chips in plain
- * sums; what is certain on an undisturbed line must be what was sent. */
+ * sums; few words on an undisturbed line, and whatever is certain there, must be what was sent. */
 #include "fuzz.h"
 #include "sparse.h"
 
@@ -54,6 +54,22 @@ static void check_sum(const struct detector *detector, const float *chips)
         }
         MUST(fabsf(sum - chips[at]) < 1e-3f, WRONG_VALUE);
     }
+}
+
+/* The words found are those that were sent. */
+static void check_found(const struct detector *detector, const int16_t *sent)
+{
+    const struct listed *found = &detector->next;
+    size_t speakers = 0;
+
+    for (size_t node = 0; node < detector->code.nodes; node++)
+        speakers += sent[node] >= 0;
+    MUST(found->count == speakers, WRONG_VALUE);
+    for (size_t i = 0; i < found->count; i++)
+        for (size_t bit = 0; bit < detector->code.bits; bit++) {
+            int16_t word = sent[detector->nodes[found->codes[i]]];
+            MUST(word >= 0 && (found->words[bit * detector->book.rows + i] > 0) == (word >> bit & 1), WRONG_VALUE);
+        }
 }
 
 /* What is certain on an undisturbed line was sent; elsewhere flags are 0 or 1. */
@@ -119,6 +135,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     detector_find(detector, chips, damping);
     if (detector->settled)
         check_sum(detector, chips);
+    if (is_sound && detector->settled && bits >= 8 && order >= 64 && speakers <= order / 8)
+        check_found(detector, sent);
     detector_free(detector);
 
     for (size_t node = 0; node < nodes; node++)

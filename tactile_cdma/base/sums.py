@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernel
-from .arrays import Counts, Floats, Floats32
+from .arrays import Floats, Floats32
 
 F = TypeVar("F", np.float32, np.float64)
 
@@ -41,10 +41,3 @@ def copy_samples(most_v: float, volts: Floats32, copy: Floats) -> None:
     """Copy samples (m,), V; those that are not within ±most_v become NaN."""
     copy[:] = volts
     copy[~(np.abs(copy) < most_v)] = np.nan
-
-
-def to_volts(zero: int, per_count_v: float, counts: Counts, volts: Floats32) -> None:
-    """Convert a converter's counts (m,) to V. zero: count at 0 V. per_count_v: V per count."""
-    volts[:] = counts
-    volts -= np.float32(zero)
-    volts *= np.float32(per_count_v)

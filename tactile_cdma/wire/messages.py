@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from ..base.arrays import Counts, Floats32
 from ..base.errors import SpecError
-from ..base.sums import to_volts
 from ..code.frame import ORTHOGONAL, SPARSE, FrameSpec
 from ._protocol import (
     FIELDS,
@@ -181,8 +180,9 @@ class Info(Packet):
 
     def volts(self, counts: Counts) -> Floats32:
         """Convert counts (m,) to the line in V, (m,) float32."""
-        volts = np.empty(counts.size, np.float32)
-        to_volts(self.zero_count, self.volts_per_count, counts, volts)
+        volts = counts.astype(np.float32)
+        volts -= np.float32(self.zero_count)
+        volts *= np.float32(self.volts_per_count)
         return volts
 
 

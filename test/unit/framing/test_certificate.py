@@ -281,7 +281,7 @@ def test_noise_is_learnt_from_frames_where_there_is_no_gap() -> None:
 def test_of_gaussian_noise_no_more_is_beyond_than_promised() -> None:
     """Here for a chance of 1 %, as nobody can wait for 3e-5; the exact one by random squares."""
     deviations, count, trials = NormalDist().inv_cdf(0.99), 180, 200_000
-    limit = kernel.compiled.certificate_chance(count, deviations)
+    limit = kernel.lib.certificate_chance(count, deviations)
     squares = np.random.default_rng(2).chisquare(count, trials) / count
     assert np.mean(squares > limit) == pytest.approx(0.01, abs=4 * (0.01 / trials) ** 0.5)
 
@@ -313,7 +313,7 @@ def test_a_limit_of_one_percent_is_passed_by_one_percent(monkeypatch: pytest.Mon
         certificate = certified(PLAIN, volts, noise_v, reader).certificate
         assert certificate is not None
         free = 200 - 16 - 10 - 2  # words, levels of bits, and what leaks from the chips beside
-        limit = noise_v**2 * kernel.compiled.certificate_chance(free, deviations)
+        limit = noise_v**2 * kernel.lib.certificate_chance(free, deviations)
         passed += certificate.left_v2 > limit
         assert certificate.energy >= 1 or certificate.left_v2 <= limit * 1.0001
     assert passed / frames == pytest.approx(alpha, abs=4 * (alpha / frames) ** 0.5)
