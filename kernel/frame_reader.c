@@ -12,7 +12,7 @@
 #define SEEN 16      /* frames by the least of which noise is known where no gap shows it */
 #define LEARNT 8     /* of these, until then it is unknown */
 #define MORE_NOISE 1.5 /* times the gap's noise that a carried timing may leave before it is refined */
-#define NEAR 0.7     /* share of what a frame's words explain, from which on others may explain as much when refined */
+#define NEAR 0.6     /* share of what words explain, from which on a frame elsewhere is a rival: two of three words */
 #define TIED 0.01    /* share by which words elsewhere must explain more to be taken: behind a low-pass, ties differ by so much */
 #define EDGE 0.5     /* of a sample by which a chip beside may reach beyond the samples */
 
@@ -32,7 +32,10 @@ struct frame_reader {
     size_t room;
     size_t begin;                 /* sample at which the frame is expected to begin */
     bool is_free, measures;       /* it may begin whole chips beside that, too; that is refined in any case */
-    struct fit places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
+    struct place {
+        struct fit fit;
+        int shift;                /* chips by which it is later */
+    } places[CERTIFICATE_BESIDE]; /* where else, and of how many of these the words explain nearly as much */
     size_t place_count;
     float *levels;                /* (span + 2·side) V, chips by a fit, with those beside and pauses */
     float *chips;                 /* (k, N) of these */
@@ -292,6 +295,7 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
     const int side = (int)reader->rules.side;
     const struct fit here = *best;
     double most = explained_by(reader, line, best), least = NEAR * most;
+    int moved = 0;
 
     reader->place_count = 0;
     for (int shift = -side; shift <= side; shift++) {
@@ -307,14 +311,17 @@ static void choose_place(struct frame_reader *reader, const struct fit_line *lin
             there = own;
             power = refined;
         }
-        struct fit *place = &reader->places[reader->place_count++];
-        *place = there;
+        struct place *place = &reader->places[reader->place_count++];
+        *place = (struct place){there, shift};
         if (power > (1 + TIED) * most) {
-            *place = *best;
+            *place = (struct place){*best, moved};
             *best = there;
+            moved = shift;
             most = power;
         }
     }
+    for (size_t i = 0; i < reader->place_count; i++)
+        reader->places[i].shift -= moved;
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------ */
@@ -374,8 +381,8 @@ static enum frame_look certify(struct frame_reader *reader, const struct certifi
         certifier_read(reader->certifier, view, words, certificate);
     certificate->value[CLAUSE_ENERGY] = fmax(certificate->value[CLAUSE_ENERGY], within);
     for (size_t i = 0; line && i < reader->place_count; i++) {
-        struct certificate_view other = view_of(reader, line, &reader->places[i], rest);
-        certifier_compare(reader->certifier, &other, words, certificate);
+        struct certificate_view other = view_of(reader, line, &reader->places[i].fit, rest);
+        certifier_compare(reader->certifier, &other, reader->places[i].shift, words, certificate);
     }
     found->noise = certificate->noise * sqrt((double)reader->code.order);
     bool is_hopeless = certificate->value[CLAUSE_ENERGY] > 1 / (rules->misfit * rules->misfit);
