@@ -244,8 +244,13 @@ def conditions() -> Iterator[Mixture]:
 def mixture_of(number: int) -> Mixture:
     """Return the mixture of a number."""
     if number >= MIXTURES:
-        _, _, drawn = (plain := mixture_of(number - MIXTURES)).name.partition(":")
-        return replace(plain, name=f"mixture {number}:{drawn}").scrambled()
+        _, _, effects = (plain := drawn(number - MIXTURES)).name.partition(":")
+        return replace(plain, name=f"mixture {number}:{effects}").scrambled()
+    return drawn(number)
+
+
+def drawn(number: int) -> Mixture:
+    """Draw a mixture by a seed."""
     draw = np.random.default_rng(number)
     timing = str(draw.choice(list(TIMINGS)))
     skin, count = draw_skin(draw), int(draw.integers(1, 5))

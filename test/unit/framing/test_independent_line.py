@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.doubt.lines import conditions
-from benchmarks.doubt.mixtures import mixture_of
+from benchmarks.doubt.mixtures import drawn
 from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import BLIND, LineCondition, compare, decode, rival
 from tactile_cdma.base.errors import SpecError
@@ -393,7 +393,7 @@ def test_what_nodes_out_of_time_say_is_in_doubt(
     number: int, frames: int, seed: int, least: int
 ) -> None:
     """Where levels jump, frames begin chips late; ends alone tell a row from another's shift."""
-    tally, _ = mixture_of(number).run(frames, seed)
+    tally, _ = drawn(number).run(frames, seed)
     assert tally.right > least and not tally.unflagged
 
 

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.doubt.mixtures import mixture_of
+from benchmarks.doubt.mixtures import drawn
 from benchmarks.doubt.tally import Tally
 from benchmarks.doubt.words import TIMINGS, compare, decode
 from tactile_cdma.code.encode import line_chips
@@ -90,7 +90,7 @@ def test_on_a_sparse_line_something_but_nobody_is_heard(disturbed: dict[str, flo
     ("number", "seed"), [(number, seed) for seed in FALSE_ONCE for number in FALSE_ONCE[seed]]
 )
 def test_what_was_claimed_falsely_once_is_flagged(number: int, seed: int) -> None:
-    counts, complaints = mixture_of(number).run(250, seed)
+    counts, complaints = drawn(number).run(250, seed)
     assert not counts.false, complaints
     assert counts.words > 20
 
@@ -143,7 +143,7 @@ def test_a_tone_that_gives_a_frame_its_timing_is_no_silence() -> None:
 
 
 def test_hum_that_is_taken_for_more_noise_than_it_is_hides_a_word_by_gaps() -> None:
-    counts, complaints = mixture_of(1354).run(40, 1)
+    counts, complaints = drawn(1354).run(40, 1)
     assert not counts.false, complaints
     assert counts.lost > 5
 
